@@ -1,0 +1,1 @@
+"""How revisit is spoken to: HTTP, the command line, the client."""

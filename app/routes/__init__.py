@@ -1,0 +1,1 @@
+"""One module per group of routes: parse, call one use-case, answer."""

@@ -1,0 +1,1 @@
+"""Commands that measure revisit; every number in the docs comes from one of them."""
