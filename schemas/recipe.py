@@ -1,0 +1,104 @@
+"""Everything that decides a description: a recipe is data, and its id is the hash of that data."""
+
+import hashlib
+import json
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Frozen(BaseModel):
+    """A value: immutable, and with no field that it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Channel(Frozen):
+    """How one layer of the pixel field becomes a histogram vector."""
+
+    layer: str = Field(description="Layer of the encoder's pixel field that the descriptors come from.")
+    words: Annotated[int, Field(ge=2, le=65536)] = Field(description="Size V of the vocabulary.")
+    descriptors: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="K, drawn at random among static cells; null takes all of them."
+    )
+    assignments: Annotated[int, Field(ge=1, le=16)] = Field(
+        1, description="Nearest words a descriptor is shared among."
+    )
+    temperature: Annotated[float, Field(gt=0)] = Field(
+        0.05, description="Of the soft assignment, in units of cosine; without effect when assignments is 1."
+    )
+    normalisation: Literal["l1", "hellinger"] = Field(
+        "hellinger", description="l1 sums to 1; hellinger takes the root of that."
+    )
+    dimensions: Annotated[int, Field(ge=2, le=4096)] | None = Field(
+        None, description="Length after half-whitened PCA and scaling to unit length; null keeps the histogram."
+    )
+
+
+class Dynamic(Frozen):
+    """When a cell counts as something that moves."""
+
+    margin: Annotated[float, Field(ge=0, le=2)] = Field(
+        0.0, description="By how much the best dynamic word must beat the best static one, as cosine."
+    )
+    most: Annotated[float, Field(ge=0, le=1)] = Field(
+        1.0, description="Never drop more than this share of a picture; the surest cells go first."
+    )
+
+
+class DenseCells(Frozen):
+    """The coarse grid of embeddings that re-ranking compares cell by cell."""
+
+    rows: Annotated[int, Field(ge=1, le=64)] = 9
+    columns: Annotated[int, Field(ge=1, le=64)] = 15
+    dimensions: Annotated[int, Field(ge=1, le=512)] = 32
+
+
+class Graph(Frozen):
+    """The context graph and its comparison (paper, "Context Graph")."""
+
+    min_region_cells: Annotated[int, Field(ge=1)] = Field(1, description="Smaller regions are no nodes.")
+    cosine: Annotated[float, Field(ge=-1, lt=1)] = Field(0.95, description="t: correspondences need more than this.")
+    tau: Annotated[float, Field(gt=0)] = Field(70 / 520, description="Longest edge, in fractions of the longer side.")
+
+
+class Verification(Frozen):
+    """Geometric verification of the first candidates by local features."""
+
+    candidates: Annotated[int, Field(ge=1, le=100)] = Field(10, description="How many of the best are verified.")
+    keypoints: Annotated[int, Field(ge=8, le=4096)] = Field(300, description="Local features kept of a picture.")
+
+
+class Parameters(Frozen):
+    """The numbers of a preset."""
+
+    channels: dict[str, Channel] = Field(min_length=1)
+    dynamic: Dynamic = Dynamic()
+    candidates: Annotated[int, Field(ge=0, le=500)] = Field(20, description="Re-ranked candidates of each channel.")
+    dense: DenseCells | None = None
+    graph: Graph = Graph()
+    verification: Verification | None = None
+    ranking: Literal["weighted", "graph"] = Field(
+        "weighted", description="weighted adds up terms; graph sorts by graph similarity alone, as the paper says."
+    )
+    weights: dict[str, float] = Field(
+        default_factory=dict, description="Weight of each term: dense.CHANNEL, histogram.CHANNEL, graph, verification."
+    )
+
+
+class Recipe(Frozen):
+    """Encoder, labels, preset, parameters and vocabulary: the same recipe always gives the same description."""
+
+    encoder: str
+    weights: str = Field(description="SHA-256 of the encoder's weights.")
+    labels: tuple[str, ...] = Field(min_length=1)
+    dynamic: tuple[str, ...]
+    preset: str
+    parameters: Parameters
+    vocabulary: str = Field(description="SHA-256 of the vocabulary's tensors.")
+
+    @property
+    def id(self) -> str:
+        """First 16 hex digits of the SHA-256 of the recipe as canonical JSON (sorted keys, no blanks)."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,72 @@
+"""Settings: environment variables ``REVISIT_*``, read once into a frozen object."""
+
+import difflib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from schemas.errors import SetupError
+
+MEGA = 1_000_000
+
+
+class Settings(BaseSettings):
+    """All that can be set from outside; docs/settings.md is the same table in words."""
+
+    model_config = SettingsConfigDict(env_prefix="REVISIT_", frozen=True, extra="forbid")
+
+    data: Path = Field(Path("data"), description="Folder of the database and the pictures.")
+    database: str | None = Field(None, description="SQLAlchemy URL; default is SQLite in the data folder.")
+    host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
+    port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
+    open: bool = Field(False, description="Allow an address other than loopback although anybody may then call.")
+    encoder: Literal["compact", "color", "lseg"] = Field("compact", description="Network that describes pictures.")
+    weights: Path | None = Field(None, description="Weights file of the encoder `lseg`.")
+    bpe: Path | None = Field(None, description="CLIP's byte-pair vocabulary, for the encoder `lseg`.")
+    lseg_mode: Literal["windows", "single"] = Field("windows", description="How the encoder `lseg` covers a picture.")
+    device: str = Field("cpu", description="Where the network runs: cpu, cuda, cuda:1, ...")
+    preset: str = Field("default", description="Preset of maps that are made without naming one.")
+    threads: int = Field(0, ge=0, le=256, description="Threads of the network; 0 takes one per core.")
+    batch: int = Field(0, ge=0, le=256, description="Pictures encoded together; 0: 1 on a CPU, 8 on a GPU.")
+    inline_worker: bool = Field(True, description="Describe enrolled pictures inside `serve`.")
+    lease_s: float = Field(60, gt=0, description="Seconds after which an unfinished picture is taken up again.")
+    max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
+    max_megapixels: float = Field(50, gt=0, description="Largest picture, in 10^6 pixels.")
+    queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
+    questions: int = Field(32, ge=1, description="Questions that may wait before more are refused with 429.")
+    explanations: int = Field(200, ge=0, description="Latest queries whose explanation can still be drawn.")
+    log: Literal["text", "json"] = Field("text", description="Form of log lines.")
+    url: str = Field("http://127.0.0.1:8000", description="Service that the command line talks to.")
+
+    @property
+    def database_url(self) -> str:
+        """SQLAlchemy URL of the database."""
+        return self.database or f"sqlite:///{self.data / 'revisit.db'}"
+
+
+def read_settings(environment: Mapping[str, str] | None = None, **overrides: object) -> Settings:
+    """Settings from ``REVISIT_*`` variables; `overrides` (from flags) win.
+
+    Raises
+    ------
+    SetupError
+        A variable is unknown (the nearest name is offered) or has a value that cannot be used.
+    """
+    env = os.environ if environment is None else environment
+    names = {f"REVISIT_{name}".upper() for name in Settings.model_fields}
+    ours = {k: v for k, v in env.items() if k.startswith("REVISIT_")}
+    for name in sorted(set(ours) - names):
+        near = difflib.get_close_matches(name, sorted(names), n=1, cutoff=0.0)
+        raise SetupError(f"unknown setting {name}; did you mean {near[0]}? docs/settings.md lists all of them")
+    values: dict[str, object] = {k.removeprefix("REVISIT_").lower(): v for k, v in ours.items()}
+    values.update({k: v for k, v in overrides.items() if v is not None})
+    try:
+        return Settings.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = f"REVISIT_{'_'.join(map(str, first['loc']))}".upper()
+        raise SetupError(f"{name}={first['input']!r}: {first['msg']}") from None
