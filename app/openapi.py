@@ -16,7 +16,7 @@ Json = dict[str, Any]
 
 _REF = "#/components/schemas/"
 _PICTURE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
-_EVERYWHERE = ("invalid-parameter", "internal", "unavailable")
+_EVERYWHERE = ("invalid-parameter", "internal")
 
 DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later ask with a photo.
 
@@ -25,10 +25,16 @@ parts or query parameters, by the same names. Unknown parameters are errors. Eve
 Every answer carries `X-Request-Id`."""
 
 
-def refusals(*codes: str, everywhere: bool = True) -> dict[int | str, Json]:
-    """The `responses` of a route that may answer these problems, besides those that every route may."""
+def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
+    """The `responses` of a route that may answer these problems, besides those that every route may.
+
+    Parameters
+    ----------
+    always_open : bool
+        The route answers while the service starts and stops.
+    """
     by_status: dict[int | str, Json] = {}
-    for code in dict.fromkeys((*codes, *(_EVERYWHERE if everywhere else ("internal",)))):
+    for code in dict.fromkeys((*codes, *_EVERYWHERE, *(() if always_open else ("unavailable",)))):
         kind = problems.KINDS[code]
         entry = by_status.setdefault(
             kind.status,

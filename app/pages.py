@@ -112,6 +112,7 @@ def _parameter(parameter: Json) -> str:
 
 
 def _shape(name: str, schema: Json) -> str:
+    summary = schema.get("description", "").partition("\n")[0]
     rows = "".join(
         f"<tr><td><code>{escape(field)}</code></td><td>{escape(_type(s))}</td>"
         f"<td>{escape(s.get('description', ''))}</td></tr>"
@@ -119,8 +120,7 @@ def _shape(name: str, schema: Json) -> str:
     )
     return (
         f"<details id='{escape(name)}'><summary><code>{escape(name)}</code> "
-        f"<span class='quiet'>{escape(schema.get('description', '').splitlines()[0] if schema.get('description') else '')}"
-        f"</span></summary><table>{rows}</table></details>"
+        f"<span class='quiet'>{escape(summary)}</span></summary><table>{rows}</table></details>"
     )
 
 

@@ -30,8 +30,10 @@ def moment(text: object) -> datetime:
         raise ValueError("is no time that exists") from None
 
 
-def plain_text(text: str) -> str:
+def plain_text(text: object) -> str:
     """Text that every database can keep and every log can show."""
+    if not isinstance(text, str):
+        raise ValueError("needs text")
     if not text.strip():
         raise ValueError("must not be empty")
     if any(ord(c) < 32 or 0xD800 <= ord(c) <= 0xDFFF or ord(c) == 127 for c in text):

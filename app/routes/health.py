@@ -22,7 +22,7 @@ PATIENCE_S = 0.4
 """Half a second is promised; what has not answered by then is named as the reason."""
 
 
-@router.get("/livez", responses={**answers_bytes("text/plain", description="Alive."), **refusals(everywhere=False)})
+@router.get("/livez", responses={**answers_bytes("text/plain", description="Alive."), **refusals(always_open=True)})
 async def livez() -> Response:
     """Does the process answer?"""
     return Response("ok\n", media_type="text/plain")
@@ -31,7 +31,7 @@ async def livez() -> Response:
 @router.get(
     "/readyz",
     response_model=Readiness,
-    responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(everywhere=False)},
+    responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(always_open=True)},
 )
 async def readyz(recogniser: Recognises) -> Response:
     """Can it enrol and answer at this moment? Lists what cannot, and why."""
@@ -50,7 +50,7 @@ async def readyz(recogniser: Recognises) -> Response:
 @router.get(
     "/metrics",
     response_class=Response,
-    responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(everywhere=False)},
+    responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(always_open=True)},
 )
 async def metrics(recogniser: Recognises, measures: Measures) -> Response:
     """Counters, times and sizes."""

@@ -112,4 +112,14 @@ def _patched(said: Said, patch: dict[str, Any]) -> Said:
     unknown += [ParameterError(f"position.{name}", "is unknown") for name in sorted(stray)]
     known = {name: value for name, value in merged.items() if name in _FIELDS and value is not None}
     located = {name: value for name, value in position.items() if name not in stray}
-    return validated(SaidDocument, {**known, **located}, unknown).said()
+    try:
+        return validated(SaidDocument, {**known, **located}, unknown).said()
+    except InvalidParameters as error:
+        raise InvalidParameters([_in_document(one) for one in error.errors]) from None
+
+
+def _in_document(error: ParameterError) -> ParameterError:
+    """The mistake, named by its path in the view."""
+    if error.parameter in Position.model_fields:
+        return ParameterError(f"position.{error.parameter}", error.detail)
+    return error
