@@ -15,7 +15,7 @@ from PIL import Image
 
 from schemas.errors import BadPicture, BodyTooLarge, RevisitError
 from tests.pictures import PNG_MAGIC, drawn, encoded, png_chunk
-from worker.picture_codec import Limits, decode, facts, probe, thumbnail
+from worker.picture_codec import Limits, decode, facts, probe, shrink, thumbnail
 
 LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
 
@@ -287,6 +287,14 @@ def test_more_bytes_than_allowed_are_refused() -> None:
 def test_nothing_at_all_is_not_a_picture() -> None:
     with pytest.raises(BadPicture):
         decode(b"", LIMITS)
+
+
+def test_a_picture_that_is_kept_small_keeps_its_digest() -> None:
+    picture = decode(encoded(drawn(320, 240), "png"), LIMITS)
+    small = shrink(picture, 64)
+    assert (small.width, small.height, small.digest) == (64, 48, picture.digest)
+    assert apart(small.pixels, np.asarray(Image.fromarray(picture.pixels).resize((64, 48)))) < 3
+    assert shrink(picture, 320) is picture
 
 
 def test_a_thumbnail_is_never_enlarged_and_tells_no_position() -> None:

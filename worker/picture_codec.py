@@ -8,7 +8,7 @@ or unusual depths goes through Pillow, which knows what they mean.
 import hashlib
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -96,6 +96,16 @@ def thumbnail(data: bytes, longest: int) -> bytes:
         out, "JPEG", quality=_THUMBNAIL_QUALITY
     )
     return out.getvalue()
+
+
+def shrink(picture: Picture, longest: int = 640) -> Picture:
+    """The picture with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
+    scale = longest / max(picture.width, picture.height)
+    if scale >= 1:
+        return picture
+    size = (max(1, round(picture.width * scale)), max(1, round(picture.height * scale)))
+    pixels = cv2.resize(picture.pixels, size, interpolation=cv2.INTER_AREA)
+    return replace(picture, pixels=np.asarray(pixels, np.uint8))
 
 
 _FORMATS = [name.upper() for name in ACCEPTED]
