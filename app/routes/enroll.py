@@ -1,5 +1,6 @@
 """`POST /enroll`: keep pictures and what is said about them."""
 
+import asyncio
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -73,7 +74,8 @@ async def enroll(request: Request, recogniser: Recognises, metrics: Measures) ->
     key = key_of(request)
     if key is None:
         return await work()
-    return await once(recogniser, request, key, fingerprint([data for _, data in sent.pictures], sent.parameters), work)
+    print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.pictures], sent.parameters)
+    return await once(recogniser, request, key, print_, work)
 
 
 def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
