@@ -8,6 +8,7 @@ from schemas.description import Appearance, Description, Floats, LocalFeatures, 
 from schemas.picture import Picture, PictureFacts
 from schemas.recipe import Recipe
 from schemas.records import (
+    Candidates,
     Changes,
     Claim,
     Filters,
@@ -15,7 +16,6 @@ from schemas.records import (
     MapCounts,
     MapRecord,
     Meaning,
-    Neighbours,
     Removal,
     Replay,
     Said,
@@ -276,14 +276,13 @@ class Index(Protocol):
         """Catch up."""
         ...
 
-    def nearest(self, channel: str, vector: Floats, count: int, selection: Selection) -> Neighbours:
-        """Up to `count` views of the selection."""
-        ...
+    def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
+        """The `count` nearest views of the selection by each channel, joined.
 
-    def distances(self, channel: str, vector: Floats, seqs: Sequence[int]) -> Floats:
-        """Euclidean distances to particular views, float32 (n,)."""
-        ...
-
-    def searchable(self, selection: Selection) -> int:
-        """How many views a search in this selection looks at."""
+        Parameters
+        ----------
+        vectors : mapping of channel to float32 of shape (dimensions,)
+        count : int
+            Of each channel.
+        """
         ...

@@ -73,6 +73,7 @@ class Parameters(Frozen):
     """The numbers of a preset."""
 
     channels: dict[str, Channel] = Field(min_length=1)
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="Of everything random: drawn descriptors, vocabulary.")
     dynamic: Dynamic = Dynamic()
     candidates: Annotated[int, Field(ge=0, le=500)] = Field(20, description="Re-ranked candidates of each channel.")
     dense: DenseCells | None = None
