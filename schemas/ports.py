@@ -49,7 +49,8 @@ class Encoder(Protocol):
         ...
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
-        """Unit-length vectors of words, float32 (words, channels of the layer ``words``).
+        """Vectors of words, float32 (words, channels of the layer ``words``): a cell's inner product with one is their
+        cosine. Not longer than 1; shorter by what lies outside the space that cells can reach.
 
         Raises
         ------

@@ -34,6 +34,11 @@ class Channel(Frozen):
         None, description="Length after half-whitened PCA and scaling to unit length; null keeps the histogram."
     )
 
+    @property
+    def length(self) -> int:
+        """Length of the channel's vector."""
+        return self.dimensions or self.words
+
 
 class Dynamic(Frozen):
     """When a cell counts as something that moves."""
