@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from schemas.description import Appearance, Description, LocalFeatures
+from schemas.description import Appearance, Description, Floats, LocalFeatures
 from schemas.recipe import Recipe
-from schemas.records import Changes
+from schemas.records import Changes, Sequence64
 from worker.stores import packing
 from worker.stores.part import Part
 from worker.stores.rows import batches, find_map
@@ -61,7 +61,6 @@ class Descriptions(Part):
                     DESCRIPTIONS.c.recipe == row.recipe,
                     DESCRIPTIONS.c.revision > known,
                 )
-                .order_by(DESCRIPTIONS.c.seq)
             )
             seqs: list[int] = []
             vectors = bytearray()
@@ -70,13 +69,10 @@ class Descriptions(Part):
                 vectors += b"".join([body for _, body in portion])
             left = sa.select(TOMBSTONES.c.seq).where(TOMBSTONES.c.map_id == row.id, TOMBSTONES.c.revision > revision)
             gone = list(connection.scalars(left.order_by(TOMBSTONES.c.seq)))
-        return Changes(
-            revision=row.revision,
-            recipe=row.recipe,
-            seqs=np.array(seqs, np.int64),
-            vectors=packing.unpack_floats(vectors).reshape(len(seqs), -1 if seqs else 0),
-            gone=np.array(gone, np.int64),
+        numbers, rows = _in_order(
+            np.array(seqs, np.int64), packing.unpack_floats(vectors).reshape(len(seqs), -1 if seqs else 0)
         )
+        return Changes(row.revision, row.recipe, numbers, rows, np.array(gone, np.int64))
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
         """Cells and graphs of these views; those deleted meanwhile are absent."""
@@ -93,3 +89,11 @@ class Descriptions(Part):
                 rows = sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(portion), table.c.recipe == recipe)
                 bodies.update((seq, body) for seq, body in connection.execute(rows))
         return bodies
+
+
+def _in_order(seqs: Sequence64, vectors: Floats) -> tuple[Sequence64, Floats]:
+    """Both by ascending seq; a database would carry every vector through its sort."""
+    if np.all(seqs[1:] > seqs[:-1]):
+        return seqs, vectors
+    order = np.argsort(seqs)
+    return seqs[order], vectors[order]
