@@ -122,7 +122,10 @@ class Store(Protocol):
         ...
 
     def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
-        """Take up to `count` of the oldest waiting jobs, or jobs whose lease has ended; never more than thrice."""
+        """Take up to `count` of the oldest waiting jobs, or jobs whose lease has ended; never more than thrice.
+
+        Enrolments, for which somebody may be waiting, go before the jobs of a recipe switch.
+        """
         ...
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
@@ -137,8 +140,14 @@ class Store(Protocol):
         """Put a job back unharmed (shutting down); does not count as an attempt."""
         ...
 
-    def waiting(self) -> int:
-        """Jobs not yet finished."""
+    def waiting(self, *, redescriptions: bool = False) -> int:
+        """Enrolments not yet described.
+
+        Parameters
+        ----------
+        redescriptions : bool
+            Count the jobs of a recipe switch too. Enrolments go before them, so they delay none.
+        """
         ...
 
     def job(self, job_id: str) -> JobRecord:
