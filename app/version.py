@@ -1,0 +1,3 @@
+"""Which revisit this is."""
+
+VERSION = "0.1.0"
