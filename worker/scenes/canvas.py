@@ -1,6 +1,7 @@
 """The picture being drawn: colours, labels and a depth for every pixel, so that order does not matter."""
 
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -9,6 +10,9 @@ import numpy.typing as npt
 from worker.scenes.geometry import Camera, Pixels, Sprite, Surface, Vector
 
 NEAR = 0.2
+
+SurfaceLight = Callable[[Surface, Pixels, Pixels | None], Pixels]
+SpriteLight = Callable[[Sprite, Pixels], Pixels]
 
 
 class Canvas:
@@ -21,9 +25,11 @@ class Canvas:
         self.labels: Pixels = np.full((height, width), label, np.uint8)
         self.nearness: npt.NDArray[np.float32] = np.zeros((height, width), np.float32)
 
-    def draw(self, surface: Surface, lit: Pixels) -> None:
-        """Draw a surface whose texture, `lit` (RGB or RGBA), has its light already."""
+    def draw(self, surface: Surface, light: SurfaceLight) -> None:
+        """Draw a surface; `light` is given its texture (and glow) at the size that the picture needs."""
         camera = self.camera
+        if surface.texture.shape[2] == 3 and surface.normal @ (camera.position - surface.origin) <= 0:
+            return  # the far side of something solid
         corners = _corners(surface)
         seen = camera.seen(corners)
         outline = _clip(seen)
@@ -44,7 +50,12 @@ class Canvas:
             return  # seen exactly edge-on
         to_surface = np.linalg.inv(to_image)
         to_surface = to_surface @ np.array([[1, 0, left], [0, 1, top], [0, 0, 1.0]])
-        texture, labels = self._reduced(lit, surface.label, to_image, to_surface, on_image, window)
+        size = self._needed(surface.texture.shape, to_image, to_surface, on_image, window)
+        labels = surface.label
+        if not isinstance(labels, int) and size is not None:
+            labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
+        glow = None if surface.glow is None else _shrunk(surface.glow, size)
+        texture = light(surface, _shrunk(surface.texture, size), glow)
         height, width = texture.shape[:2]
         texel = np.array([[width, 0, -0.5], [0, height, -0.5], [0, 0, 1.0]]) @ to_surface
         size = (right - left, bottom - top)
@@ -67,8 +78,8 @@ class Canvas:
             warped = cv2.warpPerspective(labels, texel, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
             self._put(window, mask, nearness, colours, warped)
 
-    def draw_sprite(self, sprite: Sprite, lit: Pixels) -> None:
-        """Draw a cut-out that faces the camera, `lit` being its texture with its light."""
+    def draw_sprite(self, sprite: Sprite, light: SpriteLight) -> None:
+        """Draw a cut-out that faces the camera; `light` as in `draw`."""
         x, y, depth = self.camera.seen(sprite.centre)
         if depth < 0.6:
             return
@@ -81,9 +92,10 @@ class Canvas:
             return
         left, top, right, bottom = window
         width, height = (int(n) for n in high - low)
-        shrinks = width < lit.shape[1]
-        texture = cv2.resize(lit, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-        texture = texture[top - low[1] : bottom - low[1], left - low[0] : right - low[0]]
+        shrinks = width < sprite.texture.shape[1]
+        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        texture = cv2.resize(sprite.texture, (width, height), interpolation=how)
+        texture = light(sprite, texture[top - low[1] : bottom - low[1], left - low[0] : right - low[0]])
         # Smaller leaves than pixels: their average cover, compared with a lower bar, keeps far crowns from thinning.
         mask = np.where(texture[..., 3] >= 100, 255, 0).astype(np.uint8)
         nearness = np.full(mask.shape, 1 / depth, np.float32)
@@ -111,15 +123,17 @@ class Canvas:
         self.labels[area][front] = label if isinstance(label, int) else label[front]
 
     @staticmethod
-    def _reduced(
-        texture: Pixels,
-        labels: int | Pixels,
+    def _needed(
+        shape: tuple[int, ...],
         to_image: Vector,
         to_surface: Vector,
         on_image: Vector,
         window: tuple[int, int, int, int],
-    ) -> tuple[Pixels, int | Pixels]:
-        """The texture no finer than the picture shows it, along each of its axes: bricks far away do not flicker."""
+    ) -> tuple[int, int] | None:
+        """(width, height) of the texture that is no finer than the picture shows it, along each of its axes.
+
+        None when the texture is right as it is. So bricks far away do not flicker.
+        """
         left, top, right, bottom = window
         middle = np.clip(on_image.mean(axis=0), (left, top), (right, bottom)) - (left, top)
         point = to_surface @ np.array([middle[0], middle[1], 1.0])
@@ -127,16 +141,18 @@ class Canvas:
         p = to_image @ np.array([s, t, 1.0])
         # Derivatives of the pixel by s and by t: how many pixels the surface would span there.
         spans = [np.hypot(*(to_image[:2, k] - p[:2] / p[2] * to_image[2, k])) / abs(p[2]) for k in (0, 1)]
-        height, width = texture.shape[:2]
+        height, width = shape[:2]
         new_width = int(np.clip(math.ceil(spans[0]), 2, width))
         new_height = int(np.clip(math.ceil(spans[1]), 2, height))
         if new_width > 0.8 * width and new_height > 0.8 * height:
-            return texture, labels
-        size = (new_width, new_height)
-        smaller: Pixels = cv2.resize(texture, size, interpolation=cv2.INTER_AREA)
-        if isinstance(labels, int):
-            return smaller, labels
-        return smaller, cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
+            return None
+        return new_width, new_height
+
+
+def _shrunk(image: Pixels, size: tuple[int, int] | None) -> Pixels:
+    if size is None:
+        return image
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _corners(surface: Surface) -> Vector:

@@ -12,9 +12,17 @@ PER_METRE = 48
 BEHIND = -2.5
 WALL, DOOR, WINDOW, SIGN = label("wall"), label("door"), label("window"), label("sign")
 PAINTS: tuple[Colour, ...] = (
-    (222, 216, 200), (206, 212, 208), (226, 210, 176), (188, 202, 212), (212, 196, 188), (196, 206, 178), (232, 230, 226),
+    (222, 216, 200), (206, 212, 208), (226, 210, 176), (188, 202, 212), (212, 196, 188), (196, 206, 178),
+    (232, 230, 226),
 )  # fmt: skip
-ACCENTS: tuple[Colour, ...] = ((60, 104, 132), (140, 62, 52), (70, 112, 78), (186, 150, 70), (88, 84, 110), (110, 92, 76))
+ACCENTS: tuple[Colour, ...] = (
+    (60, 104, 132),
+    (140, 62, 52),
+    (70, 112, 78),
+    (186, 150, 70),
+    (88, 84, 110),
+    (110, 92, 76),
+)
 
 
 def corridor(rng: np.random.Generator) -> Place:
@@ -56,7 +64,7 @@ def _put_wall(
     for i in range(pieces):
         a, b = i / pieces, (i + 1) / pieces
         cut = slice(round(a * columns), round(b * columns))
-        # Texture columns run left to right as seen from inside: away from the camera on the left wall, back on the right.
+        # Columns run left to right as seen from inside: away from the camera on the left wall, back on the right.
         y0 = BEHIND + a * total if sign < 0 else length - a * total
         across = vector(0, -sign * total / pieces, 0)
         place.surfaces.append(
@@ -138,9 +146,9 @@ def _area(texture: Pixels, x: float, width: float, top: float, bottom: float) ->
 
 def _framed(texture: Pixels, area: tuple[slice, slice], colour: Colour, thickness: int) -> None:
     ys, xs = area
-    texture[
-        max(0, ys.start - thickness) : ys.stop + thickness, max(0, xs.start - thickness) : xs.stop + thickness
-    ] = colour
+    texture[max(0, ys.start - thickness) : ys.stop + thickness, max(0, xs.start - thickness) : xs.stop + thickness] = (
+        colour
+    )
 
 
 def _door(rng: np.random.Generator, texture: Pixels, labels: Pixels, colour: Colour, x: float) -> float:
@@ -164,9 +172,7 @@ def _door(rng: np.random.Generator, texture: Pixels, labels: Pixels, colour: Col
     return width + 0.3
 
 
-def _window(
-    rng: np.random.Generator, texture: Pixels, labels: Pixels, glow: Pixels, x: float, height: float
-) -> float:
+def _window(rng: np.random.Generator, texture: Pixels, labels: Pixels, glow: Pixels, x: float, height: float) -> float:
     width = float(rng.uniform(1.2, 1.9))
     area = _area(texture, x, width, min(height - 0.25, 2.35), 0.85)
     ys, xs = area
@@ -194,7 +200,10 @@ def _board(rng: np.random.Generator, texture: Pixels, labels: Pixels, x: float, 
     for _ in range(int(rng.integers(4, 10))):
         left = int(rng.integers(xs.start + 2, max(xs.start + 3, xs.stop - 16)))
         top = int(rng.integers(ys.start + 2, max(ys.start + 3, ys.stop - 18)))
-        sheet = tuple(int(c) for c in np.array([(250, 248, 240), (250, 236, 130), (190, 220, 240), (244, 190, 190)])[rng.integers(4)])
+        sheet = tuple(
+            int(c)
+            for c in np.array([(250, 248, 240), (250, 236, 130), (190, 220, 240), (244, 190, 190)])[rng.integers(4)]
+        )
         right, bottom = min(left + int(rng.integers(9, 15)), xs.stop - 1), min(top + 16, ys.stop - 1)
         cv2.rectangle(texture, (left, top), (right, bottom), sheet, -1)
         for line in range(top + 3, bottom - 1, 3):
@@ -235,8 +244,8 @@ def _floor(place: Place, rng: np.random.Generator, half: float, length: float) -
         texture = materials.paving(rng, size, tone, (24, 24), bond=False)
     elif kind == 1:
         squares = (np.arange(size[0])[:, None] // 22 + np.arange(size[1])[None, :] // 22) % 2
-        light = (0.78 + 0.34 * squares + 0.02 * rng.standard_normal(size)).astype(np.float32)
-        texture = materials.tinted(tone, light)
+        light = 0.78 + 0.34 * squares + 0.02 * rng.standard_normal(size)
+        texture = materials.tinted(tone, light.astype(np.float32))
     elif kind == 2:
         texture = materials.paving(rng, (size[1], size[0]), tone, (7, 60)).transpose(1, 0, 2)
     else:

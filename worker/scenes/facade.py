@@ -160,9 +160,7 @@ def _opening(wall: Pixels, area: tuple[int, int, int, int], inside: Pixels) -> N
     wall[y0:y1, x0 : x0 + 3] = (wall[y0:y1, x0 : x0 + 3] * 0.55).astype(np.uint8)
 
 
-def _window(
-    rng: np.random.Generator, wall: Pixels, glow: Pixels, style: Style, middle: float, floor: float
-) -> None:
+def _window(rng: np.random.Generator, wall: Pixels, glow: Pixels, style: Style, middle: float, floor: float) -> None:
     """One window whose sill is `floor` metres below the top of the wall."""
     w, h = style.window
     x0, y0, x1, y1 = _box(middle - w / 2, floor - h, middle + w / 2, floor)
@@ -225,17 +223,16 @@ def _ground_floor(
     _door(rng, wall, glow, style, door_at, height)
 
 
-def _door(
-    rng: np.random.Generator, wall: Pixels, glow: Pixels, style: Style, middle: float, height: float
-) -> None:
+def _door(rng: np.random.Generator, wall: Pixels, glow: Pixels, style: Style, middle: float, height: float) -> None:
     x0, y0, x1, y1 = _box(middle - 0.55, height - 2.5, middle + 0.55, height - 0.08)
     y0 = max(y0, 4)
     wall[y0 - 5 : y1, max(0, x0 - 6) : x1 + 6] = style.trim
     leaf = np.broadcast_to(np.array(style.door, np.uint8), (y1 - y0, x1 - x0, 3)).copy()
     for top, bottom in ((0.32, 0.58), (0.64, 0.94)):
         for left, right in ((0.12, 0.46), (0.54, 0.88)):
-            ys, xs = slice(int(top * (y1 - y0)), int(bottom * (y1 - y0))), slice(
-                int(left * (x1 - x0)), int(right * (x1 - x0))
+            ys, xs = (
+                slice(int(top * (y1 - y0)), int(bottom * (y1 - y0))),
+                slice(int(left * (x1 - x0)), int(right * (x1 - x0))),
             )
             leaf[ys, xs] = (np.array(style.door) * 0.7).astype(np.uint8)
     leaf[: (y1 - y0) // 4] = _glass(rng, (y1 - y0) // 4, x1 - x0)
@@ -245,9 +242,7 @@ def _door(
     wall[y1:, max(0, x0 - 8) : x1 + 8] = (150, 146, 140)
 
 
-def _shop(
-    rng: np.random.Generator, wall: Pixels, glow: Pixels, style: Style, width: float, height: float
-) -> None:
+def _shop(rng: np.random.Generator, wall: Pixels, glow: Pixels, style: Style, width: float, height: float) -> None:
     """A shop: fascia with lettering, large panes, a glazed door, sometimes a striped awning."""
     colour = style.shop or SHOPS[0]
     top = height - style.storey + 0.15

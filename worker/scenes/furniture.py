@@ -45,7 +45,7 @@ def lamp_post(
         position = (x, y, height + 0.1)
     shining = [Surface(f.origin, f.across, f.down, f.texture, f.label, shine) for f in under]
     place.surfaces += standing(parts + head + shining, x, y, 0)
-    place.lamps.append(Lamp(position, reach=3.2))
+    place.lamps.append(Lamp(position, (2.3, 1.85, 1.25), reach=3.0))
     place.shadows.append(np.array([[x - 0.1, y - 0.1, height], [x + 0.1, y + 0.1, height]]))
 
 
@@ -59,7 +59,9 @@ def sign_face(rng: np.random.Generator, kind: int) -> Pixels:
         cv2.putText(face, str(rng.choice(["30", "50", "20"])), (17, 62), cv2.FONT_HERSHEY_DUPLEX, 1.6, black, 4)
     elif kind == 1:
         for inset, colour in ((0, red), (14, white)):
-            points = np.array([[48, 4 + inset * 1.4], [94 - inset * 1.2, 88 - inset * 0.7], [2 + inset * 1.2, 88 - inset * 0.7]])
+            points = np.array(
+                [[48, 4 + inset * 1.4], [94 - inset * 1.2, 88 - inset * 0.7], [2 + inset * 1.2, 88 - inset * 0.7]]
+            )
             cv2.fillPoly(face, [np.int32(points)], colour, cv2.LINE_AA)
         cv2.rectangle(face, (45, 40), (51, 66), black, -1)
         cv2.circle(face, (48, 74), 4, black, -1)
@@ -151,7 +153,7 @@ def bench(place: Place, rng: np.random.Generator, x: float, y: float, heading: f
         parts += box((side, side + 0.06), (-0.22, 0.25), (0, 0.44), iron, BENCH)
     place.surfaces += standing(parts, x, y, heading)
     corners = np.array([[-0.9, -0.3, 0.6], [0.9, -0.3, 0.6], [0.9, 0.3, 0.6], [-0.9, 0.3, 0.6]])
-    place.shadows.append(corners + (x, y, 0))
+    place.shadows.append(corners + np.array([x, y, 0]))
 
 
 def bin_(place: Place, x: float, y: float, colour: Colour) -> None:

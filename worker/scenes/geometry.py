@@ -3,6 +3,7 @@
 World coordinates are metres: x to the right, y ahead, z up; the ground is z = 0.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -48,7 +49,7 @@ class Surface:
     label: int | Pixels
     glow: Pixels | None = None
 
-    @property
+    @functools.cached_property
     def normal(self) -> Vector:
         """Unit vector towards the side that is seen."""
         n = np.cross(self.down, self.across)

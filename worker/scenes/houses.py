@@ -81,9 +81,7 @@ def _roof(place: Place, rng: np.random.Generator, left: Vector, across: Vector, 
             place.surfaces.append(Surface(start, run, foot - ridge, tiles, BUILDING))
     else:
         lip = metal((120, 120, 124), 8, 16)
-        place.surfaces.append(
-            Surface(left + up + eaves + vector(0, 0, 0.5), across, vector(0, 0, -0.5), lip, BUILDING)
-        )
+        place.surfaces.append(Surface(left + up + eaves + vector(0, 0, 0.5), across, vector(0, 0, -0.5), lip, BUILDING))
 
 
 def _gable(wall: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from worker.scenes import materials
-from worker.scenes.geometry import Camera, Lamp, Pixels, Place, Sprite, Surface, vector
+from worker.scenes.geometry import Camera, Lamp, Pixels, Place, Sprite, Surface
 
 Colour3 = tuple[float, float, float]
 
@@ -71,31 +71,30 @@ class Light:
         direction = np.array(self.day.sun_from, np.float64)
         self.to_sun = direction / np.linalg.norm(direction)
 
-    def on(self, surface: Surface) -> Pixels:
-        """The surface's texture in this light, with its holes."""
+    def on(self, surface: Surface, texture: Pixels, glow: Pixels | None) -> Pixels:
+        """The surface's texture (at whatever size) in this light, with its holes."""
         facing = max(0.0, float(surface.normal @ self.to_sun))
         # A little of the sky's share depends on how much sky a surface sees.
         openness = 0.82 + 0.18 * (0.5 + 0.5 * float(surface.normal[2]))
         factor = np.array(self.ambient) * openness + np.array(self.sun) * facing
-        texture = surface.texture
         colours = texture[..., :3].astype(np.float32) * factor.astype(np.float32)
         if self.power > 0:
             lit = self._from_lamps(surface, (texture.shape[1], texture.shape[0]))
             if lit is not None:
                 colours += texture[..., :3] * lit
-            if surface.glow is not None:
-                colours += surface.glow * np.float32(min(1.0, self.power * 0.95))
+            if glow is not None:
+                colours += glow * np.float32(min(1.0, self.power * 0.95))
         shaded = np.clip(colours, 0, 255).astype(np.uint8)
         return shaded if texture.shape[2] == 3 else np.dstack([shaded, texture[..., 3]])
 
-    def on_sprite(self, sprite: Sprite) -> Pixels:
+    def on_sprite(self, sprite: Sprite, texture: Pixels) -> Pixels:
         """The cut-out's texture in this light."""
         factor = np.array(self.ambient) + 0.75 * np.array(self.sun)
         if self.power > 0:
             factor = factor + self.power * self._at(sprite.centre[None, :], None)[0] * 0.8
         table = np.clip(np.arange(256)[:, None] * (factor * sprite.brightness)[None, :], 0, 255).astype(np.uint8)
-        shaded = cv2.LUT(sprite.texture[..., :3], table[None])
-        return np.dstack([shaded, sprite.texture[..., 3]])
+        both = np.concatenate([table, np.arange(256)[:, None].astype(np.uint8)], axis=1)
+        return np.asarray(cv2.LUT(texture, both[None]), np.uint8)
 
     def _at(self, points: npt.NDArray[np.float64], normal: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64]:
         """What lamps add at points, float64 (n, 3)."""
@@ -120,9 +119,7 @@ class Light:
         grown = cv2.resize((light * self.power).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(grown, np.float32)
 
-    def shadow_map(
-        self, place: Place, size: tuple[int, int]
-    ) -> npt.NDArray[np.float32] | None:
+    def shadow_map(self, place: Place, size: tuple[int, int]) -> npt.NDArray[np.float32] | None:
         """Factor on the ground's texture (height, width): shadows of what stands on it, and dimmer feet of walls."""
         if place.ground is None:
             return None
@@ -170,7 +167,7 @@ def sky(camera: Camera, day: Daylight, rng: np.random.Generator) -> Pixels:
         for _ in range(90):
             at = (int(rng.integers(width)), int(rng.integers(height // 2)))
             grown[at[1], at[0]] += float(rng.uniform(20, 120))
-    return np.clip(grown, 0, 255).astype(np.uint8)
+    return materials.bounded(grown)
 
 
 def hazed(colours: Pixels, nearness: npt.NDArray[np.float32], day: Daylight) -> Pixels:
@@ -178,7 +175,7 @@ def hazed(colours: Pixels, nearness: npt.NDArray[np.float32], day: Daylight) -> 
     depth = 1 / np.maximum(nearness, 1e-3)
     share = np.where(nearness > 0, 1 - np.exp(-day.haze * np.maximum(depth - 4, 0)), 0).astype(np.float32)[..., None]
     mixed = colours * (1 - share) + np.array(day.horizon, np.float32) * share
-    return np.clip(mixed, 0, 255).astype(np.uint8)
+    return materials.bounded(mixed)
 
 
 def developed(colours: Pixels, day: Daylight, rng: np.random.Generator, *, bright: float = 1.0) -> Pixels:
@@ -189,7 +186,7 @@ def developed(colours: Pixels, day: Daylight, rng: np.random.Generator, *, brigh
         glare = np.clip(picture - 205, 0, None)
         small = cv2.resize(glare, (max(2, width // 4), max(2, height // 4)), interpolation=cv2.INTER_AREA)
         picture += cv2.resize(cv2.GaussianBlur(small, (0, 0), max(1.0, width / 120)), (width, height)) * 1.6
-    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)  # type: ignore[misc]
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
     picture *= (1 - 0.13 * (x * x + y * y) ** 1.3)[..., None]
     picture += rng.standard_normal(picture.shape, np.float32) * day.grain
-    return np.clip(picture, 0, 255).astype(np.uint8)
+    return materials.bounded(picture)

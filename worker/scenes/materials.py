@@ -1,4 +1,4 @@
-"""Textures of materials: brick, plaster, asphalt, paving, grass, tiles. RGB uint8, at a given number of texels a metre."""
+"""Textures of materials: brick, plaster, asphalt, paving, grass, tiles, as RGB uint8."""
 
 import cv2
 import numpy as np
@@ -23,12 +23,17 @@ def noise(rng: np.random.Generator, size: tuple[int, int], cells: float, octaves
             grown = cv2.resize(lumps, (width, height), interpolation=cv2.INTER_CUBIC)
         total += grown[:height, :width] / 1.7**octave
     deviation = float(total.std())
-    return (total - total.mean()) / max(deviation, 1e-6)
+    return np.asarray((total - total.mean()) / max(deviation, 1e-6), np.float32)
+
+
+def bounded(values: npt.NDArray[np.floating]) -> Pixels:
+    """Values as eight bits; what is too bright or too dark is clipped."""
+    return np.asarray(np.clip(values, 0, 255), np.uint8)
 
 
 def tinted(colour: Colour, light: Field) -> Pixels:
     """A colour times a brightness (1 is the colour itself) per texel."""
-    return np.clip(np.array(colour, np.float32) * light[..., None], 0, 255).astype(np.uint8)
+    return bounded(np.array(colour, np.float32) * light[..., None])
 
 
 def plaster(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pixels:
@@ -114,10 +119,11 @@ def paving(
 
 def grass(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pixels:
     """Lawn: lumps of lighter and darker green, blades, dry spots."""
-    light = 1 + 0.13 * noise(rng, size, 140, 5) + 0.16 * noise(rng, size, 6, 2)
+    light = 1 + 0.08 * noise(rng, size, 150, 5) + 0.10 * noise(rng, size, 5, 2)
+    light += 0.13 * rng.standard_normal(size, np.float32)
     lawn = tinted(colour, light).astype(np.float32)
     dry = np.clip(noise(rng, size, 200, 3) - 0.9, 0, 1)[..., None] * 0.5
-    return np.clip(lawn * (1 - dry) + np.array([165, 150, 90]) * dry, 0, 255).astype(np.uint8)
+    return bounded(lawn * (1 - dry) + np.array([165, 150, 90]) * dry)
 
 
 def roof_tiles(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pixels:

@@ -1,10 +1,12 @@
 """Parks: lawns, a winding path, many trees, benches, a pond or a pavilion, houses behind the trees."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
 from worker.scenes import furniture, materials
-from worker.scenes.geometry import Place, Viewpoint
+from worker.scenes.geometry import Pixels, Place, Viewpoint
 from worker.scenes.houses import house
 from worker.scenes.plants import Nursery
 from worker.scenes.words import label
@@ -21,7 +23,7 @@ def park(rng: np.random.Generator) -> Place:
     wave = float(rng.uniform(14, 30))
 
     def middle(y: float) -> float:
-        return bend * np.sin(max(y, 0) / wave)
+        return bend * float(np.sin(max(y, 0) / wave))
 
     pond = _ground(place, rng, middle, width)
     _houses_behind(place, rng)
@@ -31,7 +33,9 @@ def park(rng: np.random.Generator) -> Place:
             continue
         nursery.tree(place, rng, x, y, float(rng.uniform(5, 13)), clumps=56 if y < 14 else 34)
     for x in np.arange(-33, 34, 4.0):
-        nursery.tree(place, rng, float(x + rng.normal(0, 1)), 47 + float(rng.normal(0, 2)), float(rng.uniform(6, 12)), clumps=22)
+        nursery.tree(
+            place, rng, float(x + rng.normal(0, 1)), 47 + float(rng.normal(0, 2)), float(rng.uniform(6, 12)), clumps=22
+        )
     for _ in range(int(rng.integers(4, 12))):
         x, y = float(rng.uniform(-14, 14)), float(rng.uniform(5, 30))
         if abs(x - middle(y)) > width / 2 + 0.8:
@@ -51,7 +55,7 @@ def park(rng: np.random.Generator) -> Place:
     return place
 
 
-def _along_the_path(place: Place, rng: np.random.Generator, middle, width: float) -> None:  # type: ignore[no-untyped-def]
+def _along_the_path(place: Place, rng: np.random.Generator, middle: Callable[[float], float], width: float) -> None:
     colour = ((40, 50, 46), (96, 98, 100), (70, 54, 44))[rng.integers(3)]
     style, height = int(rng.integers(2)), float(rng.uniform(3.2, 4.6))
     for i, y in enumerate(np.arange(float(rng.uniform(6, 11)), 44, float(rng.uniform(10, 15)))):
@@ -83,11 +87,13 @@ def _pavilion(place: Place, rng: np.random.Generator, x: float, y: float) -> Non
     house(place, rng, (x - 2.4, y), (1, 0), 4.8, float(rng.uniform(3.6, 4.4)), depth=4.5)
 
 
-def _ground(place: Place, rng: np.random.Generator, middle, width: float) -> tuple[float, float, float] | None:  # type: ignore[no-untyped-def]
+def _ground(
+    place: Place, rng: np.random.Generator, middle: Callable[[float], float], width: float
+) -> tuple[float, float, float] | None:
     """Draw the map of lawn, path and pond; return the pond's place and radius, if there is one."""
     place.ground = (-HALF, HALF, BEHIND, LENGTH)
     rows, columns = round((LENGTH - BEHIND) * PER_METRE), round(2 * HALF * PER_METRE)
-    lawn = ((98, 124, 56), (112, 126, 64), (84, 112, 58), (128, 130, 74))[rng.integers(4)]
+    lawn = ((104, 122, 70), (116, 124, 76), (92, 110, 66), (132, 128, 84))[rng.integers(4)]
     texture = materials.grass(rng, (rows, columns), lawn)
     labels = np.full((rows, columns), label("grass"), np.uint8)
     mask = np.zeros((rows, columns), np.uint8)
@@ -128,7 +134,7 @@ def _ground(place: Place, rng: np.random.Generator, middle, width: float) -> tup
     return pond
 
 
-def _flower_beds(rng: np.random.Generator, texture: np.ndarray, middle, width: float) -> None:  # type: ignore
+def _flower_beds(rng: np.random.Generator, texture: Pixels, middle: Callable[[float], float], width: float) -> None:
     """Dots of colour beside the path."""
     for _ in range(int(rng.integers(0, 4))):
         y = float(rng.uniform(5, 24))

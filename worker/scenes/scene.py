@@ -2,7 +2,7 @@
 
 import functools
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import cv2
@@ -54,7 +54,7 @@ class Scene:
     seed: int
     kind: Kind = "street"
     light: Condition = "noon"
-    viewpoint: Viewpoint = Viewpoint()
+    viewpoint: Viewpoint = field(default_factory=Viewpoint)
     things: tuple[str, ...] = ()
     size: tuple[int, int] = (640, 480)
 
@@ -125,9 +125,9 @@ class Scene:
         canvas = Canvas(camera, background, label("wall" if place.indoors else "sky"))
         surfaces, sprites = self._passing(place, moment)
         for surface in [*_ground(place, light), *place.surfaces, *surfaces]:
-            canvas.draw(surface, light.on(surface))
+            canvas.draw(surface, light.on)
         for sprite in [*place.sprites, *sprites]:
-            canvas.draw_sprite(sprite, light.on_sprite(sprite))
+            canvas.draw_sprite(sprite, light.on_sprite)
         colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.nearness, light.day)
         pixels = cv2.resize(colours, self.size, interpolation=cv2.INTER_AREA)
         labels = np.ascontiguousarray(canvas.labels[FINER // 2 :: FINER, FINER // 2 :: FINER])

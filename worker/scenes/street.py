@@ -1,5 +1,7 @@
 """Streets: two rows of houses, pavements, a road with its markings, trees, lamps and signs."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -35,11 +37,11 @@ def street(rng: np.random.Generator) -> Place:
     if end is not None:
         _closing_row(place, rng, end)
     _along_the_kerb(place, rng, nursery, road, pavements, end or LENGTH)
-    side = float(np.sign(place.start.dx) or 1.0)
+    inwards = float(np.sign(place.start.dx) or 1.0)
     here = place.start
     facing = np.radians(here.turn)
-    for thing, distance, aside in (("bus", 11.5, 0.5), ("car", 8.2, -0.3), ("person", 4.6, 0.7)):
-        x = here.dx + distance * np.sin(facing) + aside * side
+    for thing, distance, aside in (("bus", 8.6, 0.4), ("car", 7.2, -0.3), ("person", 4.6, 0.7)):
+        x = here.dx + distance * np.sin(facing) + aside * inwards
         y = here.ahead + distance * np.cos(facing)
         place.stands[thing] = (float(np.clip(x, -road - 1.5, road + 1.5)), float(y), float(rng.choice([-8, 6])))
     return place
@@ -102,7 +104,9 @@ def _along_the_kerb(
         if trees[side] and pavements[side] > 2.4:
             size = float(rng.uniform(4.5, 8.5))
             for y in np.arange(offset + 5, end, float(rng.uniform(8, 14))):
-                nursery.tree(place, rng, x + sign * 0.3, float(y + rng.normal(0, 0.8)), size * float(rng.uniform(0.8, 1.2)))
+                nursery.tree(
+                    place, rng, x + sign * 0.3, float(y + rng.normal(0, 0.8)), size * float(rng.uniform(0.8, 1.2))
+                )
         for _ in range(int(rng.integers(1, 4))):
             furniture.sign(place, rng, x, float(rng.uniform(6, 34)), faces=int(rng.integers(1, 3)))
         if rng.random() < 0.4:
@@ -142,7 +146,7 @@ def _ground(
     if rng.random() < 0.2:  # an old street is cobbled
         surface = materials.paving(rng, (rows, right - left), (118, 112, 108), (4, 6))
     else:
-        surface = materials.asphalt(rng, (rows, right - left), float(rng.uniform(0.32, 0.45)))
+        surface = materials.asphalt(rng, (rows, right - left), float(rng.uniform(0.38, 0.52)))
     texture[:, left:right] = surface
     labels[:, left:right] = label("road")
     if end is not None:  # the crossing street
@@ -156,13 +160,18 @@ def _ground(
     if open_side is not None:
         edge = road + pavements[open_side] + 0.2
         area = slice(0, column(-edge)) if open_side == 0 else slice(column(edge), columns)
-        texture[:, area] = materials.grass(rng, texture[:, area].shape[:2], (96, 116, 58))
+        texture[:, area] = materials.grass(rng, texture[:, area].shape[:2], (104, 118, 70))
         labels[:, area] = label("grass")
     place.ground_texture, place.ground_labels = texture, labels
 
 
 def _markings(
-    rng: np.random.Generator, texture: Pixels, road: float, column, row, end: float | None  # type: ignore[no-untyped-def]
+    rng: np.random.Generator,
+    texture: Pixels,
+    road: float,
+    column: Callable[[float], int],
+    row: Callable[[float], int],
+    end: float | None,
 ) -> None:
     paint = np.array((222, 220, 210))
 

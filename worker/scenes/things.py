@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from worker.scenes.geometry import Pixels, Sprite, Surface, box, standing, vector
-from worker.scenes.materials import Colour
+from worker.scenes.materials import Colour, bounded
 from worker.scenes.words import label
 
 BUS, CAR, PERSON = label("bus"), label("car"), label("person")
@@ -19,7 +19,7 @@ def bus(rng: np.random.Generator, x: float, y: float, heading: float) -> list[Su
     length, width, height, floor = 11.0, 2.55, 3.1, 0.35
     per_metre = 40
     side = _body(paint, height - floor, length, per_metre)
-    rows, columns = side.shape[:2]
+    rows = side.shape[0]
     band = slice(round(0.35 * per_metre), round(1.5 * per_metre))
     for i in range(7):
         left = round((0.5 + i * 1.45) * per_metre)
@@ -136,12 +136,10 @@ def _body(paint: Colour, height: float, length: float, per_metre: int) -> Pixels
     rows, columns = round(height * per_metre), round(length * per_metre)
     t = np.linspace(0, 1, rows, dtype=np.float32)
     shade = 1.08 - 0.3 * t + 0.1 * np.exp(-(((t - 0.25) / 0.07) ** 2))
-    return np.clip(np.array(paint, np.float32) * shade[:, None, None] * np.ones((1, columns, 1)), 0, 255).astype(
-        np.uint8
-    )
+    return bounded(np.array(paint, np.float32) * shade[:, None, None] * np.ones((1, columns, 1)))
 
 
 def _pane(rows: int, columns: int) -> Pixels:
     ramp = np.linspace(0.9, 0.35, rows)[:, None, None]
     slant = np.where((np.arange(columns)[None, :] + np.arange(rows)[:, None]) % 50 < 14, 1.18, 1.0)[..., None]
-    return np.clip(np.array([96, 108, 118]) * ramp * slant, 0, 255).astype(np.uint8)
+    return bounded(np.array([96, 108, 118]) * ramp * slant)
