@@ -1,3 +1,3 @@
-"""Which revisit this is."""
+"""The version of this release; pyproject.toml says the same, and a test compares them."""
 
 VERSION = "0.1.0"
