@@ -1,7 +1,6 @@
 """Command line: ``python -m training --data DATA --pretrained FILE --trunk FILE --out runs/NAME --minutes 90``."""
 
 import argparse
-import ctypes
 import dataclasses
 import json
 import platform
@@ -17,17 +16,17 @@ from training.detail_start import EarlierDetail, SpreadFeatures, fit_detail_head
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Plan, Run
 from training.losses import WordLoss
+from training.memory import keep_freed_memory
 from training.start import started, trunk_state
 from training.teacher import Shallow, Teacher, write_labels
 
 WORD_TEMPERATURE = 0.07
-CLIP_FILE = Path("text") / "words_ViT-B-16.npz"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, or go on training, and leave a checkpoint and a log in the run's folder."""
     options = _options(arguments)
-    _keep_memory()
+    keep_freed_memory()
     cv2.setNumThreads(1)
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
@@ -40,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not options.resume:
         write_labels(Teacher(trunk), outdoor, teacher_labels)
     found = data.sources(options.data, teacher_labels)
-    lexicon = Lexicon(ClipWords(options.data / CLIP_FILE), data.classes(options.data))
+    lexicon = Lexicon(ClipWords(options.data / data.CLIP_FILE), data.classes(options.data))
 
     network = started(options.pretrained)
     sample = pictures[::20]
@@ -87,12 +86,12 @@ def _word_loss(found: dict[str, data.Source], lexicon: Lexicon) -> WordLoss:
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m training", description="Train the built-in encoder.")
-    parser.add_argument("--data", type=Path, required=True, help="folder with segmentation/, pairs/, unlabelled/, text/")
+    parser.add_argument("--data", type=Path, required=True, help="has segmentation/, pairs/, unlabelled/, text/")
     parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: teacher, and start")
-    parser.add_argument("--pretrained", type=Path, required=True, help="where to start: the trunk or an earlier network")
+    parser.add_argument("--pretrained", type=Path, required=True, help="start: the trunk or an earlier network")
     parser.add_argument("--detail", type=Path, help="an earlier detail network to start the detail head from")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--minutes", type=float, default=0.0, help="length of the run, pauses between resumptions apart")
+    parser.add_argument("--minutes", type=float, default=0.0, help="length of the run; pauses do not count")
     parser.add_argument("--steps", type=int, default=0, help="length of the run in steps")
     parser.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
     parser.add_argument("--seed", type=int, default=0)
@@ -110,16 +109,6 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     if not options.minutes and not options.steps:
         parser.error("say how long: --minutes or --steps")
     return options
-
-
-def _keep_memory() -> None:
-    """Tell glibc to keep freed memory: fetching large maps anew from the kernel costs a third of a CPU step."""
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "mallopt"):
-        trim_threshold, top_pad, mmap_max = -1, -2, -4
-        libc.mallopt(mmap_max, 0)
-        libc.mallopt(trim_threshold, 2**31 - 1)
-        libc.mallopt(top_pad, 2**28)
 
 
 if __name__ == "__main__":

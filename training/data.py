@@ -17,15 +17,15 @@ from torch.utils.data import DataLoader, Dataset
 
 from training import light
 from training.lexicon import STREET_WORDS, Lexicon, class_words
+from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import label_name
 from training.viewpoint import FOR_DETAIL, FOR_WORDS, Freedom, draw_views, shared_cells
 from worker.encoders.compact_network import STRIDE
 
-Picture = npt.NDArray[np.uint8]
-
 LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor")
 OUTDOOR = ("camvid", "labelmefacade", "ade_outdoor")
 STREET = "street words of the trunk"
+CLIP_FILE = Path("text") / "words_ViT-B-16.npz"
 POINTS = 128
 """Cells drawn from each pair of views."""
 
@@ -64,7 +64,8 @@ def sources(data: Path, teacher_labels: Path | None) -> dict[str, Source]:
     found: dict[str, Source] = {}
     for data_set in LABELLED:
         shots = [
-            Shot(picture, _labels_of(picture), data_set) for picture in training_pictures(data / "segmentation", data_set)
+            Shot(picture, labels_of(picture), data_set)
+            for picture in training_pictures(data / "segmentation", data_set)
         ]
         found[data_set] = _evenly(data_set, [[shot] for shot in shots])
     if teacher_labels is not None:
@@ -181,14 +182,12 @@ class Batches(Dataset[dict[str, Tensor]]):
             "mild": torch.tensor([False] * mix.strong + [True] * mix.mild),
         }
 
-    def _pair(
-        self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool
-    ) -> "_Pair":
+    def _pair(self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool) -> "_Pair":
         names = [name for name in shares if name in self._found]
         odds = np.array([shares[name] for name in names])
         source = self._found[names[rng.choice(len(names), p=odds / odds.sum())]]
         shots = source.draw(rng)
-        pictures = [read_picture(shot.picture) for shot in shots]
+        pictures = [training_picture(shot.picture) for shot in shots]
         height, width = self._mix.size
         views = draw_views(pictures[0].shape[:2], (height, width), freedom, rng)
         cells, positions, matched = shared_cells(*views, (height // STRIDE, width // STRIDE), POINTS, rng)
@@ -198,7 +197,7 @@ class Batches(Dataset[dict[str, Tensor]]):
             seen = light.mild(seen, rng) if mild else light.strong(seen, rng)
             meanings = np.full((height // 4, width // 4), -1, np.int16)
             if shot.labels is not None and shot.data_set is not None:
-                labels = view.cut(read_labels(shot.labels, picture.shape[:2]), (height, width), labels=True)
+                labels = view.cut(training_labels(shot.labels, picture.shape[:2]), (height, width), labels=True)
                 meanings = self._tables[shot.data_set][labels[2::4, 2::4]]
             ready.append((seen, meanings))
         return _Pair(ready[0], ready[1], shots[0].data_set, cells, positions, matched)
@@ -248,36 +247,34 @@ def meaning_shares(found: Mapping[str, Source], lexicon: Lexicon) -> npt.NDArray
         for scene in source.scenes[::5]:
             shot = scene[0]
             if shot.labels is not None and shot.data_set is not None:
-                labels = cv2.imread(str(shot.labels), cv2.IMREAD_GRAYSCALE)[::4, ::4]
+                labels = read_labels(shot.labels)[::4, ::4]
                 meanings = lexicon.table(shot.data_set)[labels]
                 counts += np.bincount(meanings[meanings >= 0], minlength=len(counts))
-    return counts / counts.sum()
+    shares: npt.NDArray[np.float64] = counts / counts.sum()
+    return shares
 
 
 @functools.lru_cache(maxsize=4096)
-def read_picture(path: Path) -> Picture:
+def training_picture(path: Path) -> Picture:
     """Read a picture as RGB, its shorter side at most 450."""
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise ValueError(f"{path} is not a picture that OpenCV can read")
+    picture = read_rgb(path)
     scale = _SHORT_SIDE / min(picture.shape[:2])
     if scale < 0.8:
-        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+        picture = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    return picture
 
 
 @functools.lru_cache(maxsize=4096)
-def read_labels(path: Path, shape: tuple[int, int]) -> Picture:
+def training_labels(path: Path, shape: tuple[int, int]) -> Picture:
     """Read a label map at the size of its picture."""
-    labels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if labels is None:
-        raise ValueError(f"{path} is not a label map that OpenCV can read")
+    labels = read_labels(path)
     if labels.shape != shape:
-        labels = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(labels, np.uint8)
+        labels = np.asarray(cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST), np.uint8)
+    return labels
 
 
-def _labels_of(picture: Path) -> Path:
+def labels_of(picture: Path) -> Path:
+    """Find the label map of ``<set>/<split>/images/<name>``."""
     return picture.parents[1] / "labels" / f"{picture.stem}.png"
 
 
@@ -290,7 +287,7 @@ def _by_folder(root: Path) -> list[list[Path]]:
 
 def _one_size(pictures: Sequence[Path]) -> tuple[int, list[Path]]:
     """Keep the pictures as large as the first: only their pixels correspond. Also give the shorter side."""
-    shapes = [cv2.imread(str(path)).shape[:2] for path in pictures]
+    shapes = [read_rgb(path).shape[:2] for path in pictures]
     return min(shapes[0]), [path for path, shape in zip(pictures, shapes, strict=True) if shape == shapes[0]]
 
 

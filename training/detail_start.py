@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training.data import read_picture
+from training.data import training_picture
 from training.teacher import Shallow, load_own
 from worker.encoders.compact_network import DETAIL_CHANNELS, CompactNetwork
 
@@ -72,8 +72,7 @@ def fit_detail_head(network: CompactNetwork, towards: nn.Module, pictures: Seque
     gram = inputs.T @ inputs
     ridge = 1e-4 * gram.diagonal().mean() * torch.eye(len(gram), dtype=torch.float64)
     solution = torch.linalg.solve(gram + ridge, inputs.T @ torch.cat(wanted).double()).T.float()
-    network.detail.weight.copy_(solution[:, :-1, None, None])
-    network.detail.bias.copy_(solution[:, -1])
+    _set_head(network, solution[:, :-1], solution[:, -1])
 
 
 @torch.no_grad()
@@ -84,8 +83,7 @@ def spread_detail_head(network: CompactNetwork, pictures: Sequence[Path]) -> Non
     values, directions = torch.linalg.eigh(torch.cov((inputs - mean).T))
     matrix = (directions / values.clamp_min(1e-9) ** 0.25).T
     matrix /= ((inputs - mean) @ matrix.T).norm(dim=1).mean()
-    network.detail.weight.copy_(matrix.float()[:, :, None, None])
-    network.detail.bias.copy_(-(matrix @ mean).float())
+    _set_head(network, matrix.float(), -(matrix @ mean).float())
 
 
 def both_layers(at4: Tensor, at8: Tensor) -> Tensor:
@@ -93,9 +91,13 @@ def both_layers(at4: Tensor, at8: Tensor) -> Tensor:
     return torch.cat([at8, F.avg_pool2d(at4, 2, ceil_mode=True, count_include_pad=False)], dim=1)
 
 
+def _set_head(network: CompactNetwork, weight: Tensor, bias: Tensor) -> None:
+    network.detail.load_state_dict({"weight": weight[:, :, None, None], "bias": bias})
+
+
 def _batches(pictures: Sequence[Path]) -> Iterator[Tensor]:
     for path in pictures:
-        picture = cv2.resize(read_picture(path), (_SIZE[1], _SIZE[0]), interpolation=cv2.INTER_AREA)
+        picture = cv2.resize(training_picture(path), (_SIZE[1], _SIZE[0]), interpolation=cv2.INTER_AREA)
         yield torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255
 
 

@@ -65,7 +65,7 @@ class ClipWords:
         with np.load(path) as arrays:
             vectors = _unit(arrays["vectors"].astype(np.float32))
             self._raw = dict(zip(arrays["words"].tolist(), vectors, strict=True))
-        self._centre = vectors.mean(axis=0)
+        self.centre = vectors.mean(axis=0)
 
     def sources(self, word: str) -> tuple[str, ...]:
         """Name the CLIP words behind `word`: itself, its stand-ins, or none when it is unknown."""
@@ -79,8 +79,12 @@ class ClipWords:
         if not sources:
             raise KeyError(word)
         mean = _unit(np.mean([self._raw[source] for source in sources], axis=0))
-        centred: Floats = _unit(mean - self._centre)
+        centred: Floats = _unit(mean - self.centre)
         return centred
+
+    def matrix(self, words: Sequence[str]) -> Floats:
+        """Give the vectors of several words: float32 of shape (n_words, 512)."""
+        return np.stack([self.vector(word) for word in words])
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,7 @@ class Lexicon:
         ]
         self.words = sorted({word for meaning in self.meanings for word in meaning.words})
         self.sets = list(classes)
-        self.vectors: Floats = np.stack([clip.vector(word) for word in self.words])
+        self.vectors: Floats = clip.matrix(self.words)
 
     def members(self) -> npt.NDArray[np.bool_]:
         """Say which words each meaning allows: bool of shape (n_meanings, n_words)."""
@@ -154,4 +158,5 @@ def class_words(path: Path) -> dict[int, Sequence[str]]:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return scaled

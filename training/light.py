@@ -34,10 +34,7 @@ def strong(picture: Picture, rng: np.random.Generator, *, night: float = 0.35) -
     draw = rng.random()
     if draw < 0.6:
         x = _saturated(x, 0.0 if draw < 0.25 else rng.uniform(0.2, 1.6))
-    if rng.random() < night:
-        redrawn = _at_night(x, rng)
-    else:
-        redrawn = _by_day(x, rng)
+    redrawn = _at_night(x, rng) if rng.random() < night else _by_day(x, rng)
     return _camera(redrawn, rng, softness=1.6, worst_quality=12)
 
 
@@ -93,7 +90,7 @@ def _camera(picture: Picture, rng: np.random.Generator, *, softness: float, wors
     if rng.random() < 0.33:
         quality = int(rng.integers(worst_quality, 85))
         coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        picture = cv2.imdecode(coded, cv2.IMREAD_COLOR)
+        picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
     return picture
 
 
@@ -103,10 +100,8 @@ def _equalised(picture: Picture, rng: np.random.Generator, *, colour: bool) -> P
         lab[..., 0] = cv2.createCLAHE(rng.uniform(1, 6), (8, 8)).apply(lab[..., 0])
         return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2RGB), np.uint8)
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    if rng.random() < 0.6:
-        grey = cv2.equalizeHist(grey)
-    else:
-        grey = cv2.createCLAHE(rng.uniform(2, 8), (8, 8)).apply(grey)
+    adaptive = cv2.createCLAHE(rng.uniform(2, 8), (8, 8))
+    grey = cv2.equalizeHist(grey) if rng.random() < 0.6 else adaptive.apply(grey)
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
 
 
@@ -124,12 +119,12 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], *, spread: float) -
     """Draw a smooth field of illumination around 1."""
     coarse = _noise(rng, (int(rng.integers(2, 6)), int(rng.integers(2, 6))))
     smooth = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(np.exp(smooth * np.float32(spread)), np.float32)[..., None]
+    return np.asarray(np.exp(smooth * spread)[..., None], np.float32)
 
 
 def _saturated(x: Floats, amount: float) -> Floats:
     grey = (x @ _LUMA)[..., None]
-    return grey + (x - grey) * np.float32(amount)
+    return np.asarray(grey + (x - grey) * np.float32(amount), np.float32)
 
 
 def _factor(rng: np.random.Generator, spread: float) -> np.float32:

@@ -134,18 +134,15 @@ class Run:
         columns = words.shape[-1]
 
         strong = batch["matched"] & ~batch["mild"]
-        pairs = strong[~batch["mild"]]
-        here, there = matched_cells(words[: 2 * len(pairs)][pairs.repeat(2)], batch["cells"][strong], batch["positions"][strong])
-        words_loss, words_found = two_view_loss(
-            here, there, batch["cells"][strong], columns, self.plan.words_temperature, margin=2
-        )
+        pairs = strong[~batch["mild"]].repeat(2)
+        cells, positions = batch["cells"][strong], batch["positions"][strong]
+        here, there = matched_cells(words[: len(pairs)][pairs], cells, positions)
+        words_loss, words_found = two_view_loss(here, there, cells, columns, self.plan.words_temperature, margin=2)
         gentle = batch["matched"] & batch["mild"]
         pairs = gentle[batch["mild"]].repeat(2)
         cells, positions = batch["cells"][gentle], batch["positions"][gentle]
         here, there = matched_cells(detail[pairs], cells, positions)
-        detail_loss, detail_found = two_view_loss(
-            here, there, cells, columns, self.plan.detail_temperature, margin=1
-        )
+        detail_loss, detail_found = two_view_loss(here, there, cells, columns, self.plan.detail_temperature, margin=1)
         likeness = likeness_loss(here, there, *matched_cells(before.float()[pairs], cells, positions))
         return {
             "word": self.word_loss(words, batch["meanings"][read], batch["sets"][read]),

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
+from training.pictures import Picture, read_rgb
 from training.start import State, renamed
 from worker.encoders.compact_network import CompactNetwork, fused
 
@@ -57,7 +58,7 @@ class Teacher(nn.Module):
         return scores
 
     @torch.inference_mode()
-    def labels(self, picture: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def labels(self, picture: Picture) -> Picture:
         """Label an RGB picture: uint8 of its height and width, 255 where the teacher is unsure."""
         height, width = picture.shape[:2]
         scale = _LONG_SIDE / max(height, width)
@@ -67,7 +68,7 @@ class Teacher(nn.Module):
         scores = (self(x) + self(x.flip(3)).flip(3)) / 2
         scores = F.interpolate(scores, size=(height, width), mode="bilinear", align_corners=False)
         surest, word = scores.softmax(1)[0].max(0)
-        return torch.where(surest > SURE, word, 255).byte().numpy()
+        return np.asarray(torch.where(surest > SURE, word, 255).byte().numpy(), np.uint8)
 
 
 def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
@@ -76,7 +77,7 @@ def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> No
     for path in pictures:
         target = folder / label_name(path)
         if not target.exists():
-            picture = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+            picture = read_rgb(path)
             cv2.imwrite(str(target), teacher.labels(picture))
 
 

@@ -4,6 +4,7 @@ A `View` is a homography from the view's own coordinates to the source's, both 0
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -97,8 +98,8 @@ def shared_cells(
     """
     rows, columns = cells
     x, y = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    source = _moved(np.stack([x.ravel(), y.ravel()], axis=1), first.to_source)
-    position = _moved(source, np.linalg.inv(second.to_source))
+    source = _moved(np.column_stack([x.ravel(), y.ravel()]), first.to_source)
+    position = _moved(source, np.asarray(np.linalg.inv(second.to_source), np.float64))
     inside = (np.abs(source - 0.5) < 0.5).all(axis=1) & (np.abs(position - 0.5) < 0.48).all(axis=1)
     shared = np.flatnonzero(inside)
     if len(shared) < count // 8:
@@ -146,7 +147,7 @@ def _leaning(box: Box, freedom: Freedom, rng: np.random.Generator, mirrored: boo
     return View(np.asarray(cv2.getPerspectiveTransform(own, target), np.float64))
 
 
-def _moved(points: Matrix, matrix: Matrix) -> Matrix:
+def _moved(points: npt.NDArray[Any], matrix: Matrix) -> Matrix:
     moved = np.column_stack([points, np.ones(len(points))]) @ matrix.T
     plane: Matrix = moved[:, :2] / moved[:, 2:]
     return plane

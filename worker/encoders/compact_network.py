@@ -8,8 +8,16 @@ layers follow MobileNet-EdgeTPU (slim) with a DeepLab head; see ``docs/model-car
 The module does no I/O beyond ``load_state_dict``. All convolutions carry biases and there are no batch norms: those of
 the starting point were folded before training.
 
-The shipped file ``weights/compact.safetensors`` holds the float16 state dict of ``CompactNetwork(word_channels=97)``
-and, under names that begin with ``text.`` (see ``training/export.py``), what reads its words.
+What ships lies in ``weights/``, written by ``training/export.py``:
+
+``compact.safetensors``
+    float16: the state dict that ``CompactNetwork.loaded`` takes, and beside it, under names that begin with ``text.``
+    and are not the network's, ``text.vectors`` (n_words, 97), ``text.basis`` (512, 97) and ``text.centre`` (512,).
+    The cosine of a cell's words embedding z with word i is ``text.vectors[i] @ z``: do not scale the rows, whose
+    lengths below 1 belong to it. ``text.basis @ z`` is the embedding in CLIP's own 512 dimensions, and any other unit
+    vector t of CLIP ViT-B/16 becomes a row as ``unit(t - text.centre) @ text.basis``.
+``compact.json``
+    SHA-256 of that file; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance.
 """
 
 from collections.abc import Mapping
