@@ -64,6 +64,8 @@ def test_aligned_counts_frames_in_natural_order(tmp_path: Path) -> None:
     [found] = aligned.read(tmp_path, tolerance=1)
     assert [p.name for p in found.database] == ["img1.png", "img2.png", "img9.png", "img10.png", "img11.png"]
     assert [p.tolist() for p in found.positives] == [[0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4]]
+    assert found.sequential
+    assert not aligned.read(tmp_path, tolerance=0)[0].sequential
     (tmp_path / "query" / "IMG2.png").unlink()
     with pytest.raises(UnexpectedLayout, match="5 pictures in database, 4 in query"):
         aligned.read(tmp_path)

@@ -28,7 +28,6 @@ def test_online_loop_closure_by_hand(tmp_path: Path) -> None:
     assert found.allowed.tolist() == [0, 0, 0, 1, 2, 3, 4]
     assert [p.tolist() for p in found.positives] == [[], [], [], [], [], [1], [0]]
     assert found.database[0].name == "000000.png"
-    assert found.sequential
 
 
 def test_halves_in_time(tmp_path: Path) -> None:

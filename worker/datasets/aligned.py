@@ -36,4 +36,4 @@ def read(root: Path, *, database: str = "database", query: str = "query", tolera
     positives = tuple(np.arange(max(0, i - tolerance), min(n, i + tolerance + 1), dtype=np.int64) for i in range(n))
     truth = f"the frame of the same number, +-{tolerance}"
     name = f"{root.name} {query} -> {database}"
-    return [Dataset(name, tuple(first), tuple(second), positives, truth, sequential=True)]
+    return [Dataset(name, tuple(first), tuple(second), positives, truth)]

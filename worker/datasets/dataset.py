@@ -45,8 +45,6 @@ class Dataset:
         Metres in the ground plane.
     allowed : int64 of shape (queries,) or None
         Online loop closure: how many of the first database pictures each query may be answered with. None: all.
-    sequential : bool
-        Whether queries are neighbours in time, so that intervals must count them in runs.
     """
 
     name: str
@@ -57,7 +55,6 @@ class Dataset:
     database_positions: Doubles | None = None
     query_positions: Doubles | None = None
     allowed: Indices | None = None
-    sequential: bool = False
 
     def __post_init__(self) -> None:
         for pictures, positions in (
@@ -71,6 +68,16 @@ class Dataset:
     def judged(self) -> Truth:
         """The ground truth in the form that `worker.place.recall` counts with."""
         return Truth.of(self.positives, len(self.database) if self.allowed is None else self.allowed)
+
+    @property
+    def sequential(self) -> bool:
+        """Whether neighbouring queries mostly share right answers: a walk, whose queries are not independent."""
+        shared = [
+            len(np.intersect1d(a, b)) > 0
+            for a, b in zip(self.positives, self.positives[1:], strict=False)
+            if len(a) and len(b)
+        ]
+        return bool(shared) and float(np.mean(shared)) > 0.5
 
 
 def natural(path: Path) -> tuple[list[tuple[int, str]], str]:

@@ -75,7 +75,6 @@ def read(
                 truth=f"first half of the drive within {radius_m:g} m in the ground plane (x, z)",
                 database_positions=places[:half],
                 query_positions=places[half:],
-                sequential=True,
             )
         ]
     # With every n-th frame, the newest frame allowed is the last whose number is at most i - gap.
@@ -92,7 +91,6 @@ def read(
             database_positions=places,
             query_positions=places,
             allowed=allowed,
-            sequential=True,
         )
     ]
 
