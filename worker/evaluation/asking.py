@@ -34,6 +34,8 @@ class Answer:
     status : str
         ``matched``, ``ambiguous`` or ``no_match``.
     timing_ms : mapping of stage to milliseconds
+    features : mapping of str to float
+        What a calibration may read of the first answer (`worker.decide.features`); empty where it is not told.
     """
 
     views: tuple[str, ...]
@@ -42,6 +44,7 @@ class Answer:
     confidence: float = 0.0
     status: Verdict = "no_match"
     timing_ms: Mapping[str, float] = field(default_factory=dict)
+    features: Mapping[str, float] = field(default_factory=dict)
 
 
 class Retriever(Protocol):
@@ -91,6 +94,8 @@ class Asked:
         Whether the status was ``matched``.
     calibrated : bool
     timing_ms : mapping of stage to float64 of shape (queries that reported it,)
+    features : mapping of str to float64 of shape (queries,)
+        Evidence of the first answers; 0 where there was none.
     refused : mapping of error code to count
         Pictures that could not be enrolled or asked.
     """
@@ -102,6 +107,7 @@ class Asked:
     claimed: Booleans | None = None
     calibrated: bool = False
     timing_ms: Mapping[str, Doubles] = field(default_factory=dict)
+    features: Mapping[str, Doubles] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -204,6 +210,7 @@ class _Journal:
             float(answer.confidence),
             answer.status,
             dict(answer.timing_ms),
+            dict(answer.features),
         )
         self.answers[query] = named
         if self.path is not None:
@@ -214,6 +221,7 @@ class _Journal:
         """All answers, in the order of the queries."""
         answers = [self.answers[query] for query in range(self.count)]
         stages = sorted({stage for a in answers for stage in a.timing_ms})
+        evidence = sorted({name for a in answers for name in a.features})
         told = all(a.before is not None for a in answers if a.views)
         return Asked(
             method=self.method,
@@ -223,6 +231,7 @@ class _Journal:
             claimed=np.array([a.status == "matched" for a in answers], np.bool_),
             calibrated=True,
             timing_ms={s: np.array([a.timing_ms[s] for a in answers if s in a.timing_ms]) for s in stages},
+            features={name: np.array([a.features.get(name, 0.0) for a in answers]) for name in evidence},
             refused=dict(refused),
         )
 
