@@ -22,6 +22,7 @@ Clients switch on the code; the text says what was wrong, what was seen and what
 HTTP statuses are the business of `app.problems`.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -142,6 +143,12 @@ class Busy(RevisitError):
     def __init__(self, detail: str, retry_after_s: int) -> None:
         super().__init__(detail)
         self.retry_after_s = retry_after_s
+
+    @classmethod
+    def queue(cls, waiting: int, pace_s: float, kind: str) -> "Busy":
+        """Refuse because `waiting` requests of a kind, at `pace_s` seconds each, are as many as are let in."""
+        wait = max(1, math.ceil(waiting * pace_s))
+        return cls(f"{waiting} {kind} are waiting, as many as are let in; try again in {wait} s", wait)
 
 
 class Unavailable(Busy):

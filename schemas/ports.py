@@ -8,6 +8,7 @@ from schemas.description import Appearance, Description, Floats, LocalFeatures, 
 from schemas.picture import Picture, PictureFacts
 from schemas.recipe import Recipe
 from schemas.records import (
+    Candidates,
     Changes,
     Claim,
     Filters,
@@ -15,7 +16,6 @@ from schemas.records import (
     MapCounts,
     MapRecord,
     Meaning,
-    Neighbours,
     Removal,
     Replay,
     Said,
@@ -49,7 +49,8 @@ class Encoder(Protocol):
         ...
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
-        """Unit-length vectors of words, float32 (words, channels of the layer ``words``).
+        """Vectors of words, float32 (words, channels of the layer ``words``): a cell's inner product with one is their
+        cosine. Not longer than 1; shorter by what lies outside the space that cells can reach.
 
         Raises
         ------
@@ -121,7 +122,10 @@ class Store(Protocol):
         ...
 
     def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
-        """Take up to `count` of the oldest waiting jobs, or jobs whose lease has ended; never more than thrice."""
+        """Take up to `count` of the oldest waiting jobs, or jobs whose lease has ended; never more than thrice.
+
+        Enrolments, for which somebody may be waiting, go before the jobs of a recipe switch.
+        """
         ...
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
@@ -136,8 +140,14 @@ class Store(Protocol):
         """Put a job back unharmed (shutting down); does not count as an attempt."""
         ...
 
-    def waiting(self) -> int:
-        """Jobs not yet finished."""
+    def waiting(self, *, redescriptions: bool = False) -> int:
+        """Enrolments not yet described.
+
+        Parameters
+        ----------
+        redescriptions : bool
+            Count the jobs of a recipe switch too. Enrolments go before them, so they delay none.
+        """
         ...
 
     def job(self, job_id: str) -> JobRecord:
@@ -276,14 +286,13 @@ class Index(Protocol):
         """Catch up."""
         ...
 
-    def nearest(self, channel: str, vector: Floats, count: int, selection: Selection) -> Neighbours:
-        """Up to `count` views of the selection."""
-        ...
+    def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
+        """The `count` nearest views of the selection by each channel, joined.
 
-    def distances(self, channel: str, vector: Floats, seqs: Sequence[int]) -> Floats:
-        """Euclidean distances to particular views, float32 (n,)."""
-        ...
-
-    def searchable(self, selection: Selection) -> int:
-        """How many views a search in this selection looks at."""
+        Parameters
+        ----------
+        vectors : mapping of channel to float32 of shape (dimensions,)
+        count : int
+            Of each channel.
+        """
         ...

@@ -34,6 +34,11 @@ class Channel(Frozen):
         None, description="Length after half-whitened PCA and scaling to unit length; null keeps the histogram."
     )
 
+    @property
+    def length(self) -> int:
+        """Length of the channel's vector."""
+        return self.dimensions or self.words
+
 
 class Dynamic(Frozen):
     """When a cell counts as something that moves."""
@@ -73,6 +78,7 @@ class Parameters(Frozen):
     """The numbers of a preset."""
 
     channels: dict[str, Channel] = Field(min_length=1)
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="Of everything random: drawn descriptors, vocabulary.")
     dynamic: Dynamic = Dynamic()
     candidates: Annotated[int, Field(ge=0, le=500)] = Field(20, description="Re-ranked candidates of each channel.")
     dense: DenseCells | None = None

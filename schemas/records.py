@@ -231,17 +231,26 @@ class Removal:
     revision: int | None
 
 
-@dataclass(frozen=True)
-class Neighbours:
-    """Answer of one channel's search.
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The union of what each channel's search found, at one revision of the map.
 
     Parameters
     ----------
+    revision : int
+        The map's revision that was searched.
+    searched : int
+        How many views the search looked at.
     seqs : int64 of shape (n,)
-        Nearest first; ties by seq (enrolment order).
-    distances : float32 of shape (n,)
-        Euclidean (not squared).
+        Ascending, that is in enrolment order.
+    distances : mapping of channel to float32 of shape (n,)
+        Euclidean (not squared), for every candidate whichever channel found it.
+    ranks : mapping of channel to int64 of shape (n,)
+        From 1, nearest first, ties by enrolment order; 0 where the channel did not find the candidate itself.
     """
 
+    revision: int
+    searched: int
     seqs: Sequence64
-    distances: Floats
+    distances: Mapping[str, Floats]
+    ranks: Mapping[str, Sequence64]

@@ -1,9 +1,9 @@
-"""What travels over HTTP: answers, field by field."""
+"""What travels over HTTP: answers, and requests that are JSON, field by field."""
 
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
 
 def rfc3339(moment: datetime) -> str:
@@ -11,7 +11,11 @@ def rfc3339(moment: datetime) -> str:
     return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
-Moment = Annotated[datetime, PlainSerializer(rfc3339, return_type=str, when_used="json")]
+Moment = Annotated[
+    datetime,
+    PlainSerializer(rfc3339, return_type=str, when_used="json"),
+    WithJsonSchema({"type": "string", "format": "date-time"}, mode="serialization"),
+]
 
 
 class Answer(BaseModel):
@@ -112,6 +116,7 @@ class EnrolmentError(Answer):
     title: str
     status: int
     detail: str
+    errors: list["ProblemParameter"] = []
 
 
 class EnrolledMany(Answer):
@@ -258,6 +263,28 @@ class MapFacts(Answer):
     vocabulary: dict[str, Any]
     extent: Extent | None
     created_at: Moment
+
+
+class PutMap(BaseModel):
+    """What a map is to be made with; what is left out is the service's default.
+
+    The texts of its refusals name the words, presets or parameters that exist.
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    labels: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
+        None, min_length=1, max_length=255, description="Words that pixels are labelled with, in order."
+    )
+    dynamic: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
+        None, max_length=255, description="Words of things that move; their pixels never describe a place."
+    )
+    preset: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
+        None, description="Named set of parameters, such as `default` or `paper`.", examples=["default"]
+    )
+    parameters: dict[str, Any] | None = Field(
+        None, description="Parameters that differ from the preset's.", examples=[{"candidates": 50}]
+    )
 
 
 class Maps(Answer):

@@ -1,0 +1,112 @@
+"""Examples for the API's documentation; tests hold them against the models and the table of problems."""
+
+from typing import Any
+
+VIEW: dict[str, Any] = {
+    "id": "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90",
+    "map": "campus",
+    "place": "library entrance",
+    "position": {"x": 12.5, "y": 3.0, "z": None, "lat": None, "lon": None, "alt": None, "heading": 90.0},
+    "captured_at": "2026-03-01T09:30:00.000000Z",
+    "enrolled_at": "2026-03-01T09:30:02.118000Z",
+    "metadata": {"camera": "front"},
+    "image": {
+        "width": 1280,
+        "height": 720,
+        "bytes": 184213,
+        "format": "jpeg",
+        "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+    },
+    "state": "ready",
+    "failure": None,
+    "description": {
+        "recipe": "4c1d9ab02e7f6a35",
+        "keypoints": 1860,
+        "static_share": 0.93,
+        "labels": [{"label": "building", "share": 0.58}, {"label": "tree", "share": 0.22}],
+        "nodes": 11,
+    },
+    "links": {
+        "self": "/views/0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90",
+        "image": "/views/0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90/image",
+        "thumbnail": "/views/0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90/thumbnail",
+        "segmentation": "/views/0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90/segmentation.png",
+        "graph": "/views/0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90/graph.png",
+    },
+}
+
+ENROLLED: dict[str, Any] = {
+    "view": VIEW,
+    "created": True,
+    "revision": 42,
+    "job": None,
+    "timing_ms": {"decode": 6.1, "describe": 48.0, "store": 3.9, "total": 59.2},
+}
+
+MATCH: dict[str, Any] = {
+    "rank": 1,
+    "view": VIEW,
+    "score": 0.83,
+    "confidence": 0.97,
+    "parts": {"dense.words": 0.31, "dense.detail": 0.4, "graph": 0.02, "verification": 0.1},
+    "channels": {"words": {"distance": 0.41, "rank": 1}, "detail": {"distance": 0.52, "rank": 2}},
+    "dense": {"similarity": 0.88, "channels": {"words": 0.9, "detail": 0.86}, "shift": [0, 1]},
+    "graph": {
+        "similarity": 0.64,
+        "correspondences": 7,
+        "nodes_query": 10,
+        "nodes_view": 11,
+        "edges_agreeing": 9,
+        "pairs": None,
+    },
+    "verification": {"inliers": 61, "matches": 88, "transform": [[1.0, 0.02, 0.01], [-0.02, 1.0, 0.0]], "pairs": None},
+    "links": {
+        "image": VIEW["links"]["image"],
+        "thumbnail": VIEW["links"]["thumbnail"],
+        "explanation": None,
+    },
+}
+
+QUERY_ANSWER: dict[str, Any] = {
+    "query": {
+        "id": "0195f2b1-02aa-7d01-8c3e-5d1f7a9b3c44",
+        "width": 1280,
+        "height": 720,
+        "labels": [{"label": "building", "share": 0.55}],
+        "static_share": 0.9,
+    },
+    "map": "campus",
+    "revision": 42,
+    "recipe": "4c1d9ab02e7f6a35",
+    "searched": 1730,
+    "status": "matched",
+    "confidence": 0.97,
+    "matches": [MATCH],
+    "estimate": {"position": VIEW["position"], "radius_m": 2.5, "views": [VIEW["id"]]},
+    "timing_ms": {"decode": 6.0, "queue": 0.1, "encode": 41.0, "describe": 3.2, "search": 0.8, "total": 58.3},
+}
+
+PATCH: dict[str, Any] = {"place": "library, east door", "position": {"heading": 95}, "metadata": {"camera": None}}
+
+PROBLEM_DETAILS: dict[str, str] = {
+    "no-picture": "the body is empty; send the picture as the multipart part `image`",
+    "malformed-body": "the multipart body breaks off before its closing boundary",
+    "bad-request": "the request cannot be understood",
+    "unauthorized": "this service needs a key",
+    "forbidden": "the key reads the map 'campus' and may not write to it",
+    "not-found": "there is no view '0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90'",
+    "method-not-allowed": "/query does not answer GET",
+    "conflict": "these bytes are in the map already with the place 'hall'; PATCH the view to change what is said of it",
+    "body-too-large": "the body has 31,457,280 bytes; at most 25,000,000 are taken",
+    "not-a-picture": "this seems to be a PDF; send a picture as jpeg, png, webp, bmp or tiff",
+    "invalid-parameter": "top: Input should be less than or equal to 100 (got '500')",
+    "undecodable-picture": "this jpeg picture cannot be decoded: it ends before the picture does",
+    "picture-too-large": "the picture is 12000 x 9000 = 108.0 megapixels; at most 50 are taken",
+    "picture-too-small": "the picture is 31 x 32 pixels; at least 32 x 32 are needed",
+    "nothing-static": "every cell of the picture shows something that moves",
+    "idempotency-key-reused": "this Idempotency-Key was used for another request",
+    "too-many-requests": "1000 pictures wait to be described, as many as are let in; try in 61 s",
+    "internal": "something went wrong inside the service; its log has the reason under this request id",
+    "unavailable": "the service is starting",
+    "disk-full": "the disk is full; deleting and reading still work",
+}

@@ -1,0 +1,147 @@
+"""The pages for people: API documentation and the console. Plain HTML, complete in itself, nothing from elsewhere."""
+
+import json
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from schemas.wire import Maps
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self'"
+"""No scripts, and nothing from another host, whatever a map may be called."""
+
+Json = Mapping[str, Any]
+
+_STYLE = """
+body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1c2330}
+h1,h2{line-height:1.2}table{border-collapse:collapse;width:100%;margin:.5rem 0}
+td,th{text-align:left;vertical-align:top;padding:.2rem .6rem .2rem 0;border-bottom:1px solid #dde2ea}
+code,pre{font:13px/1.45 ui-monospace,monospace;background:#f3f5f8;border-radius:4px}
+code{padding:.1rem .3rem}pre{padding:.7rem;overflow:auto}
+details{border:1px solid #dde2ea;border-radius:6px;padding:.4rem .8rem;margin:.5rem 0}summary{cursor:pointer}
+.m{display:inline-block;min-width:4.2rem;font-weight:700}.quiet{color:#5b6675}
+"""
+
+_CURL = """curl -F image=@a.jpg -F place='front door' http://{host}/enroll
+curl -F image=@b.jpg http://{host}/query"""
+
+
+def _page(title: str, body: str) -> str:
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<style>{_STYLE}</style></head><body>{body}</body></html>"
+    )
+
+
+def console(version: str, maps: Maps | None) -> str:
+    """The landing page: maps with their counts, and where to go."""
+    if maps is None:
+        rows = '<p class="quiet">The maps cannot be listed at the moment; see <a href="/readyz">/readyz</a>.</p>'
+    elif not maps.maps:
+        rows = '<p class="quiet">Nothing is enrolled yet.</p>'
+    else:
+        cells = "".join(
+            f"<tr><td><a href='/maps/{escape(m.name)}'>{escape(m.name)}</a></td><td>{m.views.get('ready', 0)}</td>"
+            f"<td>{m.views.get('pending', 0)}</td><td>{m.views.get('failed', 0)}</td><td>{m.places}</td>"
+            f"<td>{m.revision}</td></tr>"
+            for m in maps.maps
+        )
+        rows = (
+            "<table><tr><th>map</th><th>ready</th><th>pending</th><th>failed</th><th>places</th><th>revision</th></tr>"
+            f"{cells}</table>"
+        )
+    links = " · ".join(
+        f'<a href="{path}">{path}</a>'
+        for path in ("/docs", "/openapi.json", "/maps", "/views", "/places", "/readyz", "/metrics", "/version")
+    )
+    return _page(
+        "revisit",
+        f"<h1>revisit <span class='quiet'>{escape(version)}</span></h1><p>Have I been here before, and where is here?"
+        f"</p><h2>Maps</h2>{rows}<h2>Try</h2><pre>{escape(_CURL.format(host='localhost:8000'))}</pre><p>{links}</p>",
+    )
+
+
+def docs(document: Json) -> str:
+    """The OpenAPI document as one page."""
+    by_tag: dict[str, list[str]] = {}
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            tag = operation.get("tags", ["other"])[0]
+            by_tag.setdefault(tag, []).append(_operation(method, path, operation, document))
+    sections = "".join(f"<h2>{escape(tag)}</h2>{''.join(items)}" for tag, items in by_tag.items())
+    info = document["info"]
+    intro = "".join(f"<p>{escape(part)}</p>" for part in info["description"].split("\n\n"))
+    return _page(
+        f"{info['title']} API",
+        f"<h1>{escape(info['title'])} API <span class='quiet'>{escape(info['version'])}</span></h1>{intro}"
+        f"<pre>{escape(_CURL.format(host='localhost:8000'))}</pre>"
+        f"<p>For programs: <a href='/openapi.json'>/openapi.json</a>.</p>{sections}"
+        f"<h2>Shapes</h2>{''.join(_shape(n, s) for n, s in sorted(document['components']['schemas'].items()))}",
+    )
+
+
+def _operation(method: str, path: str, operation: Json, document: Json) -> str:
+    parts = [f"<p>{escape(operation.get('description', ''))}</p>"]
+    if asked := operation.get("parameters"):
+        rows = "".join(_parameter(p) for p in asked)
+        parts.append(f"<table><tr><th>parameter</th><th>type</th><th>meaning</th></tr>{rows}</table>")
+    if body := operation.get("requestBody"):
+        kinds = ", ".join(f"<code>{escape(kind)}</code>" for kind in body["content"])
+        parts.append(f"<p>Body: {kinds}</p>")
+        parts += [_example(c["example"]) for c in list(body["content"].values())[:1] if "example" in c]
+    for status, response in operation["responses"].items():
+        parts.append(f"<p><b>{escape(str(status))}</b> {escape(response.get('description', ''))}</p>")
+        content = response.get("content", {}).get("application/json", {})
+        if "example" in content:
+            parts.append(_example(content["example"]))
+    return (
+        f"<details><summary><span class='m'>{method.upper()}</span> <code>{escape(path)}</code> "
+        f"<span class='quiet'>{escape(operation.get('summary', ''))}</span></summary>{''.join(parts)}</details>"
+    )
+
+
+def _parameter(parameter: Json) -> str:
+    schema = parameter.get("schema", {})
+    needed = " <b>required</b>" if parameter.get("required") else ""
+    default = f" Default <code>{escape(json.dumps(schema['default']))}</code>." if "default" in schema else ""
+    return (
+        f"<tr><td><code>{escape(parameter['name'])}</code> <span class='quiet'>{parameter['in']}</span></td>"
+        f"<td>{escape(_type(schema))}</td><td>{escape(parameter.get('description', ''))}{default}{needed}</td></tr>"
+    )
+
+
+def _shape(name: str, schema: Json) -> str:
+    summary = schema.get("description", "").partition("\n")[0]
+    rows = "".join(
+        f"<tr><td><code>{escape(field)}</code></td><td>{escape(_type(s))}</td>"
+        f"<td>{escape(s.get('description', ''))}</td></tr>"
+        for field, s in schema.get("properties", {}).items()
+    )
+    return (
+        f"<details id='{escape(name)}'><summary><code>{escape(name)}</code> "
+        f"<span class='quiet'>{escape(summary)}</span></summary><table>{rows}</table></details>"
+    )
+
+
+def _type(schema: Json) -> str:
+    """A schema in a few words."""
+    if "$ref" in schema:
+        return str(schema["$ref"]).rsplit("/", 1)[-1]
+    if branches := schema.get("anyOf"):
+        return " or ".join(map(_type, branches))
+    if "enum" in schema:
+        return " | ".join(map(str, schema["enum"]))
+    if schema.get("type") == "array":
+        return f"list of {_type(schema.get('items', {}))}"
+    bounds = [
+        f"{word} {schema[key]}"
+        for key, word in (("minimum", "≥"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
+        if key in schema
+    ]
+    kind = schema.get("type", "any")
+    return " ".join([" | ".join(kind) if isinstance(kind, list) else str(schema.get("format", kind)), *bounds])
+
+
+def _example(value: object) -> str:
+    return f"<pre>{escape(json.dumps(value, indent=1, ensure_ascii=False))}</pre>"

@@ -1,0 +1,157 @@
+"""Single values that clients write: times, filters, metadata. Each reader raises ValueError with what was wrong."""
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+MAP_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
+
+METADATA_BYTES = 16 * 1024
+METADATA_DEPTH = 8
+
+_RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)")
+_LOST_PLUS = re.compile(r".*[\d.] \d\d:\d\d")
+_LONGEST_S = 1_000_000_000
+
+
+def moment(text: object) -> datetime:
+    """A time as RFC 3339 writes it, in UTC."""
+    if isinstance(text, datetime):
+        return text
+    if not isinstance(text, str) or not _RFC3339.fullmatch(text):
+        hint = "; in a URL, write + as %2B" if isinstance(text, str) and _LOST_PLUS.fullmatch(text) else ""
+        raise ValueError(f"needs an RFC 3339 time with its zone, such as 2026-03-01T09:30:00Z{hint}")
+    try:
+        return datetime.fromisoformat(text.upper()).astimezone(UTC)
+    except (ValueError, OverflowError):
+        raise ValueError("is no time that exists") from None
+
+
+def plain_text(text: object) -> str:
+    """Text that every database can keep and every log can show."""
+    if not isinstance(text, str):
+        raise ValueError("needs text")
+    if not text.strip():
+        raise ValueError("must not be empty")
+    if any(ord(c) < 32 or 0xD800 <= ord(c) <= 0xDFFF or ord(c) == 127 for c in text):
+        raise ValueError("must not contain control characters")
+    return text
+
+
+def near(text: object) -> tuple[float, float, float]:
+    """``x,y,radius`` or ``lat,lon,radius``; which of them, `frame` says."""
+    parts = str(text).split(",")
+    try:
+        first, second, radius = (float(part) for part in parts)
+    except ValueError:
+        raise ValueError("needs three numbers: x,y,radius, or with frame=geo lat,lon,radius") from None
+    if not all(map(math.isfinite, (first, second, radius))):
+        raise ValueError("needs finite numbers")
+    if radius <= 0:
+        raise ValueError("needs a radius above 0 metres")
+    return first, second, radius
+
+
+def exclude_last(text: object) -> int | timedelta:
+    """``N`` views, or seconds as ``30s``."""
+    if match := re.fullmatch(r"(\d{1,10})", str(text), re.ASCII):
+        count = int(match[1])
+        if count <= _LONGEST_S:
+            return count
+    elif match := re.fullmatch(r"(\d{1,10}(?:\.\d{1,6})?)s", str(text), re.ASCII):
+        seconds = float(match[1])
+        if seconds <= _LONGEST_S:
+            return timedelta(seconds=seconds)
+    raise ValueError(f"needs a number of views such as 10, or seconds such as 30s, at most {_LONGEST_S}")
+
+
+def identifiers(text: object) -> tuple[str, ...]:
+    """Ids with commas between them."""
+    ids = tuple(part.strip() for part in str(text).split(","))
+    if not all(re.fullmatch(r"[A-Za-z0-9-]{1,64}", i) for i in ids):
+        raise ValueError("needs view ids with commas between them")
+    return ids
+
+
+def metadata(value: object) -> dict[str, Any]:
+    """A JSON object, as text or already read."""
+    if isinstance(value, str):
+        if len(value.encode("utf-8", "surrogatepass")) > METADATA_BYTES:
+            raise ValueError(f"must not be longer than {METADATA_BYTES} bytes")
+        value = strict_json(value)
+    if not isinstance(value, dict):
+        raise ValueError("needs a JSON object")
+    check_metadata(value)
+    return value
+
+
+def check_metadata(value: dict[str, Any]) -> None:
+    """What was read from JSON may be kept: not too deep, not too long, and text that can be written again."""
+    if not within_depth(value, METADATA_DEPTH):
+        raise ValueError(f"must not be nested deeper than {METADATA_DEPTH} levels")
+    text = json.dumps(value, ensure_ascii=False)
+    try:
+        size = len(text.encode())
+    except UnicodeEncodeError:
+        raise ValueError("contains half of a surrogate pair") from None
+    if size > METADATA_BYTES:
+        raise ValueError(f"must not be longer than {METADATA_BYTES} bytes")
+    # PostgreSQL's jsonb cannot keep it, and a store must not decide what may be said.
+    if any("\0" in part for part in _texts(value)):
+        raise ValueError("must not contain the character U+0000")
+
+
+def strict_json(text: str | bytes) -> Any:
+    """JSON as RFC 8259 has it: no NaN, no number beyond a float, no name twice."""
+    try:
+        return json.loads(text, parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"is not JSON: {error.msg} at character {error.pos}") from None
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+    except UnicodeDecodeError:
+        raise ValueError("is not UTF-8") from None
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"contains {name}, which is not JSON")
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"contains the number {text[:40]}, which is too large")
+    return number
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    whole = dict(pairs)
+    if len(whole) != len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        raise ValueError(f"has the name {twice!r} twice")
+    return whole
+
+
+def within_depth(value: object, levels: int) -> bool:
+    """Whether objects and lists are nested at most so deep; never recurses deeper than that itself."""
+    if isinstance(value, dict):
+        return levels > 0 and all(within_depth(inner, levels - 1) for inner in value.values())
+    if isinstance(value, list):
+        return levels > 0 and all(within_depth(inner, levels - 1) for inner in value)
+    return True
+
+
+def _texts(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        yield from value
+        for inner in value.values():
+            yield from _texts(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _texts(inner)

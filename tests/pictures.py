@@ -1,0 +1,37 @@
+"""Pictures that tests draw, and the bytes they send."""
+
+import io
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+
+
+def drawn(width: int, height: int, seed: int = 0) -> npt.NDArray[np.uint8]:
+    """Smooth coloured blobs, uint8 (height, width, 3): survives JPEG, has no symmetry, differs by seed."""
+    coarse = np.random.default_rng(seed).integers(0, 256, (4, 5, 3), np.uint8)
+    return np.asarray(Image.fromarray(coarse).resize((width, height), Image.Resampling.BICUBIC))
+
+
+def encoded(pixels: npt.NDArray[np.uint8], form: str = "jpeg", **options: Any) -> bytes:
+    """The pixels as bytes of a format that Pillow writes."""
+    out = io.BytesIO()
+    if form == "jpeg":
+        options = {"quality": 95, "subsampling": 0} | options
+    Image.fromarray(pixels).save(out, form, **options)
+    return out.getvalue()
+
+
+def photo(seed: int = 0, form: str = "jpeg") -> bytes:
+    """A small picture, ready to be sent; another seed is another place."""
+    return encoded(drawn(64, 48, seed), form)
+
+
+def png_chunk(kind: bytes, body: bytes) -> bytes:
+    """One chunk of a PNG with its length and checksum."""
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))

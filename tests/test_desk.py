@@ -1,0 +1,119 @@
+"""Questions come first, one failure is one picture's, and stopping serves what was handed in."""
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from schemas.description import SEMANTIC, Floats, PixelField
+from schemas.errors import Busy, Unavailable
+from schemas.picture import Picture
+from schemas.records import Meaning
+from worker.desk import Desk
+
+
+class GatedEncoder:
+    """Encodes one picture whenever the test lets it, and remembers the order."""
+
+    name = "gated"
+    digest = "0" * 64
+    layers: Mapping[str, int] = {SEMANTIC: 1}
+
+    def __init__(self) -> None:
+        self.seen: list[int] = []
+        self.gate = threading.Semaphore(0)
+        self.entered = threading.Semaphore(0)
+
+    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+        for picture in pictures:
+            self.entered.release()
+            self.gate.acquire()
+            number = int(picture.pixels[0, 0, 0])
+            if number == 99:
+                raise RuntimeError("this picture kills the network")
+            self.seen.append(number)
+            yield PixelField({SEMANTIC: np.ones((1, 1, 1), np.float32)}, picture.extent)
+
+    def text_vectors(self, words: Sequence[str]) -> Floats:
+        raise AssertionError("not asked here")
+
+    def meanings(self, words: Sequence[str]) -> list[Meaning]:
+        raise AssertionError("not asked here")
+
+
+def picture(number: int) -> Picture:
+    return Picture.of(np.full((32, 32, 3), number, np.uint8))
+
+
+def number_of(shown: Picture, _: PixelField) -> int:
+    return int(shown.pixels[0, 0, 0])
+
+
+def test_a_question_overtakes_every_enrolment_that_is_not_yet_under_way() -> None:
+    encoder = GatedEncoder()
+    desk = Desk(encoder, batch=1, questions=5)
+    desk.start()
+    enrolments = [desk.hand_in(picture(n), number_of, urgent=False) for n in (1, 2, 3)]
+    encoder.entered.acquire()  # the first enrolment is being encoded
+    question = desk.hand_in(picture(7), number_of, urgent=True)
+    encoder.gate.release(4)
+
+    assert question.result(5).value == 7
+    assert [future.result(5).value for future in enrolments] == [1, 2, 3]
+    assert encoder.seen == [1, 7, 2, 3]
+    desk.stop()
+
+
+def test_one_failing_picture_does_not_take_its_batch_down() -> None:
+    encoder = GatedEncoder()
+    desk = Desk(encoder, batch=4, questions=5)
+    futures = [desk.hand_in(picture(n), number_of, urgent=False) for n in (1, 99, 3)]
+    encoder.gate.release(9)
+    desk.start()
+
+    assert futures[0].result(5).value == 1
+    with pytest.raises(RuntimeError, match="kills"):
+        futures[1].result(5)
+    assert futures[2].result(5).value == 3
+    desk.stop()
+
+
+def test_more_questions_than_are_let_in_are_refused_with_a_time_to_come_back() -> None:
+    desk = Desk(GatedEncoder(), batch=1, questions=2)
+    for number in (1, 2):
+        desk.hand_in(picture(number), number_of, urgent=True)
+
+    with pytest.raises(Busy, match="2 questions are waiting") as refusal:
+        desk.hand_in(picture(3), number_of, urgent=True)
+
+    assert refusal.value.retry_after_s >= 1
+    desk.hand_in(picture(4), number_of, urgent=False)  # enrolments have a queue of their own
+
+
+def test_stopping_serves_what_was_handed_in_and_refuses_what_comes_after() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    desk = Desk(encoder, batch=1, questions=5)
+    futures = [desk.hand_in(picture(n), number_of, urgent=False) for n in (1, 2)]
+    desk.start()
+    desk.stop()
+
+    assert [future.result(0).value for future in futures] == [1, 2]
+    with pytest.raises(Unavailable):
+        desk.hand_in(picture(3), number_of, urgent=True)
+
+
+def test_an_error_of_the_finish_belongs_to_the_one_who_asked() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    desk = Desk(encoder, batch=1, questions=5)
+    desk.start()
+
+    def refuse(_: Picture, __: PixelField) -> int:
+        raise ValueError("nothing static here")
+
+    with pytest.raises(ValueError, match="nothing static"):
+        desk.hand_in(picture(1), refuse, urgent=True).result(5)
+    assert desk.hand_in(picture(2), number_of, urgent=True).result(5).value == 2
+    desk.stop()

@@ -1,0 +1,117 @@
+"""The one place that names adapters: settings in, a house out."""
+
+import logging
+import os
+import platform
+from datetime import timedelta
+from functools import partial
+
+import cv2
+import faiss
+
+from schemas.errors import SetupError
+from schemas.ports import Encoder
+from schemas.recipe import Recipe
+from schemas.settings import Settings
+from worker import picture_codec
+from worker.decide import shipped_calibration
+from worker.describers import Describers
+from worker.desk import Desk
+from worker.house import House
+from worker.indexes.catalogue import Catalogue
+from worker.indexes.flat import FlatIndex
+from worker.loop import Loop
+from worker.recipes import PRESETS, general_vocabulary, make_recipe
+from worker.search import Searcher
+from worker.stores.locks import lock_for_serving, lock_for_working
+from worker.stores.store import open_store
+
+log = logging.getLogger("revisit")
+
+GPU_BATCH = 8
+
+
+def build(settings: Settings, *, serving: bool = True) -> House:
+    """Build everything, start nothing.
+
+    Parameters
+    ----------
+    settings : Settings
+    serving : bool
+        True for the one process that answers HTTP over a data folder; False for a worker beside it.
+
+    Raises
+    ------
+    SetupError
+        The data folder is in use, the database is newer than this program, or the encoder cannot be loaded.
+    """
+    threads = settings.threads or os.cpu_count() or 1
+    cv2.setNumThreads(threads)
+    faiss.omp_set_num_threads(1)
+    settings.data.mkdir(parents=True, exist_ok=True)
+    unlock = (lock_for_serving if serving else lock_for_working)(settings.data)
+    try:
+        encoder = make_encoder(settings, threads)
+        store = open_store(settings.database_url, settings.data)
+        batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
+        desk = Desk(encoder, batch, settings.questions)
+        general = {name: general_vocabulary(encoder, name) for name in PRESETS}
+        describers = Describers(encoder, store, general.values())
+        catalogue = Catalogue(store, _empty_index)
+        limits = picture_codec.Limits.of(settings)
+        decode = partial(picture_codec.decode, limits=limits)
+        works = settings.inline_worker or not serving
+        loop = Loop(
+            store,
+            desk,
+            describers,
+            decode,
+            name=f"{platform.node()}:{os.getpid()}",
+            batch=batch,
+            lease=timedelta(seconds=settings.lease_s),
+        )
+        return House(
+            settings=settings,
+            encoder=encoder,
+            store=store,
+            decode=decode,
+            thumbnail=picture_codec.thumbnail,
+            shrink=picture_codec.shrink,
+            desk=desk,
+            describers=describers,
+            catalogue=catalogue,
+            searcher=Searcher(store, catalogue),
+            loop=loop if works else None,
+            default_recipe=make_recipe(encoder, settings.preset),
+            calibration=lambda recipe: shipped_calibration(recipe.encoder, recipe.preset),
+            unlock=unlock,
+        )
+    except BaseException:
+        unlock()
+        raise
+
+
+def make_encoder(settings: Settings, threads: int) -> Encoder:
+    """The encoder that the settings name; networks are imported only when one is."""
+    if settings.encoder == "color":
+        from worker.encoders.color import ColorEncoder
+
+        return ColorEncoder()
+    import torch
+
+    torch.set_num_threads(threads)
+    if settings.device != "cpu" and not torch.cuda.is_available():
+        raise SetupError(f"REVISIT_DEVICE={settings.device}, but this torch sees no GPU; set it to cpu")
+    if settings.encoder == "compact":
+        from worker.encoders.compact import CompactEncoder
+
+        return CompactEncoder(settings.device)
+    from worker.encoders.lseg.encoder import LsegEncoder
+
+    if settings.weights is None:
+        raise SetupError("the encoder lseg needs REVISIT_WEIGHTS, its weights file; docs/lseg.md says where it is from")
+    return LsegEncoder(settings.weights, settings.bpe, mode=settings.lseg_mode, device=settings.device)
+
+
+def _empty_index(recipe: Recipe) -> FlatIndex:
+    return FlatIndex({name: channel.length for name, channel in recipe.parameters.channels.items()}, recipe.id)

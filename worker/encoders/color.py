@@ -1,0 +1,95 @@
+"""The encoder without weights: colours stand in for meaning. For tests and for trying the service out."""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from schemas.description import SEMANTIC, Floats, PixelField
+from schemas.errors import InvalidParameters, ParameterError
+from schemas.picture import Picture
+from schemas.records import Meaning
+
+WORDS: Mapping[str, tuple[int, int, int]] = {
+    "road": (90, 90, 95),
+    "sidewalk": (170, 165, 160),
+    "building": (165, 95, 70),
+    "vehicle": (200, 30, 30),
+    "car": (220, 20, 60),
+    "bicycle": (230, 120, 200),
+    "motorcycle": (150, 20, 120),
+    "vegetation": (60, 130, 50),
+    "trunk": (95, 65, 40),
+    "terrain": (140, 165, 80),
+    "cyclist": (250, 90, 140),
+    "pole": (50, 50, 55),
+    "sky": (140, 185, 235),
+    "other": (240, 230, 60),
+}
+"""RGB that stands for each of the paper's words."""
+
+CELL = 8
+"""Pixels per cell, at a longer side of LONGEST."""
+
+LONGEST = 480
+
+
+class ColorEncoder:
+    """Embeds a cell by its mean colour and its contrast to its neighbours.
+
+    The layer ``words`` is the colour as a unit vector of eight numbers; ``detail`` adds local gradients. A word's
+    vector is that of its colour.
+    """
+
+    name = "color"
+
+    def __init__(self) -> None:
+        self.digest = hashlib.sha256(repr((sorted(WORDS.items()), CELL, LONGEST)).encode()).hexdigest()
+        self.layers: Mapping[str, int] = {SEMANTIC: 8, "detail": 12}
+
+    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+        """One field per picture; see `Encoder.encode`."""
+        return (self._encode(picture) for picture in pictures)
+
+    def _encode(self, picture: Picture) -> PixelField:
+        width, height = picture.extent
+        columns, rows = (max(4, round(side * LONGEST / CELL)) for side in (width, height))
+        mean = cv2.resize(picture.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        words = _unit(_spread(mean))
+        across = np.gradient(mean, axis=1)
+        down = np.gradient(mean, axis=0)
+        detail = _unit(np.concatenate([_spread(mean) * 0.5, across.mean(-1, keepdims=True) * 4,
+                                       down.mean(-1, keepdims=True) * 4, np.abs(across).mean(-1, keepdims=True) * 4,
+                                       np.abs(down).mean(-1, keepdims=True) * 4], axis=-1))  # fmt: skip
+        return PixelField({SEMANTIC: words, "detail": detail}, picture.extent)
+
+    def text_vectors(self, words: Sequence[str]) -> Floats:
+        """See `Encoder.text_vectors`."""
+        self.meanings(words)
+        colours = np.array([WORDS[word] for word in words], np.float32).reshape(-1, 3) / 255
+        return _unit(_spread(colours))
+
+    def meanings(self, words: Sequence[str]) -> list[Meaning]:
+        """See `Encoder.meanings`."""
+        unknown = [word for word in words if word not in WORDS]
+        if unknown:
+            known = ", ".join(WORDS)
+            raise InvalidParameters([ParameterError("labels", f"{w!r} is not known; known: {known}") for w in unknown])
+        return [Meaning(word, (word,), trained=True) for word in words]
+
+
+def _spread(colours: Floats) -> Floats:
+    """Colours (..., 3) in 0..1 as eight smooth numbers whose directions differ where the colours do."""
+    centred = (colours - 0.5) * 2
+    red, green, blue = np.moveaxis(centred, -1, 0)
+    spread: Floats = np.stack(
+        [red, green, blue, red - green, green - blue, blue - red, red * green * blue, np.full_like(red, 0.3)], axis=-1
+    )
+    return spread
+
+
+def _unit(vectors: Floats) -> Floats:
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: Floats = (vectors / np.maximum(lengths, 1e-12)).astype(np.float32)
+    return scaled

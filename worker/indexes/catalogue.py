@@ -1,0 +1,70 @@
+"""One index per map, caught up to the store before it is searched."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+
+from schemas.ports import Index, Store
+from schemas.recipe import Recipe
+
+MakeIndex = Callable[[Recipe], Index]
+
+
+@dataclass(frozen=True)
+class _Held:
+    index: Index
+    made_at: datetime
+
+
+class Catalogue:
+    """Indexes of all maps, made when first needed. A cache of the store: losing it costs time only.
+
+    Parameters
+    ----------
+    store : Store
+    make : function
+        An empty index for a recipe.
+    """
+
+    def __init__(self, store: Store, make: MakeIndex) -> None:
+        self._store = store
+        self._make = make
+        self._indexes: dict[str, _Held] = {}
+        self._locks: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def index(self, name: str) -> tuple[Index, Recipe]:
+        """The index of a map, holding everything acknowledged before this call, and the recipe it belongs to.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        """
+        with self._lock:
+            lock = self._locks.setdefault(name, threading.Lock())
+        with lock:
+            while True:
+                record = self._store.map(name)
+                held = self._indexes.get(name)
+                # A map of the same name that was deleted and made again is another map.
+                if held is None or held.made_at != record.created_at or held.index.recipe != record.recipe.id:
+                    held = _Held(self._make(record.recipe), record.created_at)
+                if held.index.revision < record.revision:
+                    changes = self._store.since(name, held.index.revision)
+                    if changes.recipe != held.index.recipe:
+                        continue  # the map changed over between the two reads
+                    held.index.apply(changes)
+                self._indexes[name] = held
+                return held.index, record.recipe
+
+    def forget(self, name: str) -> None:
+        """Drop a deleted map's index."""
+        with self._lock:
+            self._indexes.pop(name, None)
+
+    def lag(self, name: str) -> int:
+        """By how many revisions the index in memory is behind the store."""
+        held = self._indexes.get(name)
+        return self._store.revision(name) - (0 if held is None else held.index.revision)

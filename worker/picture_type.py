@@ -1,0 +1,109 @@
+"""What a file is, told by its first bytes: the name and the content type of an upload prove nothing."""
+
+from schemas.errors import BadPicture
+
+ACCEPTED = ("jpeg", "png", "webp", "bmp", "tiff")
+
+# Only what begins with one of these is ever handed to a decoder.
+_PICTURES = (
+    (b"\xff\xd8\xff", "jpeg"),
+    (b"\x89PNG\r\n\x1a\n", "png"),
+    (b"BM", "bmp"),
+    (b"II*\x00", "tiff"),
+    (b"MM\x00*", "tiff"),
+)
+
+_OTHERS = (
+    (b"GIF87a", "a GIF"),
+    (b"GIF89a", "a GIF"),
+    (b"%PDF", "a PDF"),
+    (b"\x00\x00\x00\x0cjP  ", "a JPEG 2000 picture"),
+    (b"\xff\x4f\xff\x51", "a JPEG 2000 picture"),
+    (b"\xff\x0a", "a JPEG XL picture"),
+    (b"\x00\x00\x00\x0cJXL ", "a JPEG XL picture"),
+    (b"II+\x00", "a BigTIFF picture"),
+    (b"MM\x00+", "a BigTIFF picture"),
+    (b"8BPS", "a Photoshop document"),
+    (b"\x00\x00\x01\x00", "an icon"),
+    (b"v/1\x01", "an OpenEXR picture"),
+    (b"#?RADIANCE", "a Radiance HDR picture"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"PK\x05\x06", "an empty zip archive"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"BZh", "a bzip2 archive"),
+    (b"\xfd7zXZ\x00", "an xz archive"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive"),
+    (b"Rar!\x1a\x07", "a RAR archive"),
+    (b"(\xb5/\xfd", "a zstd archive"),
+    (b"\x1aE\xdf\xa3", "a Matroska or WebM video"),
+    (b"\x7fELF", "a program"),
+    (b"MZ", "a program"),
+)
+
+# Brands of ISO base media files, by the picture or film they hold.
+_BRANDS = {
+    b"heic": "an HEIC picture",
+    b"heix": "an HEIC picture",
+    b"heim": "an HEIC picture",
+    b"heis": "an HEIC picture",
+    b"hevc": "an HEIC picture",
+    b"hevx": "an HEIC picture",
+    b"mif1": "an HEIF picture",
+    b"msf1": "an HEIF picture",
+    b"avif": "an AVIF picture",
+    b"avis": "an AVIF picture",
+    b"crx ": "a Canon raw picture",
+    b"qt  ": "a QuickTime film",
+}
+
+
+def picture_type(data: bytes) -> str:
+    """``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
+
+    Raises
+    ------
+    BadPicture
+        ``not-a-picture``, saying what it seems to be instead.
+    """
+    for magic, name in _PICTURES:
+        if data.startswith(magic):
+            return name
+    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+        return "webp"
+    raise BadPicture(
+        "not-a-picture",
+        f"this seems to be {_guess(data)}; send a picture as {', '.join(ACCEPTED[:-1])} or {ACCEPTED[-1]}",
+    )
+
+
+def _guess(data: bytes) -> str:
+    """A name for what is not accepted, for the person who reads the refusal."""
+    for magic, name in _OTHERS:
+        if data.startswith(magic):
+            return name
+    if data[4:8] == b"ftyp":
+        return _BRANDS.get(data[8:12], "an MP4 or similar film")
+    if data.startswith(b"RIFF"):
+        return "a RIFF file (sound or film)"
+    if data[257:262] == b"ustar":
+        return "a tar archive"
+    return _guess_text(data[:1024])
+
+
+def _guess_text(head: bytes) -> str:
+    # The cut may fall inside a multi-byte character: an incomplete end is no proof against text.
+    text = head.decode("utf-8", errors="ignore").lstrip("\ufeff \t\r\n")
+    if b"\x00" in head or len(text.encode()) < len(head.strip()) - 3:
+        return f"something unknown (it begins with {head[:4].hex(' ')})"
+    lower = text.lower()
+    if "<svg" in lower:
+        return "an SVG drawing"
+    if lower.startswith(("<!doctype html", "<html")):
+        return "an HTML page"
+    if lower.startswith("<?xml"):
+        return "an XML document"
+    if lower.startswith("data:image/"):
+        return "a data: URL (send the picture's bytes, not their base64)"
+    if lower.startswith(("{", "[")):
+        return "JSON"
+    return "text"

@@ -1,0 +1,93 @@
+"""Where a picture was probably taken, from the positions of the views that match it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.records import Where
+
+EARTH_M = 6_371_008.8
+"""Mean radius of the earth (IUGG), metres."""
+
+AGREE_M = 25.0
+"""Matches further than this from the best one are not about the same spot."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """An estimated position.
+
+    Parameters
+    ----------
+    where : Where
+        Without heading.
+    radius_m : float
+        Root mean square distance of the agreeing views from it, weighted as they are; 0 for a single one.
+    agreeing : tuple of int
+        Which of the matches agreed.
+    """
+
+    where: Where
+    radius_m: float
+    agreeing: tuple[int, ...]
+
+
+def locate(positions: Sequence[Where], weights: Sequence[float]) -> Fix | None:
+    """The weighted mean of the best match's position and those that agree with it.
+
+    Parameters
+    ----------
+    positions : sequence of Where
+        Of the matches, best first.
+    weights : sequence of float
+        Of each match, at least 0.
+
+    Returns
+    -------
+    Fix or None
+        None when the best match has no position.
+    """
+    if not positions or not _is_known(positions[0]):
+        return None
+    geographic = positions[0].lat is not None
+    same_frame = [i for i, p in enumerate(positions) if _is_known(p) and (p.lat is not None) == geographic]
+    metres = np.array([_metres(positions[i], positions[0]) for i in same_frame])
+    near = np.linalg.norm(metres[:, :2], axis=1) <= AGREE_M
+    chosen = [i for i, close in zip(same_frame, near, strict=True) if close]
+    offsets = metres[near]
+    share = np.array([weights[i] for i in chosen], np.float64)
+    share = share / share.sum() if share.sum() > 0 else np.full(len(chosen), 1 / len(chosen))
+    mean = share @ offsets
+    radius = float(np.sqrt(share @ ((offsets[:, :2] - mean[:2]) ** 2).sum(axis=1)))
+    heights = [positions[i].alt if geographic else positions[i].z for i in chosen]
+    height = None if any(h is None for h in heights) else float(mean[2])
+    return Fix(_place(mean, height, positions[0]), radius, tuple(chosen))
+
+
+def _is_known(where: Where) -> bool:
+    return where.x is not None or where.lat is not None
+
+
+def _metres(where: Where, origin: Where) -> tuple[float, float, float]:
+    """(east or x, north or y, up) from the origin's horizontal position; up is the height itself."""
+    if where.lat is not None and where.lon is not None and origin.lat is not None and origin.lon is not None:
+        east = (where.lon - origin.lon + 180) % 360 - 180
+        scale = np.cos(np.radians(origin.lat))
+        return (
+            float(np.radians(east) * EARTH_M * scale),
+            float(np.radians(where.lat - origin.lat) * EARTH_M),
+            where.alt or 0.0,
+        )
+    return (where.x or 0.0) - (origin.x or 0.0), (where.y or 0.0) - (origin.y or 0.0), where.z or 0.0
+
+
+def _place(offset: npt.NDArray[np.float64], height: float | None, origin: Where) -> Where:
+    if origin.lat is None or origin.lon is None:
+        return Where(x=(origin.x or 0.0) + float(offset[0]), y=(origin.y or 0.0) + float(offset[1]), z=height)
+    lat = origin.lat + float(np.degrees(offset[1] / EARTH_M))
+    # At a pole every longitude is the same point; the guard only keeps the division finite.
+    scale = max(float(np.cos(np.radians(origin.lat))), 1e-9)
+    lon = origin.lon + float(np.degrees(offset[0] / EARTH_M / scale))
+    return Where(lat=max(-90.0, min(90.0, lat)), lon=(lon + 180) % 360 - 180, alt=height)

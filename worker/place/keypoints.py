@@ -1,0 +1,41 @@
+"""Random pixel descriptors (paper, "Visual-Language Vocabulary": K of the remaining coordinates)."""
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Booleans
+
+Indices = npt.NDArray[np.intp]
+
+
+def generator(seed: int, digest: str) -> np.random.Generator:
+    """The randomness of one picture: the same seed and picture always draw the same cells.
+
+    Parameters
+    ----------
+    seed : int
+        Of the recipe.
+    digest : str
+        SHA-256 of the picture, hexadecimal.
+    """
+    return np.random.default_rng([seed, int(digest, 16)])
+
+
+def draw(static: Booleans, count: int | None, random: np.random.Generator) -> Indices:
+    """Draw cells uniformly, without replacement, among the static ones.
+
+    Parameters
+    ----------
+    static : bool of shape (rows, columns)
+    count : int or None
+        K; when fewer are static, or with None, all of them are taken.
+
+    Returns
+    -------
+    intp of shape (n,)
+        Flat (row-major) cell numbers, ascending.
+    """
+    remaining = np.flatnonzero(static)
+    if count is None or len(remaining) <= count:
+        return remaining
+    return np.sort(random.choice(remaining, size=count, replace=False))

@@ -1,0 +1,54 @@
+"""Which word each cell of a picture takes (paper, eq. 1 and 2)."""
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats
+
+LabelMap = npt.NDArray[np.int16]
+
+
+def scores(embeddings: Floats, text_vectors: Floats) -> Floats:
+    """Inner products of cells and words: f_ijk = <I_ij, T_k>.
+
+    Parameters
+    ----------
+    embeddings : float32 of shape (rows, columns, channels)
+        Unit length.
+    text_vectors : float32 of shape (words, channels)
+        Unit length.
+
+    Returns
+    -------
+    float32 of shape (rows, columns, words)
+        Cosines.
+    """
+    product: Floats = embeddings @ text_vectors.T
+    return product
+
+
+def label_map(word_scores: Floats) -> LabelMap:
+    """The word with the largest score, per cell; ties go to the lowest index.
+
+    Parameters
+    ----------
+    word_scores : float32 of shape (rows, columns, words)
+
+    Returns
+    -------
+    int16 of shape (rows, columns)
+    """
+    best: LabelMap = np.argmax(word_scores, axis=-1).astype(np.int16)
+    return best
+
+
+def shares(labels: LabelMap, words: int) -> Floats:
+    """Share of the cells that carry each label.
+
+    Returns
+    -------
+    float32 of shape (words,)
+        Sums to 1.
+    """
+    counts = np.bincount(labels.ravel(), minlength=words)
+    return (counts / max(labels.size, 1)).astype(np.float32)

@@ -1,0 +1,243 @@
+"""The visual-language vocabulary: histograms over it and its training (paper, "Visual-Language Vocabulary")."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats
+from schemas.errors import DescriptorMismatch
+from schemas.recipe import Channel
+
+BLOCK = 8192
+"""Descriptors compared with all words at once in training: bounds memory at BLOCK x words floats."""
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Half-whitened principal components of histograms.
+
+    Parameters
+    ----------
+    mean : float32 of shape (words,)
+    matrix : float32 of shape (words, dimensions)
+        Column i is component i divided by the square root of its standard deviation: full whitening would blow up
+        the noise of rare words, none would let the commonest words decide alone.
+    """
+
+    mean: Floats
+    matrix: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelVocabulary:
+    """What one channel needs to turn descriptors into its vector.
+
+    Parameters
+    ----------
+    words : float32 of shape (words, channels)
+    projection : Projection or None
+        None: the histogram itself is the vector.
+    cells : float32 of shape (channels, dimensions) or None
+        Reduces dense cells; None when the recipe has none.
+    """
+
+    words: Floats
+    projection: Projection | None = None
+    cells: Floats | None = None
+
+
+def squared_distances(descriptors: Floats, words: Floats) -> Floats:
+    """|x - c|^2 for all pairs, float32 (descriptors, words); at least 0."""
+    cross: Floats = descriptors @ words.T
+    cross *= -2
+    cross += (words**2).sum(axis=1)
+    cross += (descriptors**2).sum(axis=1)[:, None]
+    np.maximum(cross, 0, out=cross)
+    return cross
+
+
+def histogram(descriptors: Floats, words: Floats, assignments: int = 1, temperature: float = 0.05) -> Floats:
+    """Count how often each visual-language word is the nearest one.
+
+    Parameters
+    ----------
+    descriptors : float32 of shape (n, channels)
+        Embeddings at the drawn static cells, unit length.
+    words : float32 of shape (words, channels)
+    assignments : int
+        1 counts the nearest word, a(x) = argmin_v |x - c_v|. More shares a descriptor among its nearest words in
+        proportion to exp(-|x - c|^2 / (2 temperature)), which for unit vectors is exp(cosine / temperature).
+    temperature : float
+
+    Returns
+    -------
+    float32 of shape (words,)
+        Frequencies, summing to 1; all zero when there is no descriptor. Ties go to the lower word.
+
+    Raises
+    ------
+    DescriptorMismatch
+        When the two disagree on the number of channels.
+    """
+    if descriptors.shape[1] != words.shape[1]:
+        raise DescriptorMismatch(got=descriptors.shape[1], want=words.shape[1])
+    count = len(descriptors)
+    if count == 0:
+        return np.zeros(len(words), np.float32)
+    # |x|^2 does not change which word is nearest, so it is left out; what remains is negated to look for maxima.
+    closeness = descriptors @ words.T
+    closeness -= (words**2).sum(axis=1) / 2
+    kept = min(assignments, len(words))
+    nearest = np.empty((count, kept), np.intp)
+    values = np.empty((count, kept), np.float32)
+    rows = np.arange(count)
+    for k in range(kept):  # a few passes of argmax are several times quicker than a partial sort
+        nearest[:, k] = closeness.argmax(axis=1)
+        values[:, k] = closeness[rows, nearest[:, k]]
+        closeness[rows, nearest[:, k]] = -np.inf
+    weights = np.exp((values - values[:, :1]) / temperature)
+    weights /= weights.sum(axis=1, keepdims=True)
+    total = np.bincount(nearest.ravel(), weights.ravel(), minlength=len(words))
+    return (total / count).astype(np.float32)
+
+
+def vector(descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel) -> Floats:
+    """The vector of one channel: histogram, normalised, projected.
+
+    Returns
+    -------
+    float32 of shape (channel.dimensions or words,)
+        Unit length with a projection or Hellinger normalisation; sums to 1 otherwise; all zero without descriptors.
+    """
+    counts = histogram(descriptors, vocabulary.words, channel.assignments, channel.temperature)
+    if not counts.any():
+        return np.zeros(channel.dimensions or len(counts), np.float32)
+    normalised: Floats = np.sqrt(counts, dtype=np.float32) if channel.normalisation == "hellinger" else counts
+    if vocabulary.projection is None:
+        return normalised
+    return unit((normalised - vocabulary.projection.mean) @ vocabulary.projection.matrix)
+
+
+def unit(vectors: Floats) -> Floats:
+    """Scale to unit length along the last axis; zeros stay zeros."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: Floats = (vectors / np.maximum(lengths, 1e-12)).astype(np.float32)
+    return scaled
+
+
+def train_words(
+    descriptors: Floats, count: int, random: np.random.Generator, *, iterations: int = 20, spherical: bool = False
+) -> Floats:
+    """Cluster descriptors into words by k-means (Lloyd's, started by k-means++).
+
+    Parameters
+    ----------
+    descriptors : float32 of shape (n, channels)
+    count : int
+        V.
+    random : numpy.random.Generator
+    iterations : int
+        At most; it stops when no descriptor changes its word.
+    spherical : bool
+        Keep words at unit length (cosine k-means).
+
+    Returns
+    -------
+    float32 of shape (count, channels)
+
+    Raises
+    ------
+    ValueError
+        Fewer distinct descriptors than words are asked for.
+    """
+    if len(np.unique(descriptors, axis=0)) < count:
+        raise ValueError(f"{len(descriptors)} descriptors, with duplicates, cannot give {count} distinct words")
+    words = _spread(descriptors, count, random)
+    previous: npt.NDArray[np.intp] | None = None
+    for _ in range(iterations):
+        nearest, distance = _assign(descriptors, words)
+        if previous is not None and np.array_equal(nearest, previous):
+            break
+        previous = nearest
+        sizes = np.bincount(nearest, minlength=count)
+        sums = np.zeros_like(words, dtype=np.float64)
+        np.add.at(sums, nearest, descriptors)
+        words = (sums / np.maximum(sizes, 1)[:, None]).astype(np.float32)
+        for empty in np.flatnonzero(sizes == 0):  # a word that nobody uses moves to the descriptor served worst
+            worst = int(distance.argmax())
+            words[empty] = descriptors[worst]
+            distance[worst] = -1
+        if spherical:
+            words = unit(words)
+    return words
+
+
+def _spread(descriptors: Floats, count: int, random: np.random.Generator) -> Floats:
+    """k-means++ (Arthur and Vassilvitskii 2007): each next start is drawn in proportion to its squared distance."""
+    chosen = [int(random.integers(len(descriptors)))]
+    closest = squared_distances(descriptors, descriptors[chosen])[:, 0].astype(np.float64)
+    while len(chosen) < count:
+        closest[chosen] = 0
+        chosen.append(int(random.choice(len(descriptors), p=closest / closest.sum())))
+        np.minimum(closest, squared_distances(descriptors, descriptors[chosen[-1:]])[:, 0], out=closest)
+    return descriptors[chosen].copy()
+
+
+def _assign(descriptors: Floats, words: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
+    """Nearest word of each descriptor, and the squared distance to it."""
+    nearest = np.empty(len(descriptors), np.intp)
+    distance = np.empty(len(descriptors), np.float32)
+    for start in range(0, len(descriptors), BLOCK):
+        block = slice(start, start + BLOCK)
+        squared = squared_distances(descriptors[block], words)
+        nearest[block] = squared.argmin(axis=1)
+        distance[block] = squared.min(axis=1)
+    return nearest, distance
+
+
+def fit_projection(histograms: Floats, dimensions: int) -> Projection:
+    """Half-whitened PCA of normalised histograms.
+
+    Parameters
+    ----------
+    histograms : float32 of shape (pictures, words)
+        Normalised as the channel does.
+    dimensions : int
+        At most min(pictures - 1, words).
+
+    Raises
+    ------
+    ValueError
+        Too few pictures for that many dimensions.
+    """
+    if dimensions > min(len(histograms) - 1, histograms.shape[1]):
+        raise ValueError(
+            f"{len(histograms)} pictures of {histograms.shape[1]} words cannot give {dimensions} components"
+        )
+    mean = histograms.mean(axis=0)
+    _, lengths, components = np.linalg.svd(histograms - mean, full_matrices=False)
+    deviations = np.maximum(lengths[:dimensions] / np.sqrt(len(histograms)), 1e-6)
+    # The sign of a component is arbitrary; fixing it makes the trained file the same on every machine.
+    signs = np.sign(components[np.arange(dimensions), np.abs(components[:dimensions]).argmax(axis=1)])
+    matrix = (components[:dimensions] * (signs / np.sqrt(deviations))[:, None]).T
+    return Projection(mean.astype(np.float32), np.ascontiguousarray(matrix, np.float32))
+
+
+def fit_cells(cells: Floats, dimensions: int) -> Floats:
+    """Principal directions of dense cells, without their mean (cells are centred per picture already).
+
+    Parameters
+    ----------
+    cells : float32 of shape (n, channels)
+
+    Returns
+    -------
+    float32 of shape (channels, dimensions)
+        Orthonormal columns.
+    """
+    # The eigenvectors of the channels x channels moment matrix are the right singular vectors of `cells`.
+    _, vectors = np.linalg.eigh((cells.T @ cells).astype(np.float64))
+    leading = vectors[:, ::-1][:, : min(dimensions, cells.shape[1])]
+    signs = np.sign(leading[np.abs(leading).argmax(axis=0), np.arange(leading.shape[1])])
+    return np.ascontiguousarray(leading * signs, np.float32)

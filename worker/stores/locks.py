@@ -1,0 +1,93 @@
+"""Who may use a data folder at the same time.
+
+One `serve`, any number of workers, and `migrate` only alone. The locks are `flock`s: the system lets go of them when
+their process ends, however it ends, so none is ever stale.
+"""
+
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+from schemas.errors import SetupError
+
+SERVE = "serve.lock"
+USE = "use.lock"
+MIGRATE = "migrate.lock"
+
+
+class FolderLock:
+    """A lock on a file that is held until `release`.
+
+    Parameters
+    ----------
+    path : Path
+        Made when there is none. It stays: removing it would let two holders lock two files of one name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+
+    def acquire(self, *, shared: bool = False, wait: bool = False) -> bool:
+        """Take the lock, or change one that is held; False when another holds it and `wait` is off."""
+        try:
+            fcntl.flock(self._file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            return False
+        return True
+
+    def release(self) -> None:
+        """Let go; a second time does nothing."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def sign(self, now: datetime) -> None:
+        """Say in the file who holds it, for `holder`."""
+        os.ftruncate(self._file, 0)
+        text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": now.isoformat(" ", "seconds")})
+        os.pwrite(self._file, text.encode(), 0)
+
+    def holder(self) -> str:
+        """Who signed last, in words."""
+        try:
+            signed = json.loads(os.pread(self._file, 4096, 0))
+            return f"process {signed['pid']} on {signed['host']} since {signed['since']}"
+        except (ValueError, KeyError, TypeError):  # not signed yet
+            return "another process"
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Hold a lock for the length of a block, after waiting for it."""
+    lock = FolderLock(path)
+    try:
+        lock.acquire(wait=True)
+        yield
+    finally:
+        lock.release()
+
+
+def lock_for_serving(data: Path, now: datetime) -> FolderLock:
+    """Become the one service of a data folder, until the lock is released.
+
+    Raises
+    ------
+    SetupError
+        Says which process serves the folder already.
+    """
+    lock = FolderLock(data / SERVE)
+    if not lock.acquire():
+        holder = lock.holder()
+        lock.release()
+        raise SetupError(
+            f"{data} is served already by {holder}; stop that service, or give this one another folder "
+            "with REVISIT_DATA (more processes may help to describe pictures: ./revisit worker)"
+        )
+    lock.sign(now)
+    return lock

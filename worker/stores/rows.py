@@ -1,0 +1,136 @@
+"""From rows to records and back."""
+
+import json
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.errors import NotFound
+from schemas.picture import PictureFacts
+from schemas.recipe import Recipe
+from schemas.records import DescriptionRecord, MapRecord, Said, ViewRecord, Where
+from worker.stores.packing import unpack_floats
+from worker.stores.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
+
+COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
+
+BATCH = 500
+"""Values in one IN list."""
+
+
+def batches(values: Iterable[Any]) -> Iterator[list[Any]]:
+    """Values in portions that fit an IN list."""
+    everything = list(values)
+    for start in range(0, len(everything), BATCH):
+        yield everything[start : start + BATCH]
+
+
+def as_json(value: object) -> str:
+    """Canonical JSON: equal values give equal text, in ASCII, which every database takes."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+# maps
+
+
+def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
+    """The row of a map; raises NotFound."""
+    row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
+    if row is None:
+        raise NotFound("map", name)
+    return row
+
+
+def keep_recipe(connection: sa.Connection, recipe: Recipe) -> str:
+    """Make sure that a recipe is kept; returns its id."""
+    if connection.scalar(sa.select(RECIPES.c.id).where(RECIPES.c.id == recipe.id)) is None:
+        connection.execute(sa.insert(RECIPES).values(id=recipe.id, body=recipe.model_dump_json()))
+    return recipe.id
+
+
+def find_recipe(connection: sa.Connection, recipe: str) -> Recipe:
+    """A kept recipe by its id."""
+    body = connection.scalar(sa.select(RECIPES.c.body).where(RECIPES.c.id == recipe))
+    return Recipe.model_validate_json(str(body))
+
+
+def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
+    """A map's row with its recipe."""
+    return MapRecord(row.name, row.revision, find_recipe(connection, row.recipe), row.created_at)
+
+
+# views
+
+
+def view_rows() -> sa.Select[Any]:
+    """Views with their map's name and their description by the map's recipe, ready for `view_record`."""
+    described = sa.and_(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == MAPS.c.recipe)
+    return sa.select(
+        VIEWS,
+        MAPS.c.name.label("map"),
+        DESCRIPTIONS.c.recipe.label("recipe"),
+        DESCRIPTIONS.c.descriptor_count,
+        DESCRIPTIONS.c.static_share,
+        DESCRIPTIONS.c.nodes,
+        DESCRIPTIONS.c.label_shares,
+    ).select_from(VIEWS.join(MAPS, MAPS.c.id == VIEWS.c.map_id).outerjoin(DESCRIPTIONS, described))
+
+
+def view_record(row: sa.Row[Any]) -> ViewRecord:
+    """A view from a row of `view_rows`."""
+    description = None
+    if row.recipe is not None and row.state == "ready":
+        description = DescriptionRecord(
+            row.recipe, row.descriptor_count, row.static_share, unpack_floats(row.label_shares), row.nodes
+        )
+    return ViewRecord(
+        id=row.id,
+        seq=row.seq,
+        map=row.map,
+        said=said_of(row),
+        enrolled_at=row.enrolled_at,
+        picture=PictureFacts(row.width, row.height, row.byte_count, row.format, row.sha256),
+        state=row.state,
+        failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+        description=description,
+    )
+
+
+def find_view(connection: sa.Connection, view_id: str) -> sa.Row[Any]:
+    """The row of a view, as of `view_rows`; raises NotFound."""
+    row = connection.execute(view_rows().where(VIEWS.c.id == view_id)).one_or_none()
+    if row is None:
+        raise NotFound("view", view_id)
+    return row
+
+
+# what was said about a view
+
+
+def said_of(row: sa.Row[Any]) -> Said:
+    """What the user said, from the row of a view."""
+    where = Where(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
+    return Said(row.place, where, row.captured_at, json.loads(row.metadata))
+
+
+def said_columns(said: Said) -> dict[str, Any]:
+    """What the user said, as columns of `views`."""
+    # A numpy number would be stored as bytes by SQLite, without a word.
+    columns: dict[str, Any] = {
+        name: None if (value := getattr(said.where, name)) is None else float(value) for name in COORDINATES
+    }
+    lat, lon = columns["lat"], columns["lon"]
+    globe = (None, None, None) if lat is None or lon is None else unit_vector(lat, lon)
+    columns["globe_x"], columns["globe_y"], columns["globe_z"] = globe
+    columns["place"] = said.place
+    columns["captured_at"] = said.captured_at
+    columns["metadata"] = as_json(dict(said.metadata))
+    return columns
+
+
+def unit_vector(lat: float, lon: float) -> tuple[float, float, float]:
+    """Degrees as a point (x, y, z) of the unit sphere: without a seam at 180 degrees and without poles."""
+    phi, theta = math.radians(lat), math.radians(lon)
+    return math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)
