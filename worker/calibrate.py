@@ -1,15 +1,21 @@
 """Learn how sure an answer is from labelled queries, and judge that on sets it was not learned from.
 
-``python -m worker.calibrate pairs --root DIR --write FILE`` or ``./revisit evaluate --calibrate``.
+``python -m worker.calibrate pairs --root DIR --write FILE``.
 """
 
+import argparse
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from schemas.errors import RevisitError
+from worker import evaluate
 from worker.datasets.dataset import Dataset
-from worker.evaluation.asking import Asked
+from worker.datasets.hold_out import hold_out
+from worker.evaluation.asking import Asked, ask
 from worker.place.calibration import (
     Calibration,
     Curve,
@@ -25,6 +31,9 @@ from worker.place.recall import Booleans, Doubles, first_right
 
 MATCHED_PRECISION = 0.95
 """How often ``matched`` has to be right on the sets that the thresholds are learned from."""
+
+HELD_OUT = 0.3
+"""Share of the queries whose places are not enrolled in the second run."""
 
 AMBIGUOUS = 0.4
 """Probability below which an answer is no match, unless ``matched`` begins lower."""
@@ -141,3 +150,55 @@ def judged_on(calibration: Calibration, sets: Mapping[str, Evidence]) -> dict[st
     for name, seen in sets.items():
         found[name] = judge(calibration.curve.probability(seen.columns(calibration.features)), seen.right)
     return found
+
+
+def gather(options: argparse.Namespace, preset: str) -> dict[str, Evidence]:
+    """Run a preset on every set, whole and with some places not enrolled; the two count as one set.
+
+    Without the second run a curve would only ever see queries that have an answer, and promise too much of the others.
+    """
+    gathered: dict[str, Evidence] = {}
+    options.preset = [preset]
+    with evaluate.services(options) as ([one], _):
+        for dataset in evaluate.read(options.dataset, options):
+            parts = [dataset]
+            if dataset.allowed is None:
+                parts.append(hold_out(dataset, HELD_OUT, np.random.default_rng(options.seed)))
+            seen = []
+            for part in parts:
+                with one.open(part) as retriever:
+                    bar = evaluate.Bar(part.name)
+                    asked = ask(part, retriever, seed=options.seed, journals=options.out / "answers", progress=bar)
+                    seen.append(evidence(part, asked))
+            names = sorted({name for s in seen for name in s.features})
+            columns = np.concatenate([s.columns(names) for s in seen])
+            right = np.concatenate([s.right for s in seen])
+            gathered[dataset.name] = Evidence(dict(zip(names, columns.T, strict=True)), right)
+    return gathered
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; 0, or 2 when it was used wrongly."""
+    parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
+    evaluate.add_arguments(parser)
+    parser.add_argument("--features", default="score,lead,inliers", help="what the curve reads, comma-separated")
+    parser.add_argument("--write", type=Path, help="JSON file for the calibration")
+    options = parser.parse_args(argv)
+    [preset] = options.preset or ["default"]
+    try:
+        sets = gather(options, preset)
+    except RevisitError as refusal:
+        print(refusal.detail, file=sys.stderr)
+        return 2
+    source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
+    learned = learn(sets, options.features.split(","), source)
+    print(as_markdown(learned))
+    limits = learned.calibration.thresholds
+    print(f"\nthresholds: matched from {limits.matched:.3f}, ambiguous from {limits.ambiguous:.3f}")
+    if options.write:
+        options.write.write_text(learned.calibration.to_json() + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

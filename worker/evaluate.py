@@ -8,8 +8,8 @@ import os
 import platform
 import resource
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,32 +18,18 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import InvalidParameters, RevisitError
+from schemas.settings import read_settings
 from worker.baselines.baseline import Baseline
 from worker.baselines.known import NAMES, PLAIN, Needs, baselines
 from worker.datasets import aligned, folder, kitti, pairs, pitts30k
 from worker.datasets.dataset import Dataset
 from worker.datasets.hold_out import hold_out
-from worker.evaluation.asking import Asked, Progress, Retriever, ask, counted, ranked_by
+from worker.evaluation.asking import Asked, Progress, ask, counted, ranked_by
+from worker.evaluation.contender import Contender
 from worker.evaluation.gallery import Artist, answers, the_papers_figures
 from worker.evaluation.html import Example, as_html
 from worker.evaluation.measuring import Evaluation, frame, measure
 from worker.evaluation.tables import as_json, as_text, overview
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A service to be measured.
-
-    Parameters
-    ----------
-    open : function
-        Gives a retriever with nothing enrolled, for one data set; it is closed afterwards.
-    artist : function or None
-        Gives what draws its answers for the report, from an open retriever.
-    """
-
-    open: Callable[[Dataset], AbstractContextManager[Retriever]]
-    artist: Callable[[Retriever], Artist | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -154,7 +140,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--root", type=Path, required=True, help="folder of the data set")
     parser.add_argument("--out", type=Path, default=Path("runs/evaluation"), help="where reports and answers are kept")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--preset", action="append", help="preset to measure, may be repeated (default: default)")
+    parser.add_argument(
+        "--preset", action="append", help="preset to measure, may be repeated (default: default and paper)"
+    )
     parser.add_argument("--baselines", default=",".join(PLAIN), help=f"comma-separated, of {', '.join(NAMES)}; or none")
     parser.add_argument("--netvlad", type=Path, help="published weights for the baseline netvlad")
     parser.add_argument("--device", default="cpu", help="where networks run")
@@ -210,22 +198,22 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str], Contender] | 
     if options.truth_only:
         print("\n\n".join(as_text(frame(dataset)) for dataset in datasets))
         return 0
-    contenders, needs = _contenders(options, connect)
     names = [] if options.baselines in ("", "none") else options.baselines.split(",")
-    rivals = baselines(names, needs, options.seed)
     outcomes = []
-    for dataset in datasets:
-        outcome = run(
-            dataset,
-            contenders,
-            rivals,
-            seed=options.seed,
-            journals=options.out / "answers",
-            progress=Bar(dataset.name),
-            examples=options.examples,
-        )
-        print(as_text(outcome.evaluation) + "\n", flush=True)
-        outcomes.append(outcome)
+    with services(options, connect) as (contenders, needs):
+        rivals = baselines(names, needs, options.seed)
+        for dataset in datasets:
+            outcome = run(
+                dataset,
+                contenders,
+                rivals,
+                seed=options.seed,
+                journals=options.out / "answers",
+                progress=Bar(dataset.name),
+                examples=options.examples,
+            )
+            print(as_text(outcome.evaluation) + "\n", flush=True)
+            outcomes.append(outcome)
     evaluations = [o.evaluation for o in outcomes]
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "evaluation.json").write_text(as_json(evaluations))
@@ -236,18 +224,32 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str], Contender] | 
     return 0
 
 
-def _contenders(
-    options: argparse.Namespace, connect: Callable[[str], Contender] | None
-) -> tuple[list[Contender], Needs]:
-    """The services to measure, and what baselines can use of them."""
+@contextmanager
+def services(
+    options: argparse.Namespace, connect: Callable[[str], Contender] | None = None
+) -> Iterator[tuple[list[Contender], Needs]]:
+    """The services to measure, and what baselines can use of them: one house, started, with a map for each preset."""
     needs = Needs(netvlad=options.netvlad, device=options.device)
     if options.no_service:
-        return [], needs
-    if options.url:
+        yield [], needs
+    elif options.url:
         if connect is None:
             raise InvalidParameters.of("url", "only `revisit evaluate` can measure a service by URL")
-        return [connect(options.url)], needs
-    raise InvalidParameters.of("no-service", "there is no service to build yet")
+        yield [connect(options.url)], needs
+    else:
+        # Late: a house brings torch, the database and the index, which baselines do without.
+        from worker.evaluation.service import contender, house_for_measuring
+
+        with house_for_measuring(read_settings(), options.device) as house:
+            recipe = house.default_recipe
+            inside = replace(
+                needs,
+                encoder=house.encoder,
+                labels=recipe.labels,
+                dynamic=recipe.dynamic,
+                decode=lambda path: house.decode(path.read_bytes()),
+            )
+            yield [contender(house, preset) for preset in options.preset or ["default", "paper"]], inside
 
 
 class Bar:

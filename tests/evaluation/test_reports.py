@@ -14,8 +14,9 @@ from tests.datasets.drawn import picture
 from tests.evaluation.fakes import FakeRetriever
 from worker.baselines.random_order import RandomOrder
 from worker.datasets.dataset import Dataset
-from worker.evaluate import Contender, Outcome, main, run
+from worker.evaluate import Outcome, main, run
 from worker.evaluation.asking import Retriever
+from worker.evaluation.contender import Contender
 from worker.evaluation.html import Shown, as_html
 from worker.evaluation.tables import as_json, as_markdown, as_text, overview
 

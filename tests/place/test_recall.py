@@ -16,6 +16,7 @@ from worker.place.recall import (
     first_right,
     found_within,
     recall,
+    share_interval,
 )
 
 RANKED = np.array([[2, 0, 1, 3], [3, 1, 0, 2], [0, 1, 2, 3]])
@@ -103,3 +104,13 @@ def test_neighbours_that_succeed_together_widen_the_interval() -> None:
 def test_no_queries_no_number() -> None:
     assert np.isnan(recall(np.zeros(0, np.int64), depths=(1,))).all()
     assert np.isnan(bootstrap_interval(np.zeros((0, 2)), np.random.default_rng(0))[0]).all()
+
+
+def test_none_of_a_few_is_not_certainty() -> None:
+    found = np.zeros((30, 1), bool)
+    low, high = share_interval(found, np.random.default_rng(0))
+    assert low[0] == 0
+    assert high[0] == pytest.approx(1 - 0.025 ** (1 / 30))  # the exact binomial bound, 0.116
+    low, high = share_interval(~found, np.random.default_rng(0), block=10)
+    assert low[0] == pytest.approx(0.025 ** (1 / 3))
+    assert high[0] == 1

@@ -21,6 +21,7 @@ from worker.place.recall import (
     first_right,
     found_within,
     recall,
+    share_interval,
 )
 
 RUN = 10
@@ -202,21 +203,23 @@ def _figures(
     answerable = truth.answerable
     block = RUN if dataset.sequential else 1
 
-    def with_interval(values: Booleans | Doubles, means: Doubles) -> tuple[Figure, ...]:
-        low, high = bootstrap_interval(values, np.random.default_rng(seed), block=block)
-        return tuple(Figure(float(m), float(a), float(b)) for m, a, b in zip(means, low, high, strict=True))
+    def share(mask: Booleans | None) -> tuple[Figure, ...]:
+        chosen = found if mask is None else found[mask]
+        return _with_interval(
+            recall(first, mask, depths), *share_interval(chosen, np.random.default_rng(seed), block=block)
+        )
 
     found = found_within(first, depths)
     gain = None
     if before is not None:
         difference = (found.astype(np.float64) - found_within(before, depths))[answerable]
         mean = difference.mean(axis=0) if len(difference) else np.full(len(depths), np.nan)
-        gain = with_interval(difference, mean)
+        gain = _with_interval(mean, *bootstrap_interval(difference, np.random.default_rng(seed), block=block))
     right = first == 1
     return Figures(
         method=asked.method,
-        recall=with_interval(found[answerable], recall(first, answerable, depths)),
-        recall_of_all=with_interval(found, recall(first, None, depths)),
+        recall=share(answerable),
+        recall_of_all=share(None),
         luck=looks_like_chance(asked.ranked, truth, np.random.default_rng(seed), depths=depths),
         known_place=_known_place(asked, right, answerable),
         calibrated=_calibrated(asked, right) if asked.calibrated else None,
@@ -229,6 +232,10 @@ def _figures(
         refused=dict(asked.refused),
         first=tuple(first.tolist()),
     )
+
+
+def _with_interval(means: Doubles, low: Doubles, high: Doubles) -> tuple[Figure, ...]:
+    return tuple(Figure(float(m), float(a), float(b)) for m, a, b in zip(means, low, high, strict=True))
 
 
 def _known_place(asked: Asked, right: Booleans, answerable: Booleans) -> KnownPlace:

@@ -176,3 +176,31 @@ def bootstrap_interval(
         means[i] = data[drawn].mean(axis=0)
     low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2], axis=0)
     return low, high
+
+
+def share_interval(
+    found: Booleans, generator: np.random.Generator, *, block: int = 1, level: float = 0.95
+) -> tuple[Doubles, Doubles]:
+    """Interval of a share: the bootstrap's, except where none or all were found.
+
+    Parameters
+    ----------
+    found : bool of shape (queries, columns)
+    generator, block, level
+        As `bootstrap_interval`.
+
+    Returns
+    -------
+    (low, high) : float64 of shape (columns,) each
+
+    Notes
+    -----
+    Drawing again from nothing but failures gives nothing but failures, as if 0 of 5 were certainty. There the exact
+    binomial bound is taken, 1 - ((1 - level) / 2)^(1 / n), n being the number of blocks.
+    """
+    low, high = bootstrap_interval(found, generator, block=block, level=level)
+    if len(found) == 0:
+        return low, high
+    bound = ((1 - level) / 2) ** (1 / max(1.0, len(found) / block))
+    high = np.where(found.any(axis=0), high, 1 - bound)
+    return np.where(found.all(axis=0), bound, low), high
