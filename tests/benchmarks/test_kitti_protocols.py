@@ -9,14 +9,14 @@ from benchmarks.kitti_protocols import main, protocols, row
 
 
 def drive() -> np.ndarray:
-    """Round a block of 400 m once and a half, on flat ground: the second half revisits part of the first."""
-    along = np.linspace(0, 1.5, 1200) * 4 % 4
-    corner, part = along.astype(int), along % 1
-    x = np.choose(corner, [part, np.ones_like(part), 1 - part, np.zeros_like(part)]) * 400
-    z = np.choose(corner, [np.zeros_like(part), part, np.ones_like(part), 1 - part]) * 400
-    poses = np.zeros((1200, 12))
+    """Once round a block of 400 m, then along its first side again and through a new street inside, on flat ground."""
+    part = np.linspace(0, 1, 150, endpoint=False)
+    none, all_ = np.zeros_like(part), np.ones_like(part)
+    x = 400 * np.concatenate([part, all_, 1 - part, none, part, part, 0.375 * all_, 0.375 * all_])
+    z = 400 * np.concatenate([none, part, all_, 1 - part, none, none, part / 2, (1 + part) / 2])
+    poses = np.zeros((len(x), 12))
     poses[:, 3], poses[:, 11] = x, z
-    poses[:, 7] = 2 * np.sin(along)
+    poses[:, 7] = np.sin(x / 100)
     return poses
 
 
