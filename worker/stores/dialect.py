@@ -83,6 +83,8 @@ def for_reading(connection: sa.Connection) -> sa.Connection:
 
 def for_writing(connection: sa.Connection) -> sa.Connection:
     """Make a block a writer from its beginning."""
+    if connection.dialect.name == "postgresql":  # whatever its default: each statement sees what `take_turn` waited for
+        return connection.execution_options(isolation_level="READ COMMITTED")
     return connection.execution_options(writes=True)
 
 

@@ -99,6 +99,7 @@ def open_store(url: str, data: Path) -> SqlStore:
     """
     database = Database(url)
     try:
+        # First, so that no lock is held when it fails.
         (data / "pictures").mkdir(parents=True, exist_ok=True)
         share = enter(database, data, may_migrate=migrates_by_itself(database))
         return SqlStore(database, data, share)
