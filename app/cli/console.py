@@ -5,7 +5,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO, TypeAlias
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit codes: as asked, tried and failed, asked wrongly."""
@@ -108,7 +108,8 @@ class Progress:
             self._stream.flush()
 
 
-Verbs = argparse._SubParsersAction  # what argparse hands out; it has no public name
+Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""What commands are added to; argparse has no public name for it."""
 
 
 def speaks(parser: argparse.ArgumentParser) -> None:
