@@ -1,0 +1,1 @@
+"""Parts of an evaluation: asking, measuring, reporting. `worker.evaluate` puts them together."""
