@@ -188,6 +188,8 @@ def _tell(report: dict[str, Any]) -> None:
     service = report["service"]
     show("service")
     for name, value in service.items():
+        if name == "checks":
+            value = ", ".join(f"{part} {state}" for part, state in value.items())
         if name != "maps":
             show(f"  {name:24} {value}")
     for name, facts in service.get("maps", {}).items():

@@ -51,6 +51,6 @@ def configure(form: Literal["text", "json"]) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    logging.getLogger("alembic").setLevel(logging.WARNING)
-    logging.getLogger("httpx").setLevel(logging.WARNING)
+    for talkative in ("alembic", "faiss", "httpx"):
+        logging.getLogger(talkative).setLevel(logging.WARNING)
     logging.getLogger("uvicorn.error").addFilter(_NoSetupTraceback())
