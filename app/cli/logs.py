@@ -53,4 +53,6 @@ def configure(form: Literal["text", "json"]) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     for talkative in ("alembic", "faiss", "httpx"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
+    # Of starting and stopping the command line tells itself.
+    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     logging.getLogger("uvicorn.error").addFilter(_NoSetupTraceback())

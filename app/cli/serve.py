@@ -104,12 +104,15 @@ def _is_loopback(host: str) -> bool:
 
 def _listen(settings: "Settings") -> socket.socket:
     """Take the port before anything slow is done: a taken one is said at once, and in plain words."""
+    listening: socket.socket | None = None
     try:
         family = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0][0]
         listening = socket.socket(family, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((settings.host, settings.port))
     except OSError as error:
+        if listening is not None:
+            listening.close()
         raise Failure(
             f"cannot listen on {settings.host}:{settings.port} ({error.strerror or error}); "
             "is another service running there? --port chooses another port, 0 a free one"
@@ -131,6 +134,9 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
         timeout_graceful_shutdown=GRACE_S,
         lifespan="on",
     )
+    # uvicorn raises the signal that stopped it once more when it has finished; being stopped is no failure.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
     server = _server(config, house, _address(settings.host, listening.getsockname()[1]))
     server.run(sockets=[listening])
     if not server.started:
