@@ -147,7 +147,7 @@ def digest(tensors: Mapping[str, Tensor], layout: Layout) -> str:
     total = hashlib.sha256()
     for name in sorted(layout.used):
         total.update(name.encode())
-        total.update(memoryview(tensors[name].detach().float().contiguous().numpy()).cast("B"))
+        total.update(tensors[name].float().contiguous().numpy().data)
     return total.hexdigest()
 
 

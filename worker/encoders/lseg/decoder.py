@@ -31,11 +31,11 @@ class Readout(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.project = nn.ModuleList([nn.Linear(2 * width, width)])
+        self.project = nn.Sequential(nn.Linear(2 * width, width))
 
     def forward(self, tokens: Tensor) -> Tensor:
         """(pictures, 1 + patches, width), class token first, to (pictures, patches, width)."""
-        weight, bias = self.project[0].weight, self.project[0].bias
+        weight, bias = self.project.get_parameter("0.weight"), self.project.get_parameter("0.bias")
         # W [patch, class] = W_left patch + W_right class, and the second term is the same for all patches.
         for_patch, for_class = weight.chunk(2, dim=1)
         shared = F.linear(tokens[:, :1], for_class, bias)
@@ -53,7 +53,7 @@ class Reassemble(nn.ModuleDict):
     def forward(self, tokens: Tensor, grid: Cells) -> Tensor:
         """(pictures, 1 + rows * columns, width) to (pictures, channels, rows', columns')."""
         x: Tensor = self["0"](tokens)
-        x = self["3"](x.unflatten(1, grid).permute(0, 3, 1, 2))
+        x = self["3"](x.view(-1, *grid, x.shape[-1]).permute(0, 3, 1, 2))
         return self["4"](x) if "4" in self else x
 
 
@@ -88,7 +88,8 @@ class ResidualUnit(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(pictures, channels, rows, columns) to the same shape."""
         y = self.bn1(self.conv1(F.relu(x)))
-        return self.bn2(self.conv2(F.relu_(y))).add_(x)
+        change: Tensor = self.bn2(self.conv2(F.relu_(y)))
+        return change.add_(x)
 
 
 class Fusion(nn.Module):
@@ -172,6 +173,5 @@ def rounded_as_trained(embeddings: Tensor) -> Tensor:
     -------
     float16 of shape (pictures, rows, columns, channels)
     """
-    cells = embeddings.permute(0, 2, 3, 1).float()
-    cells = cells / torch.linalg.vector_norm(cells, dim=-1, keepdim=True)
+    cells = F.normalize(embeddings.permute(0, 2, 3, 1).float(), dim=-1)
     return cells.half().mul_(PIXEL_SCALE)

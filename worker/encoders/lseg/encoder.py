@@ -118,7 +118,7 @@ class LsegEncoder:
 
     @property
     def digest(self) -> str:
-        """SHA-256 (hex) of the weights' values; in mode ``single``, whose embeddings are others, of that and the mode."""
+        """SHA-256 (hex) of the weights' values; in mode ``single``, whose embeddings differ, of that and the mode."""
         if self._mode == "windows":
             return self._digest
         return hashlib.sha256(f"{self._digest}:{self._mode}".encode()).hexdigest()
@@ -171,7 +171,7 @@ class LsegEncoder:
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """Unit-length vectors of words, float32 of shape (words, channels).
 
-        Bare words, no sentence around them, as in LSeg. A word's vector does not depend on the others.
+        Bare words, no sentence around them, as in LSeg.
 
         Raises
         ------
@@ -179,9 +179,11 @@ class LsegEncoder:
             Names each word that is empty, or longer than the text tower's context.
         """
         ids = self._ids(words)
+        if not ids:
+            return np.zeros((0, self.layers[SEMANTIC]), np.float32)
         with torch.inference_mode():
-            vectors = [self._network.clip_pretrained(tokens).numpy() for tokens in ids]
-        return np.stack(vectors) if vectors else np.zeros((0, self.layers[SEMANTIC]), np.float32)
+            vectors: Floats = self._network.clip_pretrained(ids).numpy()
+        return vectors
 
     def meanings(self, words: Sequence[str]) -> list[Meaning]:
         """Every word stands for itself: the text tower reads any. None is known to have been trained on.

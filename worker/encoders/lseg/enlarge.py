@@ -28,7 +28,7 @@ class Axis:
 
     @property
     def step(self) -> np.float32:
-        """Source cells per target cell. Single precision, as in torch.nn.functional.interpolate: positions follow it."""
+        """Source cells per target cell, in the single precision of torch.nn.functional.interpolate."""
         if self.target == 1:
             return np.float32(0)
         return np.float32(self.source - 1) / np.float32(self.target - 1)

@@ -1,4 +1,4 @@
-"""The tensors of LSeg's checkpoint: which the networks need, which it carries besides, and how a file departs from it."""
+"""The tensors of LSeg's checkpoint: those the networks need, those it carries besides, and how a file departs."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -96,9 +96,8 @@ def differences(tensors: Mapping[str, Tensor], layout: Layout) -> tuple[str, ...
     network by nothing else, and leaving those blocks out would change every embedding without a word.
     """
     known = {**layout.unused, **layout.used}
-    found = []
-    for name in sorted(layout.used.keys() - tensors.keys()):
-        found.append(f"{name}: missing, expected shape {list(layout.used[name])}")
+    missing = sorted(layout.used.keys() - tensors.keys())
+    found = [f"{name}: missing, expected shape {list(layout.used[name])}" for name in missing]
     for name, tensor in sorted(tensors.items()):
         if name not in known:
             found.append(f"{name}: surplus, of shape {list(tensor.shape)}")

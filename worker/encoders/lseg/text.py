@@ -64,22 +64,26 @@ class TextTower(nn.Module):
         self.ln_final = nn.LayerNorm(width)
         self.text_projection = nn.Parameter(torch.empty(width, config.channels))
 
-    def forward(self, ids: Sequence[int]) -> Tensor:
-        """One text's vector.
+    def forward(self, texts: Sequence[Sequence[int]]) -> Tensor:
+        """Vectors of texts.
 
         Parameters
         ----------
-        ids : sequence of int
-            Start token, the text's tokens, end token. CLIP pads to its full context behind the end token; attention
-            is causal and only the end token's row is read, so that padding cannot be seen and is left out.
+        texts : sequence of sequence of int
+            Of each text: start token, its own, end token. CLIP pads all of them to its full context; attention is
+            causal and only the end token's row is read, so padding cannot be seen, and here goes no further than the
+            longest text.
 
         Returns
         -------
-        float32 of shape (channels,)
+        float32 of shape (texts, channels)
             Unit length.
         """
-        x = self.token_embedding(torch.tensor([ids])) + self.positional_embedding[: len(ids)]
+        length = max(map(len, texts))
+        ids = torch.tensor([[*text, *[0] * (length - len(text))] for text in texts])
+        x: Tensor = self.token_embedding(ids) + self.positional_embedding[:length]
         for block in self.transformer["resblocks"].children():
             x = block(x)
-        last: Tensor = self.ln_final(x)[0, -1] @ self.text_projection
-        return last / torch.linalg.vector_norm(last)
+        ends = torch.tensor([len(text) - 1 for text in texts])
+        vectors: Tensor = self.ln_final(x[torch.arange(len(texts)), ends]) @ self.text_projection
+        return F.normalize(vectors, dim=-1)

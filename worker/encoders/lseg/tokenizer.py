@@ -11,8 +11,9 @@ import hashlib
 import html
 import importlib
 import importlib.util
+import itertools
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,11 +55,6 @@ _PRINTABLE = frozenset((*range(0x21, 0x7F), *range(0xA1, 0xAD), *range(0xAE, 0x1
 def byte_order() -> list[int]:
     """The bytes in the order in which CLIP numbers them."""
     return sorted(range(256), key=lambda b: (b not in _PRINTABLE, b))
-
-
-def pairs(symbols: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Neighbours in a sequence."""
-    return zip(symbols, symbols[1:], strict=False)
 
 
 class Tokenizer:
@@ -126,7 +122,7 @@ class Tokenizer:
         symbols = [self._symbol[byte] for byte in word.encode()]
         symbols[-1] += WORD_END
         while len(symbols) > 1:
-            first = min(pairs(symbols), key=lambda pair: self._rank.get(pair, len(self._rank)))
+            first = min(itertools.pairwise(symbols), key=lambda pair: self._rank.get(pair, len(self._rank)))
             if first not in self._rank:
                 break
             symbols = _merge(symbols, first)
