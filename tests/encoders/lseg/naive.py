@@ -1,7 +1,7 @@
 """LSeg once more, written from the papers with other means and no regard for speed: what the real one is held against.
 
 Double precision; attention as a softmax of explicit scores, transposed convolutions as sums, enlargements as dense
-matrices, windows on a canvas. `slip` names one mistake to make: a test that cannot tell a slip from the truth is no test.
+matrices, windows on a canvas. `slip` names one mistake to make: a test that cannot tell it from the truth is no test.
 """
 
 import math
@@ -78,7 +78,7 @@ def gelu(x: Tensor, slip: str) -> Tensor:
 def attention(qkv: Tensor, heads: int, *, causal: bool) -> Tensor:
     """(tokens, 3 width) to (tokens, width)."""
     tokens, width = qkv.shape[0], qkv.shape[1] // 3
-    q, k, v = qkv.split(width, dim=1)
+    q, k, v = qkv[:, :width], qkv[:, width : 2 * width], qkv[:, 2 * width :]
     out = []
     for cut in torch.arange(width).chunk(heads):
         scores = q[:, cut] @ k[:, cut].T / math.sqrt(width // heads)
@@ -177,14 +177,13 @@ def network(picture: Tensor, state: State, config: Config, slip: str = "") -> Te
     """(3, height, width) to embeddings at the head's resolution, (channels, height/2, width/2)."""
     taps, rows, columns = transformer(picture, state, config, slip)
     maps = [reassembled(tap, i, rows, columns, state, slip) for i, tap in enumerate(taps, start=1)]
-    path = None
+    path = torch.zeros(())
     for index in (4, 3, 2, 1):
         name = f"scratch.refinenet{index}"
         tap = convolved(maps[index - 1], state, f"scratch.layer{index}_rn")
-        if path is None:
-            path = unit(tap, state, f"{name}.resConfUnit1", slip) if slip == "unit 1 used without a tap" else tap
-        else:
-            path = path + unit(tap, state, f"{name}.resConfUnit1", slip)
+        if index < 4 or slip == "unit 1 used without a tap":
+            tap = unit(tap, state, f"{name}.resConfUnit1", slip)
+        path = path + tap
         path = unit(path, state, f"{name}.resConfUnit2", slip)
         aligned = slip != "decoder without aligned corners"
         path = scaled(path, 2 * path.shape[1], 2 * path.shape[2], aligned=aligned)

@@ -30,7 +30,8 @@ def pixels() -> Tensor:
 
 @pytest.fixture(scope="module")
 def ours(network: Network, pixels: Tensor) -> Tensor:
-    return network(pixels)[0].permute(2, 0, 1).double()
+    embeddings: Tensor = network(pixels)[0]
+    return embeddings.permute(2, 0, 1).double()
 
 
 def reference(pixels: Tensor, weights: dict[str, Tensor], slip: str = "") -> Tensor:
