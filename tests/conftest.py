@@ -1,0 +1,15 @@
+"""What all tests may ask for."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The development data: `REVISIT_SHARED`, or ``shared`` beside the checkout. Too large for the repository."""
+    folder = Path(os.environ.get("REVISIT_SHARED") or Path(__file__).parents[2] / "shared")
+    if not folder.is_dir():
+        pytest.skip(f"NOT RUN: needs the development data, and there is none at {folder}; set REVISIT_SHARED to it")
+    return folder
