@@ -1,5 +1,7 @@
 """Speed and memory of the encoder lseg: ``python -m benchmarks.lseg [--weights FILE]``.
 
+With ``--compare PICTURE...``: how far the mode ``single`` and lower precisions depart from the reference instead.
+
 One process per row, so that each row's memory is its own. Without ``--weights`` the network has random ones: its
 speed does not depend on them. The machine's speed at multiplying matrices is measured beside it, as the bound; the
 arithmetic is counted by `worker.encoders.lseg.cost`.
@@ -21,16 +23,20 @@ from typing import cast
 
 import numpy as np
 import torch
+from PIL import Image
 
 from schemas.picture import Picture
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED
 from worker.encoders.lseg.cost import multiply_adds
 from worker.encoders.lseg.encoder import LsegEncoder, Mode
+from worker.encoders.lseg.enlarge import Axis, enlarge
 from worker.encoders.lseg.linear import linear
 from worker.encoders.lseg.network import Network
 from worker.encoders.lseg.tokenizer import Tokenizer
 from worker.encoders.lseg.windows import Single, Windows
+
+REFERENCE = ("windows", "float32")
 
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
@@ -155,6 +161,31 @@ def line(row: Row, seen: Measured) -> str:
     )
 
 
+PAPER_WORDS = "road,sidewalk,building,vehicle,car,bicycle,motorcycle,vegetation,trunk,terrain,cyclist,pole,sky,other"
+
+
+def compare(weights: Path, pictures: list[Path], variants: list[tuple[Mode, str]], device: str) -> None:
+    """Print how other modes and precisions differ from windows in float32, cell by cell of the reference's grid."""
+    print("| picture | mode | precision | labels equal | cosine, mean | cosine, lowest hundredth |\n|" + " --- |" * 6)
+    for path in pictures:
+        picture = Picture.of(np.asarray(Image.open(path).convert("RGB")))
+        exact = LsegEncoder.open(weights, device=device, dtype=torch.float32)
+        words = torch.from_numpy(exact.text_vectors(PAPER_WORDS.split(","))).to(device)
+        wanted = next(exact.raw([picture]))
+        labels = (wanted @ words.T).argmax(-1)
+        for mode, dtype in variants:
+            other = LsegEncoder.open(weights, mode=mode, device=device, dtype=DTYPES[dtype])
+            raw = next(other.raw([picture]))
+            rows, columns = map(Axis.whole, raw.shape[:2], wanted.shape[:2])
+            raw = enlarge(raw[None], rows, columns)[0]
+            equal = ((raw @ words.T).argmax(-1) == labels).float().mean().item()
+            cosine = torch.cosine_similarity(raw, wanted, dim=-1).flatten().sort().values
+            low = cosine[len(cosine) // 100].item()
+            print(
+                f"| {path.stem} | {mode} | {dtype} | {equal:.2%} | {cosine.mean().item():.5f} | {low:.5f} |", flush=True
+            )
+
+
 def main() -> None:
     """Print versions and the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -166,7 +197,13 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--size", type=int, nargs=2, default=[376, 1241], metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--compare", type=Path, nargs="+", metavar="PICTURE")
     options = parser.parse_args()
+    if options.compare:
+        torch.set_num_threads(options.threads)
+        variants = [(m, d) for m in options.modes for d in options.dtypes or ["float32"] if (m, d) != REFERENCE]
+        compare(options.weights, options.compare, variants, options.device)
+        return
     on_cpu = options.device == "cpu"
     batches = options.batches or ([1] if on_cpu else [1, 2, 8, 16, 32])
     name = platform.processor() if on_cpu else torch.cuda.get_device_name(options.device)

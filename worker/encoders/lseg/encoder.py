@@ -41,7 +41,8 @@ class LsegEncoder:
         Where the image network runs. The text tower stays on the CPU in float32, so that a word's vector is the same
         whatever runs the network.
     dtype : torch.dtype or None
-        Of the image network; None: float32 on a CPU, float16 on a GPU.
+        Of the image network; None: float32 on a CPU; on a GPU bfloat16, which cannot overflow, or float16
+        where the GPU has no bfloat16.
     batch : int
         Inputs (windows) that go through the network together; 0: 1 on a CPU, 8 on a GPU. Fewer than this are filled
         up: which product routine is taken, and so how sums round, depends on the shape of a batch, and a picture's
@@ -66,7 +67,7 @@ class LsegEncoder:
     ) -> None:
         self._device = usable_device(device)
         on_cpu = self._device.type == "cpu"
-        self._dtype = dtype or (torch.float32 if on_cpu else torch.float16)
+        self._dtype = dtype or (torch.float32 if on_cpu else half_precision())
         self._batch = batch or (1 if on_cpu else BATCH_ON_GPU)
         self._network, self._tokenizer, self._digest, self._mode = network, tokenizer, digest, mode
         for part in (network.pretrained, network.scratch):
@@ -207,6 +208,11 @@ class LsegEncoder:
         if errors:
             raise InvalidParameters(errors)
         return ids
+
+
+def half_precision() -> torch.dtype:
+    """What this machine's GPU computes fastest in without running out of range."""
+    return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float16
 
 
 def unit_length(raw: Tensor) -> Floats:
