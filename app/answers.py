@@ -11,6 +11,7 @@ from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Removal, V
 from worker.decide import Decision
 from worker.palette import colour
 from worker.place.estimate import locate
+from worker.place.verification import Verified
 from worker.search import Found, GraphEvidence
 
 
@@ -99,9 +100,9 @@ def removal(receipt: Removal) -> wire.Deleted:
 
 
 def map_facts(
-    record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning], channels: Mapping[str, int]
+    record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning]
 ) -> wire.MapFacts:
-    """A map; `channels` gives the length of each channel's vector."""
+    """A map; `meanings` says how the encoder understands its labels."""
     recipe = record.recipe
     lowest, highest = position(counts.lowest), position(counts.highest)
     return wire.MapFacts(
@@ -190,6 +191,16 @@ def _graph(evidence: GraphEvidence, recipe: Recipe, query: ContextGraph, explain
         nodes_query=len(query),
         nodes_view=len(evidence.view),
         edges_agreeing=evidence.edges_agreeing,
+        pairs=pairs,
+    )
+
+
+def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
+    pairs = [(_point(pair[:2]), _point(pair[2:])) for pair in verified.pairs] if explain else None
+    return wire.VerificationMatch(
+        inliers=verified.inliers,
+        matches=verified.matches,
+        transform=None if verified.transform is None else verified.transform.tolist(),
         pairs=pairs,
     )
 

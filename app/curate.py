@@ -116,15 +116,15 @@ class Curator:
         return await self._draw(view_id, draw)
 
     async def _draw(self, view_id: str, draw: Callable[[Picture, PixelField, Describer], bytes]) -> bytes:
-        record, owner, data = await asyncio.to_thread(self._source, view_id)
+        owner, data = await asyncio.to_thread(self._source, view_id)
         picture = await asyncio.to_thread(self._house.decode, data)
         describer = await asyncio.to_thread(self._house.describers.of, owner.recipe)
         future = self._house.desk.hand_in(picture, lambda p, f: draw(p, f, describer), urgent=True)
         return (await asyncio.wrap_future(future)).value
 
-    def _source(self, view_id: str) -> tuple[ViewRecord, MapRecord, bytes]:
+    def _source(self, view_id: str) -> tuple[MapRecord, bytes]:
         record = self._store.view(view_id)
-        return record, self._store.map(record.map), self._store.picture(view_id)
+        return self._store.map(record.map), self._store.picture(view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """Changes whenever a picture made of the view would; `kind` names the picture and its options."""

@@ -5,6 +5,8 @@ from typing import Annotated, TypeVar
 
 from fastapi import Depends, Request
 
+from app.condition import Condition
+from app.curate import Curator
 from app.metrics import Metrics
 from app.parameters import MapName, NoParameters, Parameters, read, validated
 from app.recognise import Recogniser
@@ -13,8 +15,18 @@ P = TypeVar("P", bound=Parameters)
 
 
 def _recogniser(request: Request) -> Recogniser:
-    recogniser: Recogniser = request.app.state.recogniser
+    recogniser: Recogniser = request.app.state.service.recogniser
     return recogniser
+
+
+def _curator(request: Request) -> Curator:
+    curator: Curator = request.app.state.service.curator
+    return curator
+
+
+def _condition(request: Request) -> Condition:
+    condition: Condition = request.app.state.service.condition
+    return condition
 
 
 def _metrics(request: Request) -> Metrics:
@@ -23,6 +35,8 @@ def _metrics(request: Request) -> Metrics:
 
 
 Recognises = Annotated[Recogniser, Depends(_recogniser)]
+Curates = Annotated[Curator, Depends(_curator)]
+Conditions = Annotated[Condition, Depends(_condition)]
 Measures = Annotated[Metrics, Depends(_metrics)]
 
 

@@ -9,8 +9,8 @@ from collections.abc import Awaitable, Callable, Sequence
 from fastapi import Request
 from fastapi.responses import Response
 
+from app.curate import Curator
 from app.problems import problem_of, request_id
-from app.recognise import Recogniser
 from schemas.errors import InvalidParameters, RevisitError
 from schemas.records import Replay
 
@@ -43,7 +43,7 @@ def fingerprint(pictures: Sequence[bytes], parameters: Sequence[tuple[str, str]]
 
 
 async def once(
-    recogniser: Recogniser, request: Request, key: str, print_: str, work: Callable[[], Awaitable[Response]]
+    curator: Curator, request: Request, key: str, print_: str, work: Callable[[], Awaitable[Response]]
 ) -> Response:
     """Do the work, unless this key has been answered: then answer the same again.
 
@@ -57,7 +57,7 @@ async def once(
     KeyReused
         The key belongs to another request.
     """
-    replay = await recogniser.begin_call(key, print_)
+    replay = await curator.begin_call(key, print_)
     if replay is not None:
         return Response(replay.body, replay.status, {**replay.headers, REPLAYED: "true"})
     try:
@@ -66,14 +66,14 @@ async def once(
         except RevisitError as error:
             response = problem_of(error, request_id(request))
     except BaseException:
-        await recogniser.abandon_call(key)
+        await curator.abandon_call(key)
         raise
     if response.status_code >= 500 or response.status_code == 429:
-        await recogniser.abandon_call(key)
+        await curator.abandon_call(key)
         return response
     kept = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}
     try:
-        await recogniser.end_call(key, Replay(response.status_code, kept, bytes(response.body)))
+        await curator.end_call(key, Replay(response.status_code, kept, bytes(response.body)))
     except RevisitError as error:
         # The work is done and durable; only its answer could not be remembered. Denying it now would be wrong.
         logger.warning("answer not remembered: %s", error, extra={"event": "answer_not_remembered"})

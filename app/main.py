@@ -3,7 +3,6 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Protocol
 
 from fastapi import FastAPI
 
@@ -11,11 +10,11 @@ from app import problems
 from app.metrics import Metrics
 from app.middleware import BodyLimit, Door, Entrance
 from app.openapi import document
-from app.recognise import Recogniser
 from app.routes import enroll, health, jobs, maps, pictures, places, query, views
-from schemas.settings import MEGA, Settings
-
-VERSION = "0.1.0"
+from app.service import Service
+from app.version import VERSION
+from schemas.settings import MEGA
+from worker.house import House
 
 TAGS = [
     {"name": "enrol and ask", "description": "The two questions revisit is for."},
@@ -27,38 +26,21 @@ TAGS = [
 ]
 
 
-class House(Protocol):
-    """What the application is built around."""
-
-    @property
-    def settings(self) -> Settings:
-        """Limits on bodies."""
-        ...
-
-    @property
-    def recogniser(self) -> Recogniser:
-        """The use-cases."""
-        ...
-
-    async def start(self) -> None:
-        """Open the store, load the encoder, begin to work; raises SetupError."""
-        ...
-
-    async def stop(self) -> None:
-        """Finish what is in hand and let go of everything."""
-        ...
-
-
 def create_app(house: House) -> FastAPI:
-    """An application that starts and stops the house with itself."""
+    """The application around a house that was built and not yet started: it starts and stops with the application."""
+    return application(Service.of(house))
+
+
+def application(service: Service) -> FastAPI:
+    """An application that starts and stops the service with itself."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        await house.start()
+        await service.condition.start()
         try:
             yield
         finally:
-            await house.stop()
+            await service.condition.stop()
 
     app = FastAPI(
         title="revisit",
@@ -70,7 +52,7 @@ def create_app(house: House) -> FastAPI:
         redoc_url=None,
         redirect_slashes=False,
     )
-    app.state.recogniser = house.recogniser
+    app.state.service = service
     app.state.metrics = metrics = Metrics()
     app.state.patching = asyncio.Lock()
     for room in (enroll, query, views, pictures, maps, places, jobs, health):
@@ -78,7 +60,7 @@ def create_app(house: House) -> FastAPI:
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
     # Added last is outermost: every answer passes Entrance, and a body is not read before Door and BodyLimit agree.
-    app.add_middleware(BodyLimit, max_bytes=round(house.settings.max_body_mb * MEGA))
-    app.add_middleware(Door, state=lambda: (house.recogniser.started, house.recogniser.draining))
+    app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
+    app.add_middleware(Door, state=lambda: (service.condition.started, service.condition.draining))
     app.add_middleware(Entrance, metrics=metrics)
     return app

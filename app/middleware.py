@@ -148,6 +148,6 @@ class BodyLimit:
 
 async def _refuse(error: BodyTooLarge | Unavailable, scope: Scope, receive: Receive, send: Send) -> None:
     response: Response = problem_of(error, Request(scope).state.request_id)
-    # The body was not read: what follows on this connection would be taken for a request.
+    # The body was not read, so the connection cannot carry another request.
     response.headers["Connection"] = "close"
     await response(scope, receive, send)

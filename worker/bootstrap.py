@@ -3,7 +3,7 @@
 import logging
 import os
 import platform
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from functools import partial
 
 import cv2
@@ -23,7 +23,8 @@ from worker.indexes.flat import FlatIndex
 from worker.loop import Loop
 from worker.recipes import PRESETS, general_vocabulary, make_recipe
 from worker.search import Searcher
-from worker.stores.locks import lock_for_serving, lock_for_working
+from worker.stores.locks import lock_for_serving
+from worker.stores.migrating import newest
 from worker.stores.store import open_store
 
 log = logging.getLogger("revisit")
@@ -49,7 +50,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
     cv2.setNumThreads(threads)
     faiss.omp_set_num_threads(1)
     settings.data.mkdir(parents=True, exist_ok=True)
-    unlock = (lock_for_serving if serving else lock_for_working)(settings.data)
+    unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
     try:
         encoder = make_encoder(settings, threads)
         store = open_store(settings.database_url, settings.data)
@@ -84,6 +85,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
             loop=loop if works else None,
             default_recipe=make_recipe(encoder, settings.preset),
             calibration=lambda recipe: shipped_calibration(recipe.encoder, recipe.preset),
+            schema_version=newest(),
             unlock=unlock,
         )
     except BaseException:
@@ -115,3 +117,7 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
 
 def _empty_index(recipe: Recipe) -> FlatIndex:
     return FlatIndex({name: channel.length for name, channel in recipe.parameters.channels.items()}, recipe.id)
+
+
+def _nothing() -> None:
+    """A worker holds no lock of its own: the store it opens keeps migrations away."""

@@ -44,7 +44,7 @@ def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
     log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
     """
     scores = np.array([f.score for f in found], np.float64)
-    best, second = (np.sort(scores)[::-1][:2].tolist() + [0.0, 0.0])[:2]
+    best, second = [*np.sort(scores)[::-1].tolist(), 0.0][:2]
     read = {
         "score": scores,
         "lead": np.where(scores == best, best - second, scores - best),

@@ -30,6 +30,8 @@ class House:
         None when other processes describe the pictures.
     calibration : function
         Recipe to what makes confidences of its scores.
+    schema_version : str
+        Of the database's tables.
     unlock : function
         Lets go of the data folder.
     """
@@ -47,6 +49,7 @@ class House:
     loop: Loop | None
     default_recipe: Recipe
     calibration: Callable[[Recipe], Calibration]
+    schema_version: str
     unlock: Callable[[], None]
 
     def start(self) -> None:

@@ -1,22 +1,41 @@
 """Description to ranked views: search, re-rank, verify."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from schemas.description import ContextGraph
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import ContextGraph, Description, Floats
+from schemas.errors import Unavailable
 from schemas.ports import Store
 from schemas.recipe import Recipe
-from schemas.records import ViewRecord
+from schemas.records import Candidates, Filters, ViewRecord
 from worker.indexes.catalogue import Catalogue
-from worker.place import verification
+from worker.place import context_graph, dense_cells, ranking, verification
+from worker.place.context_graph import GraphComparison
+from worker.place.verification import Verified
 
-ROUNDS = 3
-"""How often a search starts anew because a view it found was deleted meanwhile."""
+ROUNDS = 5
+"""How often a search may start anew because a view it found was deleted meanwhile."""
+
+
+class RecipeChanged(Exception):
+    """The map changed over to another recipe: the question must be described by that one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dense:
-    """Comparison of dense cells: per channel, and the shift (rows, columns) that fits best."""
+    """Comparison of dense cells.
+
+    Parameters
+    ----------
+    channels : mapping of channel to float
+        Similarity, 0..1.
+    shift : (int, int)
+        (rows, columns) by which the view's grid of the best channel moved.
+    """
 
     channels: Mapping[str, float]
     shift: tuple[int, int]
@@ -24,7 +43,19 @@ class Dense:
 
 @dataclass(frozen=True, eq=False)
 class GraphEvidence:
-    """Comparison of context graphs, with the pairs (query node, view node) and their cosines."""
+    """Comparison of context graphs.
+
+    Parameters
+    ----------
+    similarity : float
+        S, 0..1.
+    view : ContextGraph
+    pairs : tuple of (int, int)
+        Corresponding nodes of query and view.
+    cosines : tuple of float
+        Of the pairs.
+    edges_agreeing : int
+    """
 
     similarity: float
     view: ContextGraph
@@ -39,12 +70,15 @@ class Found:
 
     Parameters
     ----------
+    view : ViewRecord
     score : float
         0..1.
     parts : mapping of term to float
         Sum to the score.
     distances, ranks : mapping of channel
-        L2 between histogram vectors; rank in that channel's search, None when outside its candidates.
+        L2 between histogram vectors; rank in that channel's search, None when the channel did not find it.
+    dense, graph, verified
+        Evidence; None where the recipe or the rank asks for none.
     """
 
     view: ViewRecord
@@ -54,7 +88,7 @@ class Found:
     ranks: Mapping[str, int | None]
     dense: Dense | None
     graph: GraphEvidence | None
-    verified: "verification.Verified | None"
+    verified: Verified | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +103,9 @@ class Answer:
 
 
 class Searcher:
-    """Ranks the views of a map against a description. Answers only depend on description, map revision and request.
+    """Ranks the views of a map against a description.
+
+    The answer depends on the description, the map's revision and the request only.
 
     Parameters
     ----------
@@ -80,3 +116,190 @@ class Searcher:
     def __init__(self, store: Store, catalogue: Catalogue) -> None:
         self._store = store
         self._catalogue = catalogue
+
+    def search(
+        self,
+        name: str,
+        recipe: Recipe,
+        description: Description,
+        filters: Filters,
+        top: int,
+        candidates: int | None = None,
+    ) -> Answer:
+        """The `top` best views of a map.
+
+        Parameters
+        ----------
+        name : str
+            Of the map.
+        recipe : Recipe
+            By which `description` was made.
+        description : Description
+        filters : Filters
+        top : int
+            At least 1.
+        candidates : int, optional
+            How many of each channel are re-ranked, instead of the recipe's number; 0 ranks by histograms alone.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        RecipeChanged
+            The map's recipe is no longer `recipe`.
+        """
+        reranked = recipe.parameters.candidates if candidates is None else candidates
+        for _ in range(ROUNDS):
+            began = time.perf_counter()
+            index, current = self._catalogue.index(name)
+            if current.id != recipe.id:
+                raise RecipeChanged
+            selection = self._store.select(name, filters)
+            found = index.search(description.vectors, max(top, reranked), selection)
+            searched = time.perf_counter()
+            evidence = self._compare(recipe, description, found, reranked)
+            compared = time.perf_counter()
+            verified = None if evidence is None else self._verify(recipe, description, found, evidence)
+            ranked = None if verified is None else self._best(recipe, found, verified, top)
+            if ranked is None:
+                continue  # a view was deleted meanwhile
+            return Answer(
+                found=ranked,
+                revision=found.revision,
+                recipe=recipe,
+                searched=found.searched,
+                timing_ms={
+                    "search": (searched - began) * 1000,
+                    "rerank": (compared - searched) * 1000,
+                    "verify": (time.perf_counter() - compared) * 1000,
+                },
+            )
+        raise Unavailable("the map is being emptied faster than it can be searched; ask again", 1)
+
+    def _compare(
+        self, recipe: Recipe, description: Description, found: Candidates, reranked: int
+    ) -> "_Evidence | None":
+        """Histogram terms of all candidates; dense cells and graphs of those to be re-ranked."""
+        parameters = recipe.parameters
+        terms = {
+            f"histogram.{name}": ranking.histogram_similarity(found.distances[name], channel)
+            for name, channel in parameters.channels.items()
+        }
+        chosen = np.zeros(len(found.seqs), np.bool_)
+        for ranks in found.ranks.values():
+            chosen |= (ranks > 0) & (ranks <= reranked)
+        rows = np.flatnonzero(chosen)
+        evidence = _Evidence(terms, rows)
+        if len(rows) == 0:
+            return evidence
+        kept = self._store.appearances(found.seqs[rows].tolist(), recipe.id)
+        if len(kept) < len(rows):
+            return None
+        appearances = [kept[int(seq)] for seq in found.seqs[rows]]
+        for name, cells in description.appearance.cells.items():
+            similarity, shifts = dense_cells.similarity(cells, np.stack([a.cells[name] for a in appearances]))
+            evidence.put(f"dense.{name}", np.clip(similarity, 0, 1))
+            evidence.shifts[name] = shifts
+        evidence.graphs = [a.graph for a in appearances]
+        evidence.graph = context_graph.compare(
+            description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
+        )
+        evidence.put("graph", evidence.graph.similarity)
+        return evidence
+
+    def _verify(
+        self, recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence"
+    ) -> "_Evidence | None":
+        """Geometric verification of the best candidates so far."""
+        verification_ = recipe.parameters.verification
+        if verification_ is None or description.keypoints is None or len(evidence.rows) == 0:
+            return evidence
+        score, _ = ranking.weigh(evidence.terms, recipe.parameters.weights)
+        order = ranking.order(score, evidence.distance(found), evidence.rows)
+        first = order[: min(verification_.candidates, len(evidence.rows))].tolist()
+        kept = self._store.local_features([int(found.seqs[row]) for row in first], recipe.id)
+        if len(kept) < len(first):
+            return None
+        for row in first:
+            evidence.verified[row] = verification.verify(description.keypoints, kept[int(found.seqs[row])])
+        bonus = verification.gated_bonus(np.array([evidence.verified[row].inliers for row in first]))
+        evidence.terms["verification"] = np.zeros(len(found.seqs), np.float32)
+        evidence.terms["verification"][first] = bonus
+        return evidence
+
+    def _best(self, recipe: Recipe, found: Candidates, evidence: "_Evidence", top: int) -> tuple[Found, ...] | None:
+        """The first `top` candidates with their evidence; those that were re-ranked come first."""
+        score, parts = ranking.score(evidence.terms, recipe.parameters, evidence.rows)
+        order = ranking.order(score, evidence.distance(found), evidence.rows)[:top]
+        views = self._store.views_at(found.seqs[order].tolist())
+        if len(views) < len(order):
+            return None
+        return tuple(
+            Found(
+                view=views[int(found.seqs[row])],
+                score=float(score[row]),
+                parts={name: float(part[row]) for name, part in parts.items()},
+                distances={name: float(distances[row]) for name, distances in found.distances.items()},
+                ranks={name: int(ranks[row]) or None for name, ranks in found.ranks.items()},
+                dense=evidence.dense_of(int(row)),
+                graph=evidence.graph_of(int(row)),
+                verified=evidence.verified.get(int(row)),
+            )
+            for row in order
+        )
+
+
+class _Evidence:
+    """What is known about the candidates of one question.
+
+    Parameters
+    ----------
+    terms : dict of term to float32 of shape (candidates,)
+        0..1; zero where a candidate was not looked at.
+    rows : intp of shape (reranked,)
+        The candidates that are re-ranked.
+    """
+
+    def __init__(self, terms: dict[str, Floats], rows: npt.NDArray[np.intp]) -> None:
+        self.terms = terms
+        self.rows = rows
+        self.place = {int(row): place for place, row in enumerate(rows)}
+        self.shifts: dict[str, npt.NDArray[np.int64]] = {}
+        self.graphs: list[ContextGraph] = []
+        self.graph: GraphComparison | None = None
+        self.verified: dict[int, Verified] = {}
+
+    def put(self, term: str, values: Floats) -> None:
+        """Set a term of the re-ranked candidates."""
+        whole = np.zeros(len(next(iter(self.terms.values()))), np.float32)
+        whole[self.rows] = values
+        self.terms[term] = whole
+
+    def distance(self, found: Candidates) -> Floats:
+        """Sum of the channels' histogram distances: settles equal scores."""
+        total: Floats = np.sum(list(found.distances.values()), axis=0, dtype=np.float32)
+        return total
+
+    def dense_of(self, row: int) -> Dense | None:
+        """The comparison of one candidate's dense cells, if it was made."""
+        if row not in self.place or not self.shifts:
+            return None
+        channels = {name: float(self.terms[f"dense.{name}"][row]) for name in self.shifts}
+        best = max(channels, key=lambda name: channels[name])
+        down, across = self.shifts[best][self.place[row]]
+        return Dense(channels, (int(down), int(across)))
+
+    def graph_of(self, row: int) -> GraphEvidence | None:
+        """The comparison of one candidate's graph, if it was made."""
+        if row not in self.place or self.graph is None:
+            return None
+        place = self.place[row]
+        matched = self.graph.matched[place]
+        nodes = np.flatnonzero(matched >= 0)
+        return GraphEvidence(
+            similarity=float(self.graph.similarity[place]),
+            view=self.graphs[place],
+            pairs=tuple((int(node), int(matched[node])) for node in nodes),
+            cosines=tuple(float(c) for c in self.graph.cosines[place, nodes]),
+            edges_agreeing=int(self.graph.edges_agreeing[place]),
+        )

@@ -1,12 +1,13 @@
 """`POST /enroll`: keep pictures and what is said about them."""
 
+import asyncio
 from typing import Any
 
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from app.body import Sent, take
-from app.dependencies import Measures, Recognises
+from app.dependencies import Curates, Measures, Recognises
 from app.examples import ENROLLED
 from app.idempotency import HEADER, fingerprint, key_of, once
 from app.openapi import asks_pictures, refusals
@@ -58,7 +59,7 @@ _ANY = Enrolled | EnrolledMany
         ),
     },
 )
-async def enroll(request: Request, recogniser: Recognises, metrics: Measures) -> Response:
+async def enroll(request: Request, recogniser: Recognises, curator: Curates, metrics: Measures) -> Response:
     """Enrol one picture, or several, in a map."""
     sent = await take(request)
     asked = read(EnrollParameters, sent.parameters, sent.errors)
@@ -73,7 +74,8 @@ async def enroll(request: Request, recogniser: Recognises, metrics: Measures) ->
     key = key_of(request)
     if key is None:
         return await work()
-    return await once(recogniser, request, key, fingerprint([data for _, data in sent.pictures], sent.parameters), work)
+    print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.pictures], sent.parameters)
+    return await once(curator, request, key, print_, work)
 
 
 def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:

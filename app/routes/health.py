@@ -9,7 +9,9 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 
 from app import pages
-from app.dependencies import Measures, Recognises, no_parameters
+from app.condition import Condition
+from app.curate import Curator
+from app.dependencies import Conditions, Curates, Measures, no_parameters
 from app.metrics import MEDIA_TYPE
 from app.middleware import STARTING_RETRY_S
 from app.openapi import answers_bytes, document, refusals
@@ -33,14 +35,14 @@ async def livez() -> Response:
     response_model=Readiness,
     responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(always_open=True)},
 )
-async def readyz(recogniser: Recognises) -> Response:
+async def readyz(condition: Conditions) -> Response:
     """Can it enrol and answer at this moment? Lists what cannot, and why."""
-    if recogniser.draining or not recogniser.started:
-        state = "stopping" if recogniser.draining else "starting"
+    if condition.draining or not condition.started:
+        state = "stopping" if condition.draining else "starting"
         readiness = Readiness(ready=False, checks={"service": state})
     else:
         try:
-            readiness = await asyncio.wait_for(recogniser.readiness(), PATIENCE_S)
+            readiness = await asyncio.wait_for(condition.readiness(), PATIENCE_S)
         except TimeoutError:
             readiness = Readiness(ready=False, checks={"service": f"no answer within {PATIENCE_S * 1000:.0f} ms"})
     headers = {} if readiness.ready else {"Retry-After": str(STARTING_RETRY_S)}
@@ -52,18 +54,18 @@ async def readyz(recogniser: Recognises) -> Response:
     response_class=Response,
     responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(always_open=True)},
 )
-async def metrics(recogniser: Recognises, measures: Measures) -> Response:
+async def metrics(condition: Conditions, curator: Curates, measures: Measures) -> Response:
     """Counters, times and sizes."""
-    maps = await _maps(recogniser)
+    maps = await _maps(condition, curator)
     if maps is not None:
-        measures.state(recogniser.queue_length, maps.maps)
+        measures.state(await condition.queue_length(), maps.maps)
     return Response(measures.text(), media_type=MEDIA_TYPE)
 
 
 @router.get("/version", response_model=Version, responses=refusals())
-async def version(recogniser: Recognises) -> Version:
+async def version(condition: Conditions) -> Version:
     """What is running: version, encoder, weights, libraries."""
-    return await recogniser.version()
+    return await condition.version()
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
@@ -73,17 +75,17 @@ async def docs(request: Request) -> Response:
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
-async def console(request: Request, recogniser: Recognises) -> Response:
+async def console(request: Request, condition: Conditions, curator: Curates) -> Response:
     """Where a person lands: what is there, and how to go on."""
-    return _page(pages.console(request.app.version, await _maps(recogniser)))
+    return _page(pages.console(request.app.version, await _maps(condition, curator)))
 
 
-async def _maps(recogniser: Recognises) -> Maps | None:
+async def _maps(condition: Condition, curator: Curator) -> Maps | None:
     """The maps if they can be had soon: numbers that are missing are better than a page that hangs."""
-    if not recogniser.started:
+    if not condition.started:
         return None
     try:
-        return await asyncio.wait_for(recogniser.maps(), PATIENCE_S)
+        return await asyncio.wait_for(curator.maps(), PATIENCE_S)
     except (TimeoutError, RevisitError):
         return None
 

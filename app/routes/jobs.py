@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from app.dependencies import Recognises, no_parameters
+from app.dependencies import Curates, no_parameters
 from app.openapi import refusals
 from schemas.wire import Job
 
@@ -10,12 +10,12 @@ router = APIRouter(tags=["jobs"], dependencies=[no_parameters])
 
 
 @router.get("/jobs/{job_id}", response_model=Job, responses=refusals("not-found"))
-async def get_job(job_id: str, recogniser: Recognises) -> Job:
+async def get_job(job_id: str, curator: Curates) -> Job:
     """One job: what it does, and how far it is."""
-    return await recogniser.job(job_id)
+    return await curator.job(job_id)
 
 
 @router.delete("/jobs/{job_id}", response_model=Job, responses=refusals("not-found", "conflict"))
-async def cancel_job(job_id: str, recogniser: Recognises) -> Job:
+async def cancel_job(job_id: str, curator: Curates) -> Job:
     """Cancel a job that is waiting."""
-    return await recogniser.cancel_job(job_id)
+    return await curator.cancel_job(job_id)

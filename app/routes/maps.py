@@ -7,7 +7,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import ValidationError
 
 from app.body import json_object
-from app.dependencies import Recognises, map_in_path, no_parameters
+from app.dependencies import Curates, map_in_path, no_parameters
 from app.openapi import refusals, takes_map
 from app.parameters import problems_of
 from schemas.errors import InvalidParameters
@@ -43,15 +43,15 @@ Wanted = Annotated[PutMap, Depends(wanted_map)]
 
 
 @router.get("/maps", response_model=Maps, responses=refusals())
-async def list_maps(recogniser: Recognises) -> Maps:
+async def list_maps(curator: Curates) -> Maps:
     """All maps, by name."""
-    return await recogniser.maps()
+    return await curator.maps()
 
 
 @router.get("/maps/{map}", response_model=MapFacts, openapi_extra=_PATH, responses=refusals("not-found"))
-async def get_map(name: Name, recogniser: Recognises) -> MapFacts:
+async def get_map(name: Name, curator: Curates) -> MapFacts:
     """One map: counts, recipe, labels, extent."""
-    return await recogniser.map(name)
+    return await curator.map(name)
 
 
 @router.put(
@@ -64,16 +64,16 @@ async def get_map(name: Name, recogniser: Recognises) -> MapFacts:
         **refusals("malformed-body", "conflict", "body-too-large", "disk-full"),
     },
 )
-async def put_map(name: Name, wanted: Wanted, recogniser: Recognises) -> Response:
+async def put_map(name: Name, wanted: Wanted, curator: Curates) -> Response:
     """Make a map, or give an empty one other labels, preset or parameters."""
-    facts, created = await recogniser.put_map(name, wanted)
+    facts, created = await curator.put_map(name, wanted)
     return JSONResponse(facts.model_dump(mode="json"), 201 if created else 200)
 
 
 @router.delete("/maps/{map}", response_model=Deleted, openapi_extra=_PATH, responses=refusals("not-found"))
-async def delete_map(name: Name, recogniser: Recognises) -> Deleted:
+async def delete_map(name: Name, curator: Curates) -> Deleted:
     """Delete a map, its views and their pictures."""
-    return await recogniser.delete_map(name)
+    return await curator.delete_map(name)
 
 
 @router.post(
@@ -83,9 +83,9 @@ async def delete_map(name: Name, recogniser: Recognises) -> Deleted:
     openapi_extra=_PATH | takes_map(),
     responses={202: _STARTED, **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full")},
 )
-async def switch_recipe(name: Name, wanted: Wanted, recogniser: Recognises) -> Response:
+async def switch_recipe(name: Name, wanted: Wanted, curator: Curates) -> Response:
     """Describe all views of a map anew; questions are answered by the old recipe until that is done."""
-    return _started(await recogniser.switch_recipe(name, wanted))
+    return _started(await curator.switch_recipe(name, wanted))
 
 
 @router.post(
@@ -95,9 +95,9 @@ async def switch_recipe(name: Name, wanted: Wanted, recogniser: Recognises) -> R
     openapi_extra=_PATH,
     responses={202: _STARTED, **refusals("not-found", "conflict", "disk-full")},
 )
-async def train_vocabulary(name: Name, recogniser: Recognises) -> Response:
+async def train_vocabulary(name: Name, curator: Curates) -> Response:
     """Train a vocabulary on the map's own views, and describe them by it."""
-    return _started(await recogniser.train_vocabulary(name))
+    return _started(await curator.train_vocabulary(name))
 
 
 def _started(job: Job) -> Response:

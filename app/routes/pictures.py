@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
 
-from app.dependencies import Recognises, in_url, no_parameters
+from app.dependencies import Curates, in_url, no_parameters
 from app.openapi import answers_bytes, asks, refusals
 from app.parameters import ExplanationParameters, SegmentationParameters, ThumbnailParameters
 
@@ -28,12 +28,12 @@ def _responses(*types: str, description: str, drawn: bool = False) -> dict[int |
     dependencies=[no_parameters],
     responses=_responses(*_TYPES, description="The enrolled picture, byte for byte."),
 )
-async def image(view_id: str, request: Request, recogniser: Recognises) -> Response:
+async def image(view_id: str, request: Request, curator: Curates) -> Response:
     """The picture as it was enrolled."""
-    etag = await recogniser.view_etag(view_id, "image")
+    etag = await curator.view_etag(view_id, "image")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    data, media_type = await recogniser.image(view_id)
+    data, media_type = await curator.image(view_id)
     return _picture(data, media_type, etag)
 
 
@@ -47,13 +47,13 @@ async def thumbnail(
     view_id: str,
     asked: Annotated[ThumbnailParameters, Depends(in_url(ThumbnailParameters))],
     request: Request,
-    recogniser: Recognises,
+    curator: Curates,
 ) -> Response:
     """A small JPEG of the picture."""
-    etag = await recogniser.view_etag(view_id, f"thumbnail-{asked.size}")
+    etag = await curator.view_etag(view_id, f"thumbnail-{asked.size}")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _picture(await recogniser.thumbnail(view_id, asked.size), "image/jpeg", etag)
+    return _picture(await curator.thumbnail(view_id, asked.size), "image/jpeg", etag)
 
 
 @router.get(
@@ -66,13 +66,13 @@ async def segmentation(
     view_id: str,
     asked: Annotated[SegmentationParameters, Depends(in_url(SegmentationParameters))],
     request: Request,
-    recogniser: Recognises,
+    curator: Curates,
 ) -> Response:
     """What each pixel of the picture was taken for."""
-    etag = await recogniser.view_etag(view_id, "overlay" if asked.overlay else "segmentation")
+    etag = await curator.view_etag(view_id, "overlay" if asked.overlay else "segmentation")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _picture(await recogniser.segmentation(view_id, asked.overlay), "image/png", etag)
+    return _picture(await curator.segmentation(view_id, asked.overlay), "image/png", etag)
 
 
 @router.get(
@@ -81,12 +81,12 @@ async def segmentation(
     dependencies=[no_parameters],
     responses=_responses("image/png", description="Nodes, labels and edges over the photo.", drawn=True),
 )
-async def graph(view_id: str, request: Request, recogniser: Recognises) -> Response:
+async def graph(view_id: str, request: Request, curator: Curates) -> Response:
     """The context graph, drawn over the picture."""
-    etag = await recogniser.view_etag(view_id, "graph")
+    etag = await curator.view_etag(view_id, "graph")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _picture(await recogniser.graph(view_id), "image/png", etag)
+    return _picture(await curator.graph(view_id), "image/png", etag)
 
 
 @router.get(
@@ -101,10 +101,10 @@ async def graph(view_id: str, request: Request, recogniser: Recognises) -> Respo
 async def explanation(
     query_id: str,
     asked: Annotated[ExplanationParameters, Depends(in_url(ExplanationParameters))],
-    recogniser: Recognises,
+    curator: Curates,
 ) -> Response:
     """Why a question that was asked with `explain=true` got its answer; kept for a bounded time."""
-    return Response(await recogniser.explanation(query_id, asked.view), headers=_NO_STORE, media_type="image/png")
+    return Response(await curator.explanation(query_id, asked.view), headers=_NO_STORE, media_type="image/png")
 
 
 # Kept by the caller, but asked about each time: a deleted view must not live on in a cache.

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends
 
-from app.dependencies import Recognises, in_url
+from app.dependencies import Curates, in_url
 from app.openapi import asks, refusals
 from app.parameters import ListPlaces
 from schemas.wire import Places
@@ -13,6 +13,6 @@ router = APIRouter(tags=["maps"])
 
 
 @router.get("/places", response_model=Places, openapi_extra=asks(ListPlaces), responses=refusals("not-found"))
-async def list_places(asked: Annotated[ListPlaces, Depends(in_url(ListPlaces))], recogniser: Recognises) -> Places:
+async def list_places(asked: Annotated[ListPlaces, Depends(in_url(ListPlaces))], curator: Curates) -> Places:
     """A page of places, by map and name."""
-    return await recogniser.places(asked.map, asked.cursor, asked.limit)
+    return await curator.places(asked.map, asked.cursor, asked.limit)

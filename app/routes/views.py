@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request
 
 from app.body import json_object
-from app.dependencies import Recognises, in_url, no_parameters
+from app.dependencies import Curates, in_url, no_parameters
 from app.examples import PATCH, VIEW
 from app.merge_patch import merge
 from app.openapi import asks, refusals, takes_json
@@ -39,9 +39,9 @@ _FIELDS = ("place", "position", "captured_at", "metadata")
 
 
 @router.get("/views", response_model=Views, openapi_extra=asks(ListViews), responses=refusals("not-found"))
-async def list_views(asked: Annotated[ListViews, Depends(in_url(ListViews))], recogniser: Recognises) -> Views:
+async def list_views(asked: Annotated[ListViews, Depends(in_url(ListViews))], curator: Curates) -> Views:
     """A page of views, in the order of their enrolment."""
-    return await recogniser.views(
+    return await curator.views(
         asked.map,
         asked.filters(),
         state=asked.state,
@@ -54,17 +54,17 @@ async def list_views(asked: Annotated[ListViews, Depends(in_url(ListViews))], re
 @router.delete(
     "/views", response_model=Deleted, openapi_extra=asks(DeleteViews), responses=refusals("not-found", "conflict")
 )
-async def delete_views(asked: Annotated[DeleteViews, Depends(in_url(DeleteViews))], recogniser: Recognises) -> Deleted:
+async def delete_views(asked: Annotated[DeleteViews, Depends(in_url(DeleteViews))], curator: Curates) -> Deleted:
     """Delete the views of a map that fit the filters, or all of them with `all=true`."""
-    return await recogniser.delete_views(asked.map, asked.filters())
+    return await curator.delete_views(asked.map, asked.filters())
 
 
 @router.get(
     "/views/{view_id}", response_model=View, dependencies=[no_parameters], responses={**_VIEW, **refusals("not-found")}
 )
-async def get_view(view_id: str, recogniser: Recognises) -> View:
+async def get_view(view_id: str, curator: Curates) -> View:
     """One view."""
-    return await recogniser.view(view_id)
+    return await curator.view(view_id)
 
 
 @router.patch(
@@ -76,21 +76,21 @@ async def get_view(view_id: str, recogniser: Recognises) -> View:
     ),
     responses={**_VIEW, **refusals("malformed-body", "not-found", "body-too-large", "disk-full")},
 )
-async def patch_view(view_id: str, request: Request, recogniser: Recognises) -> View:
+async def patch_view(view_id: str, request: Request, curator: Curates) -> View:
     """Correct what was said about a view: place, position, captured_at, metadata."""
     patch = await json_object(request)
     # Between reading what was said and writing it anew, no other patch may come: its change would be lost.
     lock: asyncio.Lock = request.app.state.patching
     async with lock:
-        return await recogniser.patch_view(view_id, _patched(await recogniser.said_of(view_id), patch))
+        return await curator.patch_view(view_id, _patched(await curator.said_of(view_id), patch))
 
 
 @router.delete(
     "/views/{view_id}", response_model=Deleted, dependencies=[no_parameters], responses=refusals("not-found")
 )
-async def delete_view(view_id: str, recogniser: Recognises) -> Deleted:
+async def delete_view(view_id: str, curator: Curates) -> Deleted:
     """Delete a view and its picture."""
-    return await recogniser.delete_view(view_id)
+    return await curator.delete_view(view_id)
 
 
 def _patched(said: Said, patch: dict[str, Any]) -> Said:

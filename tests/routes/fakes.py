@@ -12,8 +12,12 @@ from typing import Any, cast
 from fastapi import FastAPI
 from uuid6 import uuid7
 
+from app.condition import Condition
+from app.curate import Curator
 from app.examples import MATCH, QUERY_ANSWER, VIEW
-from app.main import House, create_app
+from app.main import application
+from app.recognise import Recogniser
+from app.service import Service
 from schemas import wire
 from schemas.errors import Conflict, KeyReused, NotFound, RevisitError
 from schemas.picture import PictureFacts
@@ -69,7 +73,7 @@ class FakeRecogniser:
     made: dict[str, wire.PutMap] = field(default_factory=dict)
     hold: asyncio.Event | None = None
     enrolments: int = 0
-    queue_length: int = 3
+    events: list[str] = field(default_factory=list)
     started: bool = True
     draining: bool = False
 
@@ -295,14 +299,8 @@ class FakeRecogniser:
     async def abandon_call(self, key: str) -> None:
         del self.calls[key]
 
-
-@dataclass
-class FakeHouse:
-    """A house that only notes whether it was started and stopped."""
-
-    recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
-    settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
-    events: list[str] = field(default_factory=list)
+    async def queue_length(self) -> int:
+        return 3
 
     async def start(self) -> None:
         self.events.append("start")
@@ -310,6 +308,15 @@ class FakeHouse:
     async def stop(self) -> None:
         self.events.append("stop")
 
+
+@dataclass
+class FakeHouse:
+    """One fake that stands for all use-cases; it fits by its shape, not by its type."""
+
+    recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
+    settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
+
     def app(self) -> FastAPI:
-        """The application around this house; it fits by its shape, not by its type."""
-        return create_app(cast(House, self))
+        """The application around this house."""
+        fake = self.recogniser
+        return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Condition, fake), self.settings))

@@ -1,5 +1,6 @@
 """`POST /enroll` takes pictures and what is said about them, and refuses without leaving anything behind."""
 
+import asyncio
 from datetime import UTC, datetime
 from typing import Any
 
@@ -9,7 +10,7 @@ from schemas.errors import Busy, DiskFull, NothingStatic
 from schemas.records import Said, Where
 from tests.openapi import CheckedClient
 from tests.pictures import photo
-from tests.routes.fakes import FakeRecogniser
+from tests.routes.fakes import FakeHouse, FakeRecogniser
 
 URN = "urn:revisit:problem:"
 
@@ -215,6 +216,35 @@ def test_a_body_larger_than_allowed_is_refused_by_its_announcement_and_by_its_co
 
     chunked = client.post("/enroll", content=(bytes(100_000) for _ in range(21)))
     assert (chunked.status_code, code(chunked)) == (413, "body-too-large")
+    assert not recogniser.kept
+
+
+def test_a_connection_that_closes_within_the_body_is_no_mistake_of_ours(
+    house: FakeHouse, recogniser: FakeRecogniser
+) -> None:
+    messages: list[dict[str, Any]] = [
+        {"type": "http.request", "body": photo()[:100], "more_body": True},
+        {"type": "http.disconnect"},
+    ]
+    sent: list[Any] = []
+
+    async def receive() -> dict[str, Any]:
+        return messages.pop(0)
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": "/enroll",
+        "raw_path": b"/enroll",
+        "query_string": b"",
+        "headers": [(b"content-type", b"image/jpeg")],
+    }
+    asyncio.run(house.app()(scope, receive, send))
+    assert sent[0]["status"] == 400
+    assert b"malformed-body" in sent[1]["body"]
     assert not recogniser.kept
 
 

@@ -24,8 +24,8 @@ ROOT = Path(__file__).parents[2]
 
 def test_the_house_is_started_and_stopped_with_the_application(house: FakeHouse) -> None:
     with CheckedClient(house.app()):
-        assert house.events == ["start"]
-    assert house.events == ["start", "stop"]
+        assert house.recogniser.events == ["start"]
+    assert house.recogniser.events == ["start", "stop"]
 
 
 # request ids and logs

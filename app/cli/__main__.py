@@ -1,0 +1,75 @@
+"""``python -m app.cli``: what the launcher runs."""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
+
+GROUPS = ("serve", "demo", "enroll", "query", "browse", "recipes", "health", "care", "study", "weights")
+"""Modules with commands. They import what is slow only when they run: `--help` answers at once."""
+
+EPILOG = """\
+Commands that ask a service take its address from REVISIT_URL. Settings are environment variables REVISIT_*:
+docs/settings.md lists them. Exit codes: 0 done, 1 failed, 2 wrong use.
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """All commands with their arguments."""
+    whole = argparse.ArgumentParser(
+        prog="revisit",
+        description="Have I been here before, and where is here? Enrol photos of places, ask where a photo was taken.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    verbs = whole.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for name in GROUPS:
+        importlib.import_module(f"app.cli.{name}").add(verbs)
+    test = verbs.add_parser("test", help="run every check of a checkout")
+    test.set_defaults(run=_test)
+    return whole
+
+
+def _test(arguments: argparse.Namespace) -> int:
+    # In a checkout the launcher answers `test` itself, with the tools it needs; a container has neither.
+    raise Failure("tests run from a checkout: `./revisit test`", WRONG_USE)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    arguments = parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except Failure as failure:
+        say(f"revisit: {failure}")
+        return failure.code
+    except KeyboardInterrupt:
+        say("revisit: interrupted")
+        return 130
+    except BrokenPipeError:
+        # The reader of our output (`| head`) has gone; nothing is wrong, and nothing can be said any more.
+        sys.stderr.close()
+        return DONE
+    except Exception as error:
+        if (text := _foreseen(error)) is None:
+            raise
+        say(f"revisit: {text}")
+        return FAILED
+
+
+def _foreseen(error: Exception) -> str | None:
+    """What to say about an error that needs no traceback; None for a mistake of ours."""
+    from app.client import ClientError
+    from schemas.errors import RevisitError
+
+    if isinstance(error, ClientError | RevisitError | TimeoutError):
+        return str(error)
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

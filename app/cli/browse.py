@@ -1,0 +1,142 @@
+"""``revisit maps | views | places``: look at what is enrolled."""
+
+import argparse
+from pathlib import Path
+
+from app.cli.console import DONE, Verbs, say, show, show_json, size, speaks, table
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the commands."""
+    maps = verbs.add_parser("maps", help="list maps, or show one")
+    maps.add_argument("name", nargs="?", help="show this map with its labels and recipe")
+    maps.add_argument("--delete", action="store_true", help="delete the named map with all its views")
+    speaks(maps)
+    maps.set_defaults(run=run_maps)
+
+    views = verbs.add_parser("views", help="list views, show or delete one")
+    views.add_argument("id", nargs="?", help="show this view")
+    views.add_argument("--map")
+    views.add_argument("--place")
+    views.add_argument("--state", choices=("pending", "ready", "failed"))
+    views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
+    views.add_argument("--newest", action="store_true", help="newest first")
+    views.add_argument("--delete", action="store_true", help="delete the named view and its picture")
+    for kind in ("image", "segmentation", "graph"):
+        views.add_argument(f"--{kind}", type=Path, metavar="FILE", help=f"write the named view's {kind} to a file")
+    speaks(views)
+    views.set_defaults(run=run_views)
+
+    places = verbs.add_parser("places", help="list places")
+    places.add_argument("--map")
+    speaks(places)
+    places.set_defaults(run=run_places)
+
+
+def run_maps(arguments: argparse.Namespace) -> int:
+    """List maps, or show or delete one."""
+    from app.cli.console import wrong_use
+    from app.client import Revisit
+
+    with Revisit(arguments.url) as revisit:
+        if arguments.delete:
+            if arguments.name is None:
+                wrong_use("--delete needs the name of a map")
+            receipt = revisit.delete_map(arguments.name)
+            if arguments.json:
+                show_json(receipt.model_dump(mode="json"))
+            else:
+                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.pictures} pictures")
+            return DONE
+        maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
+    if arguments.json:
+        found = [facts.model_dump(mode="json") for facts in maps]
+        show_json(found if arguments.name is None else found[0])
+        return DONE
+    if not maps:
+        show("nothing is enrolled yet: `./revisit enroll PICTURE...`")
+        return DONE
+    heads = ("map", "ready", "pending", "failed", "places", "pictures", "revision", "preset", "encoder")
+    rows = []
+    for facts in maps:
+        counts = [facts.views.get(state, 0) for state in ("ready", "pending", "failed")]
+        recipe = facts.recipe
+        kind = (recipe.get("preset"), recipe.get("encoder"))
+        rows.append((facts.name, *counts, facts.places, size(facts.bytes), facts.revision, *kind))
+    show(table(heads, rows))
+    if arguments.name is not None:
+        labels = [(label.index, label.word, label.dynamic, label.colour, ", ".join(label.mapped_to)) for label in maps[0].labels]
+        show("\n" + table(("index", "label", "moves", "colour", "stands for"), labels))
+    return DONE
+
+
+def run_views(arguments: argparse.Namespace) -> int:
+    """List views, or show, draw or delete one."""
+    from app.cli.console import wrong_use
+    from app.cli.query import position
+    from app.client import Revisit
+
+    drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
+    if arguments.id is None and (arguments.delete or any(drawn.values())):
+        wrong_use("--delete, --image, --segmentation and --graph need the id of a view")
+    with Revisit(arguments.url) as revisit:
+        if arguments.delete:
+            receipt = revisit.delete(arguments.id)
+            if arguments.json:
+                show_json(receipt.model_dump(mode="json"))
+            else:
+                show(f"deleted {arguments.id}: {receipt.pictures} pictures")
+            return DONE
+        for kind, path in drawn.items():
+            if path is not None:
+                png = revisit.segmentation(arguments.id, overlay=True) if kind == "segmentation" else None
+                path.write_bytes(png if png is not None else getattr(revisit, kind)(arguments.id))
+                say(f"{kind}: {path}")
+        if arguments.id is not None:
+            # A view has too many parts for a table; JSON shows them all and people can read it.
+            show_json(revisit.view(arguments.id).model_dump(mode="json"))
+            return DONE
+        views = list(
+            revisit.views(
+                arguments.map,
+                state=arguments.state,
+                place=arguments.place,
+                newest_first=arguments.newest,
+                limit=arguments.limit,
+            )
+        )
+    if arguments.json:
+        show_json([view.model_dump(mode="json") for view in views])
+        return DONE
+    heads = ("view", "map", "place", "state", "enrolled", "position", "picture")
+    rows = [
+        (
+            view.id,
+            view.map,
+            view.place,
+            view.state if view.failure is None else f"failed: {view.failure.code}",
+            f"{view.enrolled_at:%Y-%m-%d %H:%M:%S}",
+            position(view.position),
+            f"{view.image.width} x {view.image.height} {view.image.format}",
+        )
+        for view in views
+    ]
+    show(table(heads, rows))
+    if len(views) == arguments.limit:
+        say(f"the first {arguments.limit}; --limit shows more")
+    return DONE
+
+
+def run_places(arguments: argparse.Namespace) -> int:
+    """List places."""
+    from app.cli.query import position
+    from app.client import Revisit
+
+    with Revisit(arguments.url) as revisit:
+        places = list(revisit.places(arguments.map))
+    if arguments.json:
+        show_json([place.model_dump(mode="json") for place in places])
+        return DONE
+    rows = [(p.map, p.place, p.views, position(p.position), f"{p.last_enrolled_at:%Y-%m-%d %H:%M:%S}") for p in places]
+    show(table(("map", "place", "views", "position", "last enrolled"), rows))
+    return DONE

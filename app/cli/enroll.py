@@ -1,0 +1,150 @@
+"""``revisit enroll``: enrol pictures, folders of them, with what is known of each; goes on where it was stopped."""
+
+import argparse
+import queue
+import threading
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app.cli import pictures
+from app.cli.console import DONE, FAILED, Failure, Progress, Verbs, say, show, show_json, speaks, wrong_use
+
+if TYPE_CHECKING:
+    from app.client import Revisit
+
+
+@dataclass
+class Summary:
+    """What became of the pictures."""
+
+    enrolled: int = 0
+    already_there: int = 0
+    failed: list[dict[str, str]] = field(default_factory=list)
+    views: list[dict[str, Any]] = field(default_factory=list)
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "enroll",
+        help="enrol pictures or folders of pictures",
+        description="Enrol pictures. What is in the map already is left as it is: run the same again to go on.",
+    )
+    parser.add_argument("paths", nargs="+", metavar="PATH", help="picture, folder (with all inside) or glob")
+    parser.add_argument("--map", help="map to enrol into (default: default)")
+    parser.add_argument("--place", help="your name for the spot that all these pictures show")
+    parser.add_argument(
+        "--place-from-folder", action="store_true", help="take the name of each picture's folder as its place"
+    )
+    parser.add_argument(
+        "--positions", type=Path, metavar="CSV", help="columns file and x,y[,z] or lat,lon[,alt]; heading, place"
+    )
+    parser.add_argument("--exif", action="store_true", help="take position, heading and time from the pictures' EXIF")
+    parser.add_argument("--parallel", type=int, default=4, metavar="N", help="pictures sent at once (default: 4)")
+    speaks(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Enrol; 1 when some pictures were refused."""
+    from app.client import Revisit
+
+    if not 1 <= arguments.parallel <= 64:
+        wrong_use("--parallel takes 1 to 64")
+    if arguments.place and arguments.place_from_folder:
+        wrong_use("--place and --place-from-folder contradict each other")
+    work = _described(arguments)
+    with Revisit(arguments.url) as revisit:
+        summary = _enrolled(revisit, work, arguments.parallel)
+    if arguments.json:
+        show_json(asdict(summary))
+    else:
+        show(f"{summary.enrolled} enrolled, {summary.already_there} already there, {len(summary.failed)} failed")
+        for failure in summary.failed:
+            say(f"  {failure['file']}: {failure['reason']}")
+    return FAILED if summary.failed else DONE
+
+
+def _described(arguments: argparse.Namespace) -> list[tuple[Path, pictures.Known]]:
+    """Each picture with what is said about it: the CSV over EXIF, both over what is said of all."""
+    positions = None if arguments.positions is None else pictures.Positions(arguments.positions)
+    work, unlisted = [], 0
+    for path in pictures.found(arguments.paths):
+        known: pictures.Known = {"map": arguments.map, "place": arguments.place}
+        if arguments.place_from_folder:
+            known["place"] = path.resolve().parent.name
+        if arguments.exif:
+            known |= pictures.from_exif(path)
+        if positions is not None:
+            listed = positions.of(path)
+            unlisted += listed is None
+            if listed:
+                frame = {"lat", "lon", "alt"} if "x" in listed else {"x", "y", "z"} if "lat" in listed else set()
+                known = {name: value for name, value in known.items() if name not in frame} | listed
+        work.append((path, known))
+    if positions is not None:
+        if unlisted:
+            say(f"{unlisted} of {len(work)} pictures are not in {positions.path}; they are enrolled without position")
+        if unused := positions.unused():
+            say(f"{len(unused)} rows of {positions.path} name no picture given here, such as {unused[0]}")
+    return work
+
+
+def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, pictures.Known]], parallel: int) -> Summary:
+    """Send pictures, several at once: the service describes together what arrives together."""
+    from app.client import ClientError, RevisitProblem
+
+    waiting: queue.SimpleQueue[tuple[Path, pictures.Known]] = queue.SimpleQueue()
+    for item in work:
+        waiting.put(item)
+    summary, progress, lock = Summary(), Progress(len(work), "pictures"), threading.Lock()
+    stop: list[Exception] = []
+
+    def send() -> None:
+        while not stop:
+            try:
+                path, known = waiting.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                answer = revisit.enroll(path, **known)
+            except (RevisitProblem, OSError) as error:
+                with lock:
+                    summary.failed.append({"file": str(path), "reason": _reason(error)})
+                    progress.step()
+                continue
+            except ClientError as error:
+                stop.append(error)
+                return
+            with lock:
+                if answer.created:
+                    summary.enrolled += 1
+                else:
+                    summary.already_there += 1
+                view = answer.view
+                summary.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
+                if view.state == "failed" and view.failure is not None:
+                    summary.failed.append({"file": str(path), "reason": view.failure.detail})
+                progress.step(path.name)
+
+    threads = [threading.Thread(target=send, daemon=True) for _ in range(min(parallel, len(work)))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    progress.end()
+    if stop:
+        done = summary.enrolled + summary.already_there
+        raise Failure(f"{stop[0]}\n{done} of {len(work)} pictures are enrolled; run the same command again to go on")
+    order = {str(path): i for i, (path, _) in enumerate(work)}
+    summary.failed.sort(key=lambda failure: order[failure["file"]])
+    summary.views.sort(key=lambda view: order[view["file"]])
+    return summary
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return str(error)

@@ -1,0 +1,68 @@
+"""``revisit healthcheck | version | openapi``: how the service is, and what it is."""
+
+import argparse
+import os
+
+from app.cli.console import DONE, FAILED, Verbs, say, show, show_json, speaks, table
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the commands."""
+    check = verbs.add_parser("healthcheck", help="exit 0 when the service is ready, 1 when not")
+    speaks(check)
+    check.set_defaults(run=run_healthcheck)
+    version = verbs.add_parser("version", help="what is installed here; with --service, what is running")
+    version.add_argument("--service", action="store_true", help="ask the running service")
+    speaks(version)
+    version.set_defaults(run=run_version)
+    openapi = verbs.add_parser("openapi", help="the OpenAPI document of the running service")
+    speaks(openapi)
+    openapi.set_defaults(run=run_openapi)
+
+
+def run_healthcheck(arguments: argparse.Namespace) -> int:
+    """Ask `/readyz`; from inside a container the service is on this machine, on the port it was told."""
+    from app.client import Revisit
+
+    url = arguments.url or os.environ.get("REVISIT_URL") or f"http://127.0.0.1:{os.environ.get('REVISIT_PORT', '8000')}"
+    with Revisit(url, timeout=5, patience=0) as revisit:
+        readiness = revisit.readyz()
+    if arguments.json:
+        show_json(readiness.model_dump(mode="json"))
+    elif readiness.ready:
+        show("ready")
+    else:
+        for part, state in readiness.checks.items():
+            say(f"{part}: {state}")
+    return DONE if readiness.ready else FAILED
+
+
+def run_version(arguments: argparse.Namespace) -> int:
+    """Print versions."""
+    from app.version import VERSION
+
+    if not arguments.service:
+        if arguments.json:
+            show_json({"version": VERSION})
+        else:
+            show(f"revisit {VERSION}")
+        return DONE
+    from app.client import Revisit
+
+    with Revisit(arguments.url) as revisit:
+        facts = revisit.version().model_dump(mode="json")
+    if arguments.json:
+        show_json(facts)
+    else:
+        libraries = facts.pop("libraries")
+        show(table(("what", "version"), [*facts.items(), *libraries.items()]))
+    return DONE
+
+
+def run_openapi(arguments: argparse.Namespace) -> int:
+    """Print the OpenAPI document."""
+    from app.client import Revisit
+
+    with Revisit(arguments.url) as revisit:
+        show_json(revisit.openapi())
+    return DONE

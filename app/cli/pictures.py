@@ -1,0 +1,155 @@
+"""Which pictures are meant, and what is known about them: folders, globs, CSV files of positions, EXIF."""
+
+import csv
+import glob
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from app.cli.console import wrong_use
+
+SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"))
+NUMBERS = ("x", "y", "z", "lat", "lon", "alt", "heading")
+TEXTS = ("place", "captured_at")
+
+Known = dict[str, Any]
+"""Arguments of `Revisit.enroll` that are known of one picture."""
+
+
+def found(paths: Sequence[str]) -> list[Path]:
+    """Pictures that paths, folders (with all inside) and globs mean, each once, by name within each argument.
+
+    Raises
+    ------
+    Failure
+        Something named does not exist, or holds no picture.
+    """
+    pictures: dict[Path, None] = {}
+    for text in paths:
+        path = Path(text)
+        if path.is_dir():
+            inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
+        elif path.exists():
+            inside = [path]  # named outright: the service judges by content
+        else:
+            inside = sorted(Path(p) for p in glob.glob(text, recursive=True) if Path(p).is_file())
+            if not inside and not glob.has_magic(text):
+                wrong_use(f"{text}: there is no such file or folder")
+        if not inside:
+            wrong_use(f"{text}: no pictures there ({', '.join(sorted(SUFFIXES))})")
+        pictures |= dict.fromkeys(inside)
+    return list(pictures)
+
+
+class Positions:
+    """A CSV file of what is known: a column `file`, and x,y[,z] or lat,lon[,alt], heading, place, captured_at.
+
+    A row belongs to the pictures whose path ends with its `file`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._rows: dict[str, Known] = {}
+        self._used: set[str] = set()
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError:
+            wrong_use(f"{path}: not a CSV file in UTF-8")
+        reader = csv.DictReader(text.splitlines())
+        columns = reader.fieldnames or []
+        if "file" not in columns or not set(columns) & {*NUMBERS, *TEXTS}:
+            wrong_use(f"{path}: the first line needs to name columns: file and some of {', '.join(NUMBERS + TEXTS)}")
+        if unknown := set(columns) - {"file", *NUMBERS, *TEXTS}:
+            wrong_use(f"{path}: unknown columns {', '.join(sorted(map(str, unknown)))}")
+        for line, row in enumerate(reader, start=2):
+            self._rows[Path(row["file"] or "").as_posix()] = self._known(line, row)
+
+    def _known(self, line: int, row: Mapping[str, str | None]) -> Known:
+        known: Known = {name: row[name] for name in TEXTS if row.get(name)}
+        for name in NUMBERS:
+            text = (row.get(name) or "").strip()
+            if not text:
+                continue
+            try:
+                known[name] = float(text)
+            except ValueError:
+                known[name] = math.nan
+            if not math.isfinite(known[name]):
+                wrong_use(f"{self.path}, line {line}: {name} is {text!r}, which is no number")
+        return known
+
+    def of(self, picture: Path) -> Known | None:
+        """What is known of a picture; None when no row is about it."""
+        parts = picture.resolve().as_posix().split("/")
+        for begin in range(len(parts)):  # the longest ending first: the most particular row
+            name = "/".join(parts[begin:])
+            if name in self._rows:
+                self._used.add(name)
+                return self._rows[name]
+        return None
+
+    def unused(self) -> list[str]:
+        """Files of rows that no picture was found for."""
+        return sorted(self._rows.keys() - self._used)
+
+
+def from_exif(path: Path) -> Known:
+    """Position, heading and time that the camera wrote into a picture; empty when it wrote none."""
+    from PIL import ExifTags, Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            exif = image.getexif()
+    except (UnidentifiedImageError, OSError):
+        return {}  # the service will say what is wrong with it
+    gps = exif.get_ifd(ExifTags.IFD.GPSInfo)
+    known: Known = {}
+    latitude = _degrees(gps.get(2), gps.get(1), "S")
+    longitude = _degrees(gps.get(4), gps.get(3), "W")
+    # Cameras without a fix write 0, 0: a point in the sea that nobody photographs by accident.
+    if latitude is not None and longitude is not None and (latitude, longitude) != (0.0, 0.0):
+        known |= {"lat": latitude, "lon": longitude}
+        if (height := _number(gps.get(6))) is not None:
+            known["alt"] = -height if gps.get(5) in (1, b"\x01") else height
+    direction, kind = _number(gps.get(17)), gps.get(16)
+    if direction is not None and kind != "M":  # M: magnetic, which is not north
+        known["heading"] = direction % 360
+    if (taken := _taken(exif.get_ifd(ExifTags.IFD.Exif), gps)) is not None:
+        known["captured_at"] = taken
+    return known
+
+
+def _number(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _degrees(value: Any, reference: Any, negative: str) -> float | None:
+    """Degrees, minutes, seconds as a number."""
+    if not isinstance(value, Iterable):
+        return None
+    parts = [_number(part) for part in value]
+    if len(parts) != 3 or any(part is None for part in parts):
+        return None
+    degrees = sum(part / 60**i for i, part in enumerate(parts) if part is not None)
+    return -degrees if str(reference).upper().startswith(negative) else degrees
+
+
+def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
+    """When: the satellites' time, which is UTC, or the camera's clock if it says in which zone it runs."""
+    clock, zone = exif.get(0x9003), exif.get(0x9011)
+    try:
+        if gps.get(29) and gps.get(7):
+            hours, minutes, seconds = (float(part) for part in gps[7])
+            day = datetime.strptime(str(gps[29]), "%Y:%m:%d")
+            return day.replace(hour=int(hours), minute=int(minutes), second=int(seconds), tzinfo=UTC)
+        if clock and zone:
+            return datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
+    except (TypeError, ValueError):
+        return None
+    return None

@@ -1,0 +1,97 @@
+"""``revisit query``: ask where a picture was taken."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table, wrong_use
+
+if TYPE_CHECKING:
+    from schemas.wire import Match, Position, QueryAnswer
+
+VERDICTS = {
+    "matched": "This place is known.",
+    "ambiguous": "Places that look alike: not sure which one it is.",
+    "no_match": "This place is not known.",
+}
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser("query", help="ask where a picture was taken")
+    parser.add_argument("picture", type=Path, metavar="PICTURE")
+    parser.add_argument("--map", help="map to search (default: default)")
+    parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
+    parser.add_argument("--candidates", type=int, metavar="N", help="how many of each channel are re-ranked")
+    parser.add_argument("--place", help="search the views of this place only")
+    parser.add_argument("--near", metavar="X,Y,RADIUS", help="search views near this point only, in metres")
+    parser.add_argument("--geo", action="store_true", help="--near is LAT,LON,RADIUS")
+    parser.add_argument("--exclude-last", metavar="N|30s", help="not the newest N views, or seconds")
+    parser.add_argument("--explain", type=Path, metavar="PNG", help="draw why into this file")
+    speaks(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Ask; the exit code does not tell a known place from an unknown one: both are answers."""
+    from app.client import Revisit
+
+    with Revisit(arguments.url) as revisit:
+        answer = revisit.query(
+            arguments.picture,
+            map=arguments.map,
+            top=arguments.top,
+            candidates=arguments.candidates,
+            explain=arguments.explain is not None,
+            place=arguments.place,
+            near=None if arguments.near is None else _near(arguments.near),
+            geographic=arguments.geo,
+            exclude_last=arguments.exclude_last,
+        )
+        if arguments.explain is not None and answer.matches:
+            arguments.explain.write_bytes(revisit.explanation(answer.query.id))
+            say(f"why: {arguments.explain}")
+    if arguments.json:
+        show_json(answer.model_dump(mode="json"))
+    else:
+        show(told(answer))
+    return DONE
+
+
+def _near(text: str) -> tuple[float, float, float]:
+    try:
+        first, second, radius = (float(part) for part in text.split(","))
+    except ValueError:
+        wrong_use(f"--near takes three numbers with commas between, not {text!r}")
+    return first, second, radius
+
+
+def told(answer: "QueryAnswer") -> str:
+    """The answer for people."""
+    lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
+    if answer.matches:
+        heads = ("rank", "place", "score", "confidence", "inliers", "position", "view")
+        lines.append(table(heads, [_row(match) for match in answer.matches]))
+    if answer.estimate is not None:
+        where = position(answer.estimate.position)
+        lines.append(f"taken at {where}, within {answer.estimate.radius_m:.1f} m ({len(answer.estimate.views)} views)")
+    if (total := answer.timing_ms.get("total")) is not None:
+        lines.append(f"{total:.0f} ms")
+    return "\n".join(lines)
+
+
+def _row(match: "Match") -> tuple[object, ...]:
+    inliers = None if match.verification is None else match.verification.inliers
+    where = position(match.view.position)
+    return match.rank, match.view.place, match.score, match.confidence, inliers, where, match.view.id
+
+
+def position(where: "Position | None") -> str | None:
+    """A position for people."""
+    if where is None:
+        return None
+    if where.lat is not None and where.lon is not None:
+        return f"{where.lat:.6f}°, {where.lon:.6f}°"
+    if where.x is not None and where.y is not None:
+        return f"{where.x:.2f}, {where.y:.2f} m"
+    return None

@@ -1,0 +1,300 @@
+"""What training sees: labelled pictures, unlabelled ones, scenes under several lights, and batches drawn from them.
+
+A batch is a function of (seed, step) alone, so a run that is resumed sees what it would have seen.
+"""
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from training import light
+from training.lexicon import STREET_WORDS, Lexicon, class_words
+from training.pictures import Picture, read_labels, read_rgb
+from training.teacher import label_name
+from training.viewpoint import FOR_DETAIL, FOR_WORDS, Freedom, draw_views, shared_cells
+from worker.encoders.compact_network import STRIDE
+
+LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor")
+OUTDOOR = ("camvid", "labelmefacade", "ade_outdoor")
+STREET = "street words of the trunk"
+CLIP_FILE = Path("text") / "words_ViT-B-16.npz"
+POINTS = 128
+"""Cells drawn from each pair of views."""
+
+_SHORT_SIDE = 360
+_LEAST_SIDE = 150
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture, and its labels where it has some."""
+
+    picture: Path
+    labels: Path | None = None
+    data_set: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Scenes of one kind; shots of one scene were taken by one fixed camera, so that pixels correspond."""
+
+    name: str
+    scenes: Sequence[Sequence[Shot]]
+    weights: npt.NDArray[np.float64]
+
+    def draw(self, rng: np.random.Generator) -> tuple[Shot, Shot]:
+        """Draw a scene and two of its shots, the same one twice when there is no other."""
+        scene = self.scenes[rng.choice(len(self.scenes), p=self.weights)]
+        if len(scene) == 1:
+            return scene[0], scene[0]
+        first, second = rng.choice(len(scene), 2, replace=False)
+        return scene[first], scene[second]
+
+
+def sources(data: Path, teacher_labels: Path | None) -> dict[str, Source]:
+    """Find everything to train on below `data`; test and validation pictures are left alone."""
+    found: dict[str, Source] = {}
+    for data_set in LABELLED:
+        shots = [
+            Shot(picture, labels_of(picture), data_set)
+            for picture in training_pictures(data / "segmentation", data_set)
+        ]
+        found[data_set] = _evenly(data_set, [[shot] for shot in shots])
+    if teacher_labels is not None:
+        taught = [
+            Shot(picture, teacher_labels / label_name(picture), STREET)
+            for data_set in OUTDOOR
+            for picture in training_pictures(data / "segmentation", data_set)
+        ]
+        found[STREET] = _evenly(STREET, [[shot] for shot in taught])
+    indoor = _by_folder(data / "unlabelled")
+    if indoor:
+        # A few long walks make up most of these: weigh a folder by the square root of its size.
+        walks = [(len(walk), Shot(picture)) for walk in indoor for picture in walk]
+        found["indoor"] = _weighted("indoor", [[shot] for _, shot in walks], [size**-0.5 for size, _ in walks])
+    aligned = [_one_size(folder) for folder in _by_folder(data / "pairs" / "aligned")]
+    scenes = [(side, [Shot(picture) for picture in scene]) for side, scene in aligned if len(scene) > 1]
+    if scenes:
+        trust = [len(scene) ** 0.5 * (1.0 if side > _LEAST_SIDE else 0.15) for side, scene in scenes]
+        found["aligned"] = _weighted("aligned", [scene for _, scene in scenes], trust)
+    return {name: source for name, source in found.items() if len(source.scenes)}
+
+
+def classes(data: Path) -> dict[str, dict[int, Sequence[str]]]:
+    """Give the words of every label value of every labelled set, the trunk's own labels among them."""
+    said = {name: class_words(data / "segmentation" / name / "classes.json") for name in LABELLED}
+    return said | {STREET: {value: (word,) for value, word in enumerate(STREET_WORDS)}}
+
+
+def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
+    """List the training pictures of a labelled set."""
+    return sorted((segmentation / data_set / "train" / "images").glob("*"))
+
+
+@dataclass(frozen=True)
+class Mix:
+    """How a batch is put together.
+
+    Attributes
+    ----------
+    strong, mild
+        Pairs of views under strongly and under mildly changed light.
+    strong_shares, mild_shares
+        How often each source is drawn for either, relative to the others.
+    size
+        Height and width of a view in pixels, multiples of 32.
+    """
+
+    strong: int = 4
+    mild: int = 4
+    strong_shares: Mapping[str, float] | None = None
+    mild_shares: Mapping[str, float] | None = None
+    size: tuple[int, int] = (192, 256)
+
+
+STRONG_SHARES = {
+    "camvid": 0.22,
+    "labelmefacade": 0.22,
+    "nyuv2": 0.20,
+    "ade_outdoor": 0.08,
+    STREET: 0.16,
+    "indoor": 0.25,
+    "aligned": 0.37,
+}
+MILD_SHARES = {
+    "camvid": 0.18,
+    "labelmefacade": 0.22,
+    "nyuv2": 0.20,
+    "ade_outdoor": 0.08,
+    STREET: 0.04,
+    "indoor": 0.28,
+    "aligned": 0.12,
+}
+
+
+class Batches(Dataset[dict[str, Tensor]]):
+    """Step to batch.
+
+    A batch of n pairs holds, first views before second views where both are meant:
+
+    - ``pictures``: uint8 (2n, 3, height, width), RGB;
+    - ``meanings``: int16 (2n, height / 4, width / 4), -1 where nothing is known;
+    - ``sets``: int64 (2n,), index into the lexicon's sets, -1 for pictures without labels;
+    - ``cells``: int64 (n, POINTS) and ``positions``: float32 (n, POINTS, 2), see `shared_cells`;
+    - ``matched``: bool (n,), whether those can be used;
+    - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel.
+    """
+
+    def __init__(self, found: Mapping[str, Source], lexicon: Lexicon, mix: Mix, seed: int) -> None:
+        self._found = dict(found)
+        self._tables = {name: lexicon.table(name) for name in lexicon.sets}
+        self._set_index = {name: index for index, name in enumerate(lexicon.sets)}
+        self._mix = mix
+        self._seed = seed
+
+    def __getitem__(self, step: int) -> dict[str, Tensor]:
+        """Draw the batch of one step."""
+        cv2.setNumThreads(1)
+        rng = np.random.default_rng([self._seed, step])
+        mix = self._mix
+        pairs = [
+            *(self._pair(rng, mix.strong_shares or STRONG_SHARES, FOR_WORDS, mild=False) for _ in range(mix.strong)),
+            *(self._pair(rng, mix.mild_shares or MILD_SHARES, FOR_DETAIL, mild=True) for _ in range(mix.mild)),
+        ]
+        views = [pair.first for pair in pairs] + [pair.second for pair in pairs]
+        stacked = np.stack([picture for picture, _ in views])
+        owners = [self._set_index.get(pair.data_set or "", -1) for pair in pairs]
+        return {
+            "pictures": torch.from_numpy(stacked).permute(0, 3, 1, 2),
+            "meanings": torch.from_numpy(np.stack([meanings for _, meanings in views])),
+            "sets": torch.tensor(owners * 2),
+            "cells": torch.from_numpy(np.stack([pair.cells for pair in pairs])),
+            "positions": torch.from_numpy(np.stack([pair.positions for pair in pairs])),
+            "matched": torch.tensor([pair.matched for pair in pairs]),
+            "mild": torch.tensor([False] * mix.strong + [True] * mix.mild),
+        }
+
+    def _pair(self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool) -> "_Pair":
+        names = [name for name in shares if name in self._found]
+        odds = np.array([shares[name] for name in names])
+        source = self._found[names[rng.choice(len(names), p=odds / odds.sum())]]
+        shots = source.draw(rng)
+        pictures = [training_picture(shot.picture) for shot in shots]
+        height, width = self._mix.size
+        views = draw_views(pictures[0].shape[:2], (height, width), freedom, rng)
+        cells, positions, matched = shared_cells(*views, (height // STRIDE, width // STRIDE), POINTS, rng)
+        ready = []
+        for shot, picture, view in zip(shots, pictures, views, strict=True):
+            seen = view.cut(picture, (height, width), labels=False)
+            seen = light.mild(seen, rng) if mild else light.strong(seen, rng)
+            meanings = np.full((height // 4, width // 4), -1, np.int16)
+            if shot.labels is not None and shot.data_set is not None:
+                labels = view.cut(training_labels(shot.labels, picture.shape[:2]), (height, width), labels=True)
+                meanings = self._tables[shot.data_set][labels[2::4, 2::4]]
+            ready.append((seen, meanings))
+        return _Pair(ready[0], ready[1], shots[0].data_set, cells, positions, matched)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    first: tuple[Picture, npt.NDArray[np.int16]]
+    second: tuple[Picture, npt.NDArray[np.int16]]
+    data_set: str | None
+    cells: npt.NDArray[np.int64]
+    positions: npt.NDArray[np.float32]
+    matched: bool
+
+
+def stream(batches: Batches, start: int, workers: int) -> Iterator[dict[str, Tensor]]:
+    """Give the batches from step `start` on, for ever, drawn by `workers` processes (0: by this one)."""
+    loader: DataLoader[dict[str, Tensor]] = DataLoader(
+        batches,
+        batch_size=None,
+        sampler=_From(start),
+        num_workers=workers,
+        multiprocessing_context="spawn" if workers else None,
+        prefetch_factor=4 if workers else None,
+    )
+    return iter(loader)
+
+
+class _From:
+    def __init__(self, start: int) -> None:
+        self._start = start
+
+    def __iter__(self) -> Iterator[int]:
+        step = self._start
+        while True:
+            yield step
+            step += 1
+
+    def __len__(self) -> int:
+        return 2**40
+
+
+def meaning_shares(found: Mapping[str, Source], lexicon: Lexicon) -> npt.NDArray[np.float64]:
+    """Count how large a share of all labelled pixels has each meaning, from every fifth picture."""
+    counts = np.zeros(len(lexicon.meanings))
+    for source in found.values():
+        for scene in source.scenes[::5]:
+            shot = scene[0]
+            if shot.labels is not None and shot.data_set is not None:
+                labels = read_labels(shot.labels)[::4, ::4]
+                meanings = lexicon.table(shot.data_set)[labels]
+                counts += np.bincount(meanings[meanings >= 0], minlength=len(counts))
+    shares: npt.NDArray[np.float64] = counts / counts.sum()
+    return shares
+
+
+@functools.lru_cache(maxsize=4096)
+def training_picture(path: Path) -> Picture:
+    """Read a picture as RGB, its shorter side at most 450."""
+    picture = read_rgb(path)
+    scale = _SHORT_SIDE / min(picture.shape[:2])
+    if scale < 0.8:
+        picture = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    return picture
+
+
+@functools.lru_cache(maxsize=4096)
+def training_labels(path: Path, shape: tuple[int, int]) -> Picture:
+    """Read a label map at the size of its picture."""
+    labels = read_labels(path)
+    if labels.shape != shape:
+        labels = np.asarray(cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST), np.uint8)
+    return labels
+
+
+def labels_of(picture: Path) -> Path:
+    """Find the label map of ``<set>/<split>/images/<name>``."""
+    return picture.parents[1] / "labels" / f"{picture.stem}.png"
+
+
+def _by_folder(root: Path) -> list[list[Path]]:
+    folders: dict[Path, list[Path]] = {}
+    for path in sorted(root.rglob("*.jpg")):
+        folders.setdefault(path.parent, []).append(path)
+    return list(folders.values())
+
+
+def _one_size(pictures: Sequence[Path]) -> tuple[int, list[Path]]:
+    """Keep the pictures as large as the first: only their pixels correspond. Also give the shorter side."""
+    shapes = [read_rgb(path).shape[:2] for path in pictures]
+    return min(shapes[0]), [path for path, shape in zip(pictures, shapes, strict=True) if shape == shapes[0]]
+
+
+def _evenly(name: str, scenes: Sequence[Sequence[Shot]]) -> Source:
+    return _weighted(name, scenes, [1.0] * len(scenes))
+
+
+def _weighted(name: str, scenes: Sequence[Sequence[Shot]], weights: Sequence[float]) -> Source:
+    total = sum(weights)
+    return Source(name, scenes, np.array(weights) / total if total else np.zeros(0))

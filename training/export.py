@@ -1,0 +1,158 @@
+"""From a checkpoint to what ships: ``python -m training.export --checkpoint FILE --data DATA --to FOLDER``.
+
+Two files come out, and one command makes both, so they cannot drift apart:
+
+``compact.safetensors``
+    float16. The state dict of ``CompactNetwork(word_channels=97)``; ``text.vectors`` (n_words, 97), row i belonging to
+    word i of the JSON file; ``text.basis`` (512, 97), orthonormal columns: ``basis @ z`` is the 512-d embedding of a
+    97-d one, and ``text @ basis`` turns a centred 512-d text vector into a row for the 97-d field; ``text.centre``
+    (512,), the mean that was taken from CLIP's unit vectors before they were scaled to unit length again.
+``compact.json``
+    ``sha256`` of the first file; ``words``: for each its CLIP words (`clip`: several mean their unit mean), whether
+    labelled pixels could mean it in training (`trained`) and whether some could mean only it (`alone`); ``provenance``.
+
+The cosine of a cell's embedding z (unit length) with word i is ``text.vectors[i] @ z``: the rows are shorter than 1
+by what of CLIP's vector lies outside the network's 97 dimensions, and must not be scaled.
+"""
+
+import argparse
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from training import data
+from training.lexicon import ClipWords, Lexicon
+from worker.encoders.compact_network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
+
+WORDS_TO_SHIP = (
+    # Streets.
+    *("road", "sidewalk", "parking", "building", "wall", "fence", "pole", "traffic sign", "traffic light"),
+    *("vegetation", "trunk", "tree", "terrain", "grass", "sky", "person", "cyclist", "car", "truck", "bus"),
+    *("motorcycle", "bicycle", "vehicle", "window", "door", "floor", "ceiling", "other"),
+    # The further words of the authors' list.
+    *("ground", "structure", "house", "van", "nature", "human", "bicyclist", "motorcyclist", "object"),
+    # Often asked for.
+    *("stairs", "bench", "bridge", "train", "rider"),
+)
+"""Words that ship whether or not a data set names them; every word that one names ships too."""
+
+ORIGIN = {
+    "trunk": {
+        "file": "deeplab_mobilenet_edgetpu_slim_cityscapes_quant.tflite",
+        "repository": "google-coral/test_data",
+        "commit": "104342d2",
+        "licence": "Apache-2.0",
+        "trained on": "Cityscapes (research terms), by its authors",
+    },
+    "text": {
+        "model": "CLIP ViT-B/16 (MIT), template 'a photo of a {word}', centred",
+        "repositories": ["google-research/semivl (Apache-2.0)", "ZiqinZhou66/ZegCLIP (MIT)"],
+    },
+}
+
+
+def reduced(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Tensor]:
+    """Shorten the 512-d words head to the 97 dimensions it spans, keeping every length and cosine.
+
+    An embedding is e = W y + b with a 96-d y. With [W b] = U S V' (singular values) the vector z = S V' [y; 1] has
+    e = U z and, U having orthonormal columns, the same lengths and cosines.
+
+    Parameters
+    ----------
+    state
+        State dict of ``CompactNetwork(word_channels=512)``.
+
+    Returns
+    -------
+    state
+        State dict of ``CompactNetwork(word_channels=97)``.
+    basis : float32 of shape (512, 97)
+        U.
+    """
+    weight, bias = state["words.weight"], state["words.bias"]
+    whole = torch.cat([weight.flatten(1), bias[:, None]], dim=1).double()
+    basis, lengths, turned = torch.linalg.svd(whole, full_matrices=False)
+    short = (lengths[:, None] * turned).float()
+    smaller = dict(state)
+    smaller["words.weight"] = short[:, :-1, None, None].contiguous()
+    smaller["words.bias"] = short[:, -1].contiguous()
+    return smaller, basis.float()
+
+
+def shipped_words(clip: ClipWords, lexicon: Lexicon) -> list[dict[str, Any]]:
+    """Describe every word to ship; see the module's docstring."""
+    shared = set(lexicon.words)
+    alone = {meaning.words[0] for meaning in lexicon.meanings if len(meaning.words) == 1}
+    described = []
+    for word in dict.fromkeys((*WORDS_TO_SHIP, *lexicon.words)):
+        sources = clip.sources(word)
+        if not sources:
+            raise ValueError(f"no CLIP vector for the word {word!r}, and no stand-in")
+        trained = word in shared or all(source in shared for source in sources)
+        described.append({"word": word, "clip": list(sources), "trained": trained, "alone": word in alone})
+    return described
+
+
+def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compact") -> None:
+    """Write the weights and the JSON file beside them."""
+    saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state, basis = reduced(saved["average"])
+    clip = ClipWords(data_folder / data.CLIP_FILE)
+    words = shipped_words(clip, Lexicon(clip, data.classes(data_folder)))
+    vectors = torch.from_numpy(clip.matrix([entry["word"] for entry in words]))
+    tensors = {key: tensor.half().contiguous() for key, tensor in state.items()}
+    tensors["text.vectors"] = (vectors @ basis).half().contiguous()
+    tensors["text.basis"] = basis.half().contiguous()
+    tensors["text.centre"] = torch.from_numpy(clip.centre).half()
+    folder.mkdir(parents=True, exist_ok=True)
+    weights = folder / f"{name}.safetensors"
+    save_file(tensors, weights)
+    weights.chmod(0o644)
+    described = {
+        "format": 1,
+        "weights": weights.name,
+        "sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "stride": STRIDE,
+        "channels": {"words": REDUCED_CHANNELS, "detail": DETAIL_CHANNELS, "clip": CLIP_CHANNELS},
+        "provenance": ORIGIN
+        | {"training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]}},
+        "words": words,
+    }
+    lines = json.dumps(described, indent=1, ensure_ascii=False)
+    (folder / f"{name}.json").write_text(lines + "\n")
+
+
+def network_of(path: Path) -> CompactNetwork:
+    """Load a network to judge: a checkpoint's averaged weights (``.pt``) or an exported file."""
+    if path.suffix == ".pt":
+        return CompactNetwork.loaded(_averaged(path)[0])
+    return CompactNetwork.loaded({name: t for name, t in load_file(path).items() if not name.startswith("text.")})
+
+
+def basis_of(path: Path) -> Tensor:
+    """Load the basis, float32 of shape (512, 97), that belongs to such a network's words field."""
+    return _averaged(path)[1] if path.suffix == ".pt" else load_file(path)["text.basis"].float()
+
+
+def _averaged(checkpoint: Path) -> tuple[dict[str, Tensor], Tensor]:
+    return reduced(torch.load(checkpoint, map_location="cpu", weights_only=True)["average"])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m training.export", description="Write the weights that ship.")
+    parser.add_argument("--checkpoint", type=Path, required=True)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--to", type=Path, default=Path("worker/encoders/weights"))
+    options = parser.parse_args(arguments)
+    export(options.checkpoint, options.data, options.to)
+
+
+if __name__ == "__main__":
+    main()

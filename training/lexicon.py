@@ -1,0 +1,162 @@
+"""Words, their CLIP vectors, and what each data set's classes mean in words."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+STAND_INS: dict[str, tuple[str, ...]] = {
+    "vehicle": ("car", "truck", "bus", "motorcycle"),
+    "parking": ("parking space",),
+    "trunk": ("branch", "wood"),
+    "other": ("background",),
+    "nature": ("vegetation", "tree", "plant"),
+    "structure": ("building", "wall"),
+    "human": ("person",),
+    "bicyclist": ("cyclist",),
+    "object": ("pole", "traffic sign", "fence"),
+    "lane marking": ("road",),
+    "television": ("tv",),
+    "blinds": ("window-blind",),
+    "books": ("book",),
+    "stairs": ("stairs", "stairway"),
+}
+"""Words without a vector of their own, and the words whose unit mean stands for each."""
+
+STREET_WORDS = (
+    "road",
+    "sidewalk",
+    "building",
+    "wall",
+    "fence",
+    "pole",
+    "traffic light",
+    "traffic sign",
+    "vegetation",
+    "terrain",
+    "sky",
+    "person",
+    "rider",
+    "car",
+    "truck",
+    "bus",
+    "train",
+    "motorcycle",
+    "bicycle",
+)
+"""The trunk's own outputs, in its order."""
+
+
+class ClipWords:
+    """CLIP's vectors of English words, centred: raw, they lie in a cone of mean cosine 0.75.
+
+    Parameters
+    ----------
+    path
+        An ``.npz`` with ``words`` and ``vectors``; one CLIP model only, since two models' spaces differ.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with np.load(path) as arrays:
+            vectors = _unit(arrays["vectors"].astype(np.float32))
+            self._raw = dict(zip(arrays["words"].tolist(), vectors, strict=True))
+        self.centre = vectors.mean(axis=0)
+
+    def sources(self, word: str) -> tuple[str, ...]:
+        """Name the CLIP words behind `word`: itself, its stand-ins, or none when it is unknown."""
+        if word in self._raw:
+            return (word,)
+        return STAND_INS.get(word, ())
+
+    def vector(self, word: str) -> Floats:
+        """Give the centred unit vector of a known word: float32 of shape (512,)."""
+        sources = self.sources(word)
+        if not sources:
+            raise KeyError(word)
+        mean = _unit(np.mean([self._raw[source] for source in sources], axis=0))
+        centred: Floats = _unit(mean - self.centre)
+        return centred
+
+    def matrix(self, words: Sequence[str]) -> Floats:
+        """Give the vectors of several words: float32 of shape (n_words, 512)."""
+        return np.stack([self.vector(word) for word in words])
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What one label value of one data set says: the pixel shows one of these words."""
+
+    data_set: str
+    value: int
+    words: tuple[str, ...]
+
+
+class Lexicon:
+    """All that the training's labels can say.
+
+    Parameters
+    ----------
+    clip
+        Vectors of the words.
+    classes
+        For each data set, its label values and the words each may mean. Words that CLIP's file has no vector for
+        are left out; a class of which no word is left teaches nothing.
+
+    Attributes
+    ----------
+    words : list of str
+        Every word that some class names, sorted.
+    meanings : list of Meaning
+        One per class of each set.
+    """
+
+    def __init__(self, clip: ClipWords, classes: dict[str, dict[int, Sequence[str]]]) -> None:
+        self.meanings = [
+            Meaning(data_set, value, known)
+            for data_set, values in classes.items()
+            for value, words in values.items()
+            if (known := tuple(word for word in words if clip.sources(word)))
+        ]
+        self.words = sorted({word for meaning in self.meanings for word in meaning.words})
+        self.sets = list(classes)
+        self.vectors: Floats = clip.matrix(self.words)
+
+    def members(self) -> npt.NDArray[np.bool_]:
+        """Say which words each meaning allows: bool of shape (n_meanings, n_words)."""
+        return np.array([[word in meaning.words for word in self.words] for meaning in self.meanings])
+
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Say which words each set knows, so that its silence on the others teaches nothing.
+
+        Returns
+        -------
+        bool of shape (n_sets, n_words)
+        """
+        members = self.members()
+        owners = np.array([meaning.data_set for meaning in self.meanings])
+        return np.stack([members[owners == data_set].any(axis=0) for data_set in self.sets])
+
+    def table(self, data_set: str) -> npt.NDArray[np.int16]:
+        """Map a set's label values to meanings: int16 of shape (256,), -1 where a value teaches nothing."""
+        table = np.full(256, -1, np.int16)
+        for index, meaning in enumerate(self.meanings):
+            if meaning.data_set == data_set:
+                table[meaning.value] = index
+        return table
+
+
+def class_words(path: Path) -> dict[int, Sequence[str]]:
+    """Read ``classes.json``: label value to the words it may mean, the set's own name first."""
+    content = json.loads(path.read_text())
+    content = content.get("classes", content)
+    return {int(value): (words if isinstance(words, list) else [words]) for value, words in content.items()}
+
+
+def _unit(vectors: Floats) -> Floats:
+    scaled: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return scaled

@@ -1,0 +1,74 @@
+"""Where training starts: the pretrained trunk, or an earlier network whose fusion had batch norms."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from worker.encoders.compact_network import CLIP_CHANNELS, CompactNetwork
+
+State = dict[str, Tensor]
+
+KEPT_AT_STRIDE4 = (0, 2, 3)
+"""Which of the trunk's four blocks at stride 4 are kept: the strided one and two of the residual ones.
+
+Without block 1 the words field of a trained network changes least: mean cosine 0.989 with the whole.
+"""
+
+_STAGES = {"s2": "stride2", "s4": "stride4", "s8": "stride8", "s16": "stride16", "deep": "deep", "last": "context.last"}
+_HEADS = {"aspp": "context.local", "pool": "context.whole", "cat": "context.joined", "cls": "classes"}
+
+
+def trunk_state(path: Path) -> State:
+    """Read the trunk's tensors from ``cityscapes_trunk_fp16.npz``, as float32 under the names of the file."""
+    with np.load(path) as arrays:
+        return {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
+
+
+def renamed(trunk: Mapping[str, Tensor], kept_at_stride4: tuple[int, ...] = KEPT_AT_STRIDE4) -> State:
+    """Give the trunk's tensors the names of `CompactNetwork`, leaving out blocks that are not kept at stride 4."""
+    state: State = {}
+    for name, tensor in trunk.items():
+        stage, rest = name.split(".", 1)
+        if stage == "s4":
+            block, rest = rest.split(".", 1)
+            if int(block) not in kept_at_stride4:
+                continue
+            rest = f"{kept_at_stride4.index(int(block))}.{rest}"
+        if stage in _STAGES:
+            rest = re.sub(r"\bm\.", "convolutions.", rest)
+            state[f"{_STAGES[stage]}.{rest}"] = tensor
+        elif stage in _HEADS:
+            state[f"{_HEADS[stage]}.{rest}"] = tensor
+    return {re.sub(r"\bc\.(weight|bias)$", r"convolution.\1", name): tensor for name, tensor in state.items()}
+
+
+def earlier_state(path: Path) -> State:
+    """Read an earlier network's checkpoint (trunk under ``t.``, fusion with batch norms), folding those norms."""
+    saved = torch.load(path, map_location="cpu", weights_only=False)["net"]
+    saved = {name: tensor.float() for name, tensor in saved.items() if tensor.is_floating_point()}
+    state = renamed({name[2:]: tensor for name, tensor in saved.items() if name.startswith("t.")})
+    for old, new in {"l16": "from16", "l8": "from8", "l4": "from4", "head": "words"}.items():
+        state[f"{new}.weight"], state[f"{new}.bias"] = saved[f"{old}.weight"], saved[f"{old}.bias"]
+    for convolution, norm, place in ((0, 1, 0), (3, 4, 2)):
+        gain = saved[f"f.{norm}.weight"] / (saved[f"f.{norm}.running_var"] + 1e-5).sqrt()
+        state[f"fuse.{place}.weight"] = saved[f"f.{convolution}.weight"] * gain[:, None, None, None]
+        state[f"fuse.{place}.bias"] = saved[f"f.{norm}.bias"] - saved[f"f.{norm}.running_mean"] * gain
+    return state
+
+
+def started(pretrained: Path) -> CompactNetwork:
+    """Build the network to train, from the trunk (``.npz``) or from an earlier network (``.pt``).
+
+    What the file does not hold keeps torch's own random start, so seed torch before.
+    """
+    network = CompactNetwork(word_channels=CLIP_CHANNELS)
+    state = renamed(trunk_state(pretrained)) if pretrained.suffix == ".npz" else earlier_state(pretrained)
+    state = {name: tensor for name, tensor in state.items() if not name.startswith("classes.")}
+    unknown = network.load_state_dict(state, strict=False).unexpected_keys
+    if unknown:
+        raise ValueError(f"{pretrained} holds tensors that the network has no place for: {unknown[:4]}")
+    return network

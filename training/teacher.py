@@ -1,0 +1,93 @@
+"""The untouched trunk as a teacher: labels where it is sure, and features that tolerate a change of distance."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor, nn
+
+from training.pictures import Picture, read_rgb
+from training.start import State, renamed
+from worker.encoders.compact_network import CompactNetwork, fused
+
+SURE = 0.7
+"""Least probability at which the teacher's word is taken as a label."""
+
+_LONG_SIDE = 640
+
+
+class Shallow(nn.Module):
+    """The trunk up to stride 8 with all its blocks, frozen.
+
+    Parameters
+    ----------
+    state
+        Tensors under the names of ``cityscapes_trunk_fp16.npz``; deeper layers are passed over.
+    """
+
+    def __init__(self, state: State) -> None:
+        super().__init__()
+        whole = CompactNetwork()
+        self.stride2, self.stride8 = whole.stride2, whole.stride8
+        self.stride4 = whole.stride4.append(fused(24, 96, 24))
+        load_own(self, renamed(state, kept_at_stride4=(0, 1, 2, 3)))
+
+    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """Give the layers at stride 4 (24 channels) and 8 (40 channels) of RGB pictures in 0..1."""
+        at4 = self.stride4(self.stride2(pictures * 2 - 1))
+        return at4, self.stride8(at4)
+
+
+class Teacher(nn.Module):
+    """The trunk as it was downloaded, with its 19 street words, frozen."""
+
+    def __init__(self, state: State) -> None:
+        super().__init__()
+        whole = CompactNetwork()
+        self.stride16, self.deep, self.context = whole.stride16, whole.deep, whole.context
+        self.classes = nn.Conv2d(128, 19, 1)
+        load_own(self, renamed(state))
+        self.shallow = Shallow(state)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Give scores of the 19 street words at stride 16, for RGB pictures in 0..1."""
+        scores: Tensor = self.classes(self.context(self.deep(self.stride16(self.shallow(pictures)[1]))))
+        return scores
+
+    @torch.inference_mode()
+    def labels(self, picture: Picture) -> Picture:
+        """Label an RGB picture: uint8 of its height and width, 255 where the teacher is unsure."""
+        height, width = picture.shape[:2]
+        scale = _LONG_SIDE / max(height, width)
+        size = (round(width * scale / 32) * 32, round(height * scale / 32) * 32)
+        x = torch.from_numpy(cv2.resize(picture, size)).permute(2, 0, 1)[None].float() / 255
+        x = x.contiguous(memory_format=torch.channels_last)
+        scores = (self(x) + self(x.flip(3)).flip(3)) / 2
+        scores = F.interpolate(scores, size=(height, width), mode="bilinear", align_corners=False)
+        surest, word = scores.softmax(1)[0].max(0)
+        return np.asarray(torch.where(surest > SURE, word, 255).byte().numpy(), np.uint8)
+
+
+def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
+    """Write the teacher's labels of each picture as ``<folder>/<set>__<name>.png``; what is there is kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in pictures:
+        target = folder / label_name(path)
+        if not target.exists():
+            picture = read_rgb(path)
+            cv2.imwrite(str(target), teacher.labels(picture))
+
+
+def label_name(picture: Path) -> str:
+    """Name the label file of ``<set>/<split>/images/<name>``."""
+    return f"{picture.parents[2].name}__{picture.stem}.png"
+
+
+def load_own(module: nn.Module, state: State) -> None:
+    """Load what the module has a place for, all of it, and freeze the module."""
+    names = module.state_dict().keys()
+    module.load_state_dict({name: tensor for name, tensor in state.items() if name in names})
+    module.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload]

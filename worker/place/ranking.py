@@ -1,0 +1,105 @@
+"""From evidence to an order: named terms, weighted into a score, ties settled by enrolment."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats
+from schemas.recipe import Channel, Parameters
+
+Rows = npt.NDArray[np.intp]
+
+
+def histogram_similarity(distances: Floats, channel: Channel) -> Floats:
+    """How alike histogram vectors are, from their distance.
+
+    Parameters
+    ----------
+    distances : float32 of shape (n,)
+        Euclidean.
+    channel : Channel
+        Hellinger and projected vectors have unit length, so the cosine is 1 - d^2 / 2. Plain frequencies lie at most
+        sqrt(2) apart.
+
+    Returns
+    -------
+    float32 of shape (n,)
+        0..1.
+    """
+    unit_length = channel.normalisation == "hellinger" or channel.dimensions is not None
+    alike = 1 - distances**2 / 2 if unit_length else 1 - distances / np.sqrt(2)
+    return np.clip(alike, 0, 1).astype(np.float32)
+
+
+def weigh(terms: Mapping[str, Floats], weights: Mapping[str, float]) -> tuple[Floats, dict[str, Floats]]:
+    """Add up weighted terms.
+
+    Parameters
+    ----------
+    terms : mapping of term to float32 of shape (n,)
+        0..1 each; one that is missing counts as 0.
+    weights : mapping of term to float
+        Scaled to sum to 1, so that the score stays in 0..1.
+
+    Returns
+    -------
+    score : float32 of shape (n,)
+    parts : mapping of term to float32 of shape (n,)
+        Sum to the score.
+    """
+    total = sum(weights.values())
+    parts = {name: terms[name] * np.float32(weight / total) for name, weight in weights.items() if name in terms}
+    nothing = np.zeros(len(next(iter(terms.values()))), np.float32)
+    return sum(parts.values(), start=nothing), parts
+
+
+def score(terms: Mapping[str, Floats], parameters: Parameters, reranked: Rows) -> tuple[Floats, dict[str, Floats]]:
+    """Score of every candidate, and the parts it is made of.
+
+    With ``ranking="graph"`` (the paper) the graph similarity is the score, and the histogram only settles ties; with
+    nothing re-ranked the histograms are the score. A candidate that was not re-ranked never scores above one that was.
+
+    Parameters
+    ----------
+    terms : mapping of term to float32 of shape (n,)
+    parameters : Parameters
+    reranked : intp of shape (m,)
+
+    Returns
+    -------
+    As `weigh`.
+    """
+    weights: Mapping[str, float] = parameters.weights
+    if len(reranked) == 0:
+        weights = {name: parameters.weights.get(name) or 1.0 for name in terms}
+    elif parameters.ranking == "graph":
+        weights = {"graph": 1.0}
+    total, parts = weigh(terms, weights)
+    others = np.setdiff1d(np.arange(len(total)), reranked)
+    if len(reranked) and len(others):
+        ceiling = float(total[reranked].min())
+        scale = np.ones(len(total), np.float32)
+        scale[others] = np.minimum(1, ceiling / np.maximum(total[others], 1e-9))
+        total = total * scale
+        parts = {name: part * scale for name, part in parts.items()}
+    return total, parts
+
+
+def order(total: Floats, distance: Floats, reranked: Rows) -> Rows:
+    """Best first: re-ranked candidates by score, then histogram distance, then enrolment; behind them the others.
+
+    Parameters
+    ----------
+    total, distance : float32 of shape (n,)
+        Candidates in enrolment order.
+    reranked : intp of shape (m,)
+
+    Returns
+    -------
+    intp of shape (n,)
+    """
+    behind = np.ones(len(total), np.bool_)
+    behind[reranked] = False
+    rows: Rows = np.lexsort((np.arange(len(total)), distance, -total, behind))
+    return rows
