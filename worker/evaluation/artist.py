@@ -44,7 +44,7 @@ class HouseArtist:
         parts = ", ".join(f"{name} {value:.2f}" for name, value in match.parts.items())
         said = [f"score {match.score:.3f} = {parts}", f"{len(nodes)} node pairs, {len(inliers)} keypoints agree"]
         drawn = drawing.explanation_png(one.pixels, other.pixels, inliers, nodes, said)
-        return [*shown, Shown("what agrees: nodes (thick, by word) and keypoints (thin, green)", drawn)]
+        return [*shown, Shown("what agrees: nodes (thick, by word) and keypoints (thin, green)", drawn, wide=True)]
 
     def portray(self, picture: Path) -> Sequence[Shown]:
         """Labels, with what moves in grey, and the method's nodes."""
