@@ -1,10 +1,13 @@
 """Draws for the report what the method saw: labels, context graphs, and what corresponds."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from schemas.description import Floats, PixelField
+from schemas.errors import RevisitError
 from schemas.picture import Picture
+from schemas.records import Where
 from worker import drawing
 from worker.describe import Describer
 from worker.evaluation.html import Shown
@@ -29,6 +32,10 @@ class HouseArtist:
         """Both context graphs, and what corresponds between the query and that answer."""
         one, other = (self.house.decode(path.read_bytes()) for path in (query, answer))
         shown = [Shown("context graph of the query", self._graph(one)), Shown("of the answer", self._graph(other))]
+        # A run that was only read back from its journal has enrolled nothing. Where the picture is in the map already,
+        # with its position, it is refused, which is as well.
+        with suppress(RevisitError):
+            self.retriever.enroll(answer, Where())
         question = self.retriever.ask(one, EXPLAINED)
         match = next((f for f in question.answer.found if f.view.picture.sha256 == other.digest), None)
         if match is None:

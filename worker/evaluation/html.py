@@ -9,7 +9,6 @@ from pathlib import Path
 from worker.evaluation.measuring import Evaluation, Figure, alarms
 from worker.evaluation.plots import Series, bars, plot
 
-_WIDE = ' class="pair"'
 STYLE = Path(__file__).with_name("report.css")
 
 
@@ -187,8 +186,8 @@ def _example(x: Example) -> str:
     if x.right is not None:
         mark = '<b class="good">right</b>' if x.right else '<b class="flag">wrong</b>'
     figures = "".join(
-        f'<figure{_WIDE if p.wide else ""}><img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}'
-        "</figcaption></figure>"
+        f'<figure class="{"pair" if p.wide else "one"}">'
+        f'<img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}</figcaption></figure>'
         for p in x.pictures
     )
     return (
