@@ -54,11 +54,11 @@ def test_a_batch_depends_on_seed_and_step_alone(data_folder: Path, tmp_path: Pat
 
 
 def test_the_loss_sinks_on_a_batch_seen_again_and_again(data_folder: Path, tmp_path: Path) -> None:
-    run, batches = run_in(tmp_path, data_folder, dataclasses.replace(PLAN, steps=12, head_rate=3e-3))
+    run, batches = run_in(tmp_path, data_folder, dataclasses.replace(PLAN, steps=20, trunk_rate=1e-3))
     batch = next(batch for batch in map(batches.__getitem__, range(50)) if bool((batch["sets"] >= 0).any()))
     before = values(run, batch)
 
-    run.train(iter([batch] * 12))
+    run.train(iter([batch] * 20))
 
     after = values(run, batch)
     for name in ("word", "words_two_view", "detail_two_view"):
