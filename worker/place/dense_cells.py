@@ -15,7 +15,11 @@ import numpy.typing as npt
 from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
 
+Indices = npt.NDArray[np.intp]
 Doubles = npt.NDArray[np.float64]
+
+BLOCK = 200_000
+"""Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
 
 FULL_SCALE = 127
 """What a component of 1 becomes in storage."""
@@ -40,9 +44,9 @@ class Correspondences:
         Greater than 0, at most 1.
     """
 
-    candidate: npt.NDArray[np.intp]
-    query_cell: npt.NDArray[np.intp]
-    candidate_cell: npt.NDArray[np.intp]
+    candidate: Indices
+    query_cell: Indices
+    candidate_cell: Indices
     cosine: Floats
 
 
@@ -54,14 +58,14 @@ class Agreement:
     ----------
     scores : float32 of shape (candidates,)
         0..1; 1 for a picture against itself when no two of its cells are equal.
-    shifts : int64 of shape (candidates, 2)
+    shifts : intp of shape (candidates, 2)
         (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells.
     zooms : float32 of shape (candidates,)
         The zoom that fits best; 1 where nothing corresponds.
     """
 
     scores: Floats
-    shifts: npt.NDArray[np.int64]
+    shifts: Indices
     zooms: Floats
 
 
@@ -157,18 +161,12 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
         raise DescriptorMismatch(got=query.shape[-1], want=candidates.shape[-1])
     if query.shape[:2] != candidates.shape[1:3]:
         raise ValueError(f"a grid of {query.shape[:2]} cells cannot be compared with one of {candidates.shape[1:3]}")
-    count, cells = len(candidates), query.shape[0] * query.shape[1]
-    ours = _unit(query.reshape(cells, query.shape[-1]).astype(np.float32))
-    theirs = _unit(candidates.reshape(count, cells, query.shape[-1]).astype(np.float32))
-    # Computed both ways round: a second product is cheaper than a search for the largest across memory.
-    cosines = np.matmul(ours, theirs.transpose(0, 2, 1))
-    best = cosines.argmax(axis=2)
-    back = np.matmul(theirs, ours.T).argmax(axis=2)
-    candidate = np.arange(count)[:, None]
-    cosine = np.take_along_axis(cosines, best[..., None], axis=2)[..., 0]
-    mutual = (back[candidate, best] == np.arange(cells)) & (cosine > 0)
-    which, cell = np.nonzero(mutual)
-    return Correspondences(which, cell, best[which, cell], np.minimum(cosine[which, cell], 1))
+    cells = query.shape[0] * query.shape[1]
+    ours = _as_unit(query).reshape(cells, query.shape[-1])
+    theirs = _as_unit(candidates).reshape(len(candidates), cells, query.shape[-1])
+    block = max(1, BLOCK // max(1, cells**2))
+    found = [_mutual(ours, theirs[at : at + block], at) for at in range(0, max(1, len(candidates)), block)]
+    return Correspondences(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def agreement(
@@ -199,39 +197,32 @@ def agreement(
     Notes
     -----
     A correspondence of cosine c weighs c^2: half of one that fits well counts for little, and few of them decide.
-    With zoom z a query cell p (from the picture's centre) belongs at z p + t; both sides are divided by sqrt(z) so
+    Displacements of more than half the picture are left out: too little of it would be common. With zoom z a query
+    cell p (from the picture's centre) belongs at z p + t; both sides are divided by sqrt(z) so
     that the tolerance is the same in either direction.
     """
-    rows, columns = shape
-    span = np.array([2 * rows + 1, 2 * columns + 1])
+    reach = np.array(shape) // 2
     weight = pairs.cosine.astype(np.float64) ** 2
     ours, theirs = _centred(pairs.query_cell, shape), _centred(pairs.candidate_cell, shape)
-    score = np.zeros(candidates)
-    shift = np.zeros((candidates, 2))
-    chosen = np.ones(candidates)
+    score, shift, chosen = np.zeros(candidates), np.zeros((candidates, 2)), np.ones(candidates)
     for zoom in zooms:
         root = np.sqrt(zoom)
         displacement = theirs / root - ours * root
-        bins = np.clip(np.rint(displacement).astype(np.intp) + np.array(shape), 0, span - 1)
-        index = (pairs.candidate * span[0] + bins[:, 0]) * span[1] + bins[:, 1]
-        counted = np.asarray(np.bincount(index, weight, candidates * int(span.prod())), np.float64)
-        votes = counted.reshape(candidates, *span)
-        height, peak = _highest(_window_sums(votes, tolerance))
+        bins = np.rint(displacement).astype(np.intp)
+        height, peak = _peaks(pairs.candidate, bins, weight, candidates, reach, tolerance)
         agree = (np.abs(bins - peak[pairs.candidate]) <= tolerance).all(axis=1) * weight
-        total = np.bincount(pairs.candidate, agree, candidates)
         moved = [np.bincount(pairs.candidate, agree * displacement[:, axis], candidates) for axis in (0, 1)]
         better = height > score + 1e-9
-        score[better] = height[better]
-        chosen[better] = zoom
-        shift[better] = (np.stack(moved, axis=1) / np.maximum(total, 1e-9)[:, None] * root)[better]
+        score[better], chosen[better] = height[better], zoom
+        shift[better] = (np.stack(moved, axis=1) / np.maximum(height, 1e-9)[:, None] * root)[better]
     return Agreement(
-        np.minimum(score / (rows * columns), 1).astype(np.float32),
-        np.rint(shift).astype(np.int64),
+        np.minimum(score / (shape[0] * shape[1]), 1).astype(np.float32),
+        np.rint(shift).astype(np.intp),
         chosen.astype(np.float32),
     )
 
 
-def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Floats, npt.NDArray[np.int64]]:
+def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Floats, Indices]:
     """How well the cells of several candidates agree with those of a query.
 
     Parameters
@@ -243,7 +234,7 @@ def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Float
     -------
     scores : float32 of shape (candidates,)
         0..1, as in `Agreement`.
-    shifts : int64 of shape (candidates, 2)
+    shifts : intp of shape (candidates, 2)
         (rows, columns), as in `Agreement`.
 
     Raises
@@ -263,6 +254,13 @@ def _unit(vectors: Floats) -> Floats:
     return unit
 
 
+def _as_unit(cells: Int8s | Floats) -> Floats:
+    """Stored cells as float32; of unit length up to the rounding of storage."""
+    if cells.dtype == np.int8:
+        return cells.astype(np.float32) * np.float32(1 / FULL_SCALE)
+    return cells.astype(np.float32, copy=False)
+
+
 @lru_cache(maxsize=64)
 def _coverage(pixels: int, cells: int) -> Floats:
     """Share of each cell that each pixel covers, float32 (cells, pixels); rows sum to 1."""
@@ -273,27 +271,46 @@ def _coverage(pixels: int, cells: int) -> Floats:
     return share
 
 
-def _centred(cell: npt.NDArray[np.intp], shape: tuple[int, int]) -> Doubles:
+def _mutual(ours: Floats, theirs: Floats, at: int) -> tuple[Indices, Indices, Indices, Floats]:
+    """Columns of `Correspondences` for candidates numbered from `at`: (cells, d) against (candidates, cells, d)."""
+    cosines = np.matmul(ours, theirs.transpose(0, 2, 1))
+    best = cosines.argmax(axis=2)
+    cosine = np.take_along_axis(cosines, best[..., None], axis=2)[..., 0]
+    highest = np.take_along_axis(cosines.max(axis=1), best, axis=1)
+    which, cell = np.nonzero((cosine == highest) & (cosine > 0))
+    # Of equal cells of the query that share a best counterpart, the first has it.
+    counterpart = best[which, cell]
+    kept = np.sort(np.unique(which * theirs.shape[1] + counterpart, return_index=True)[1])
+    which, cell, counterpart = which[kept], cell[kept], counterpart[kept]
+    return which + at, cell, counterpart, np.minimum(cosine[which, cell], 1)
+
+
+def _centred(cell: Indices, shape: tuple[int, int]) -> Doubles:
     """(row, column) of cells from the grid's centre, float64 (n, 2)."""
     return np.stack(np.divmod(cell, shape[1]), axis=1) - (np.array(shape) - 1) / 2
 
 
-def _highest(votes: Doubles) -> tuple[Doubles, npt.NDArray[np.intp]]:
-    """Height and bin, (candidates,) and (candidates, 2), of each candidate's highest vote; of equals the first."""
-    count, rows, columns = votes.shape
-    flat = votes.reshape(count, rows * columns)
+def _peaks(
+    candidate: Indices, bins: Indices, weight: Doubles, candidates: int, reach: Indices, tolerance: int
+) -> tuple[Doubles, Indices]:
+    """Largest weight within `tolerance` of one displacement of at most `reach`, and where; of equals the first.
+
+    Returns
+    -------
+    height : float64 of shape (candidates,)
+    peak : intp of shape (candidates, 2)
+        (rows, columns) of the displacement.
+    """
+    rows, columns = (2 * (reach + tolerance) + 1).tolist()
+    within = (np.abs(bins) <= reach + tolerance).all(axis=1)
+    down, across = (bins[within] + reach + tolerance).T
+    index = (candidate[within] * rows + down) * columns + across
+    counted = np.asarray(np.bincount(index, weight[within], candidates * rows * columns), np.float64)
+    votes = counted.reshape(candidates, rows, columns)
+    window = 2 * tolerance + 1
+    rows, columns = rows - window + 1, columns - window + 1
+    votes = np.sum([votes[:, i : i + rows] for i in range(window)], axis=0)
+    votes = np.sum([votes[:, :, i : i + columns] for i in range(window)], axis=0)
+    flat = votes.reshape(candidates, rows * columns)
     peak = flat.argmax(axis=1)
-    return flat[np.arange(count), peak], np.stack(np.divmod(peak, columns), axis=1)
-
-
-def _window_sums(votes: Doubles, reach: int) -> Doubles:
-    """Sum over the window of +-`reach` around each bin of the last two axes; outside counts nothing."""
-    for axis in (1, 2):
-        length = votes.shape[axis]
-        padding = [(0, 0)] * 3
-        padding[axis] = (reach + 1, reach)
-        running = np.cumsum(np.pad(votes, padding), axis=axis)
-        votes = np.take(running, np.arange(2 * reach + 1, 2 * reach + 1 + length), axis=axis) - np.take(
-            running, np.arange(length), axis=axis
-        )
-    return votes
+    return flat[np.arange(candidates), peak], np.stack(np.divmod(peak, columns), axis=1) - reach
