@@ -10,7 +10,7 @@ from schemas.description import Floats, Int8s, LocalFeatures
 from schemas.picture import Bytes2D
 from worker.place.vocabulary import unit
 
-LONGER_SIDE = 360
+LONGER_SIDE = 320
 """Pixels to which a picture is scaled, up or down: SIFT's time goes with its area."""
 
 CONTRAST = 0.01
