@@ -74,7 +74,7 @@ _DEFAULT = Parameters(
     },
     dynamic=Dynamic(margin=0.1, most=0.5),
     candidates=20,
-    dense=DenseCells(rows=9, columns=15, dimensions=32),
+    dense=DenseCells(rows=16, columns=28, dimensions=32, closely=10),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),
     weights={
