@@ -238,7 +238,7 @@ def services(
         yield [connect(options.url)], needs
     else:
         # Late: a house brings torch, the database and the index, which baselines do without.
-        from worker.evaluation.service import contender, house_for_measuring
+        from worker.evaluation.in_process import contender, house_for_measuring
 
         with house_for_measuring(read_settings(), options.device) as house:
             recipe = house.default_recipe

@@ -1,6 +1,7 @@
 """Pictures for the report: right and wrong answers side by side, and the paper's figures made anew."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -65,8 +66,8 @@ def the_papers_figures(dataset: Dataset, asked: Asked, artist: Artist | None, se
     features = [Shown("ORB's 500 features, moving things included", orb_features(one))]
     matches = [orb_matches(one, other)]
     if artist is not None:
-        features += artist.portray(one)
-        matches += artist.explain(one, other)
+        features += [_smaller(shown) for shown in artist.portray(one)]
+        matches += [_smaller(shown) for shown in artist.explain(one, other)]
     return [
         Example(f"Where features lie: {one.name}", None, features),
         Example(f"What is matched: {one.name} and {other.name}", None, matches),
@@ -94,7 +95,7 @@ def orb_matches(one: Path, other: Path) -> Shown:
             if clear and (pair[0].queryIdx, pair[0].trainIdx) in back:
                 good.append(pair[0])
     drawn = cv2.drawMatches(_fitted(rgb(one)), keys_a, _fitted(rgb(other)), keys_b, good, None, flags=2)
-    return Shown(f"ORB: {len(good)} mutual matches with ratio below {RATIO}", _jpeg(drawn))
+    return Shown(f"ORB: {len(good)} mutual matches with ratio below {RATIO}", _jpeg(drawn), wide=True)
 
 
 def thumbnail(path: Path) -> bytes:
@@ -111,10 +112,18 @@ def _answer(dataset: Dataset, asked: Asked, query: int, first: int, right: bool,
         wanted = dataset.database[int(positives[len(positives) // 2])]
         pictures.append(Shown(f"a right answer {wanted.name}", thumbnail(wanted)))
     if artist is not None:
-        pictures += artist.explain(one, answer)
+        pictures += [_smaller(shown) for shown in artist.explain(one, answer)]
     where = "" if right else f", first right answer at rank {first}" if first else ", no right answer among those asked"
     sure = f", confidence {asked.confidence[query]:.2f}" if asked.calibrated else ""
     return Example(f"{asked.method}, query {query}{where}{sure}", right, pictures)
+
+
+def _smaller(shown: Shown) -> Shown:
+    """A drawing small enough for a report: those of an artist are as large as the photo and losslessly packed."""
+    pixels = cv2.imdecode(np.frombuffer(shown.data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    scale = min(1.0, 2 * LONG_SIDE / max(pixels.shape[:2]))
+    size = (round(pixels.shape[1] * scale), round(pixels.shape[0] * scale))
+    return replace(shown, data=_jpeg(np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)))
 
 
 def _fitted(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -14,10 +14,11 @@ STYLE = Path(__file__).with_name("report.css")
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture of the report: PNG or JPEG bytes and what they show."""
+    """A picture of the report: PNG or JPEG bytes and what they show; a wide one holds two pictures side by side."""
 
     caption: str
     data: bytes
+    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -185,8 +186,9 @@ def _example(x: Example) -> str:
     if x.right is not None:
         mark = '<b class="good">right</b>' if x.right else '<b class="flag">wrong</b>'
     figures = "".join(
-        f'<figure><img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}'
-        "</figcaption></figure>"
+        f'<figure class="{"pair" if p.wide else "one"}">'
+        f'<img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}</figcaption>'
+        "</figure>"
         for p in x.pictures
     )
     return (

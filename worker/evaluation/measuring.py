@@ -148,7 +148,7 @@ def alarms(evaluation: Evaluation) -> list[tuple[str, tuple[str, ...]]]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for method in evaluation.methods:
         if method.luck.at_chance:
-            groups.setdefault(method.luck.causes, []).append(f"{method.method} (p = {method.luck.p_value:.2f})")
+            groups.setdefault(method.luck.causes, []).append(f"{method.method} (p = {method.luck.p_value:.3f})")
     return [(", ".join(names), causes) for causes, names in groups.items()]
 
 

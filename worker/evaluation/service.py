@@ -1,13 +1,11 @@
 """The service in this process as something to be measured: its store, its desk and its search, without HTTP."""
 
-import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -16,14 +14,11 @@ from schemas.errors import RevisitError
 from schemas.picture import Picture, PictureFacts
 from schemas.recipe import Recipe
 from schemas.records import Filters, Said, Where
-from schemas.settings import Settings
 from worker.datasets.dataset import Dataset
 from worker.decide import decide, features
 from worker.desk import Served
 from worker.evaluation.asking import Answer, Retriever
-from worker.evaluation.contender import Contender
 from worker.house import House
-from worker.recipes import make_recipe
 from worker.search import Answer as Ranked
 
 LOOK_AGAIN_S = 0.25
@@ -133,31 +128,3 @@ def map_of_its_own(house: House, recipe: Recipe, name: str, dataset: Dataset) ->
         yield HouseRetriever(house, recipe, name, map_name)
     finally:
         house.store.delete_map(map_name)
-
-
-@contextmanager
-def house_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[House]:
-    """A started house with a data folder of its own, which is removed afterwards.
-
-    Parameters
-    ----------
-    settings : Settings
-        Encoder, weights and threads are taken from them; where they keep data is not touched.
-    device : str
-    """
-    from worker.bootstrap import build
-
-    with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
-        apart = {"data": Path(folder), "database": None, "inline_worker": True, "device": device}
-        house = build(settings.model_copy(update=apart))
-        house.start()
-        try:
-            yield house
-        finally:
-            house.stop()
-
-
-def contender(house: House, preset: str) -> Contender:
-    """A preset of a house as something to be measured."""
-    recipe = make_recipe(house.encoder, preset)
-    return Contender(partial(map_of_its_own, house, recipe, preset))

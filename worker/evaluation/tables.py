@@ -66,9 +66,9 @@ def overview(evaluations: Sequence[Evaluation]) -> str:
 
 
 def short(figure: Figure) -> str:
-    """A figure with half the width of its interval: ``0.575 ±.068``."""
-    half = f"{(figure.high - figure.low) / 2:.3f}".removeprefix("0")
-    return f"{figure.value:.3f} ±{half}"
+    """A figure with its interval in few letters: ``0.575 (.51-.64)``."""
+    low, high = (f"{v:.2f}".removeprefix("0") for v in (figure.low, figure.high))
+    return f"{figure.value:.3f} ({low}-{high})"
 
 
 def remarks(method: Figures) -> list[str]:
