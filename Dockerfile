@@ -5,7 +5,7 @@
 ARG BASE=python:3.11-slim-bookworm
 
 FROM ${BASE} AS packages
-# Where pip finds the CPU build of torch. Without an index that has it, the build stops rather than fetch CUDA.
+# For a mirror. The CPU build of torch is found without it; where it is not, the build stops rather than fetch CUDA.
 ARG PIP_EXTRA_INDEX_URL
 WORKDIR /opt/revisit
 # Only what decides the packages: this layer is made again when they change, not when the program does.
