@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from typing import TypeVar
 
 from app import answers
+from app.changes import Changes
 from app.explanations import Explanations
 from schemas import wire
 from schemas.description import PixelField
@@ -27,12 +28,15 @@ class Curator:
     house : House
     explanations : Explanations
         Of the latest queries.
+    changes : Changes
+        Of whole maps, in the background.
     """
 
-    def __init__(self, house: House, explanations: Explanations) -> None:
+    def __init__(self, house: House, explanations: Explanations, changes: Changes) -> None:
         self._house = house
         self._store = house.store
         self._explanations = explanations
+        self._changes = changes
 
     # views
 
@@ -186,9 +190,18 @@ class Curator:
 
     # jobs
 
+    async def switch_recipe(self, name: str, wanted: wire.PutMap) -> wire.Job:
+        """Describe a map's views by another recipe, in the background."""
+        return await asyncio.to_thread(self._changes.switch, name, wanted)
+
+    async def train_vocabulary(self, name: str) -> wire.Job:
+        """Train a vocabulary on a map's own views and describe them by it, in the background."""
+        return await asyncio.to_thread(self._changes.train, name)
+
     async def job(self, job_id: str) -> wire.Job:
         """One job."""
-        return answers.job(await asyncio.to_thread(self._store.job, job_id))
+        change = await asyncio.to_thread(self._changes.job, job_id)
+        return change or answers.job(await asyncio.to_thread(self._store.job, job_id))
 
     async def cancel_job(self, job_id: str) -> wire.Job:
         """Cancel a job that is waiting."""

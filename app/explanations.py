@@ -3,10 +3,16 @@
 from collections import OrderedDict
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.picture import Picture
+from worker import drawing
 from worker.search import Answer, Found
+
+Point = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +28,23 @@ class Explained:
     picture: Picture
     description: Description
     answer: Answer
+
+    def draw(self, found: Found, view: Picture) -> bytes:
+        """Query and match side by side: keypoints that agree, nodes that correspond, and what each term adds."""
+        labels, query = self.answer.recipe.labels, self.description.appearance.graph
+        nodes: list[tuple[str, Point, Point]] = []
+        if found.graph is not None:
+            nodes = [
+                (labels[query.labels[p]], _point(query.positions[p]), _point(found.graph.view.positions[r]))
+                for p, r in found.graph.pairs
+            ]
+        inliers: list[tuple[Point, Point]] = []
+        text = [f"score {found.score:.3f}"]
+        text += [f"{term} {part:.3f}" for term, part in sorted(found.parts.items())]
+        if found.verified is not None:
+            inliers = [(_point(pair[:2]), _point(pair[2:])) for pair in found.verified.pairs]
+            text.append(f"{found.verified.inliers} of {found.verified.matches} keypoints agree")
+        return drawing.explanation_png(self.picture.pixels, view.pixels, inliers, nodes, text)
 
     def match(self, view_id: str | None) -> Found:
         """The match with that view, or the first one; raises NotFound."""
@@ -57,3 +80,7 @@ class Explanations:
             raise NotFound(
                 "explained query", query_id, f"ask with explain=true; the latest {self._most} are kept until a restart"
             ) from None
+
+
+def _point(position: npt.NDArray[np.floating]) -> Point:
+    return float(position[0]), float(position[1])

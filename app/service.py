@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from app.changes import Changes
 from app.condition import Condition
 from app.curate import Curator
 from app.explanations import Explanations
@@ -34,4 +35,9 @@ class Service:
     def of(cls, house: House) -> "Service":
         """The use-cases around a house."""
         explanations = Explanations(house.settings.explanations)
-        return cls(Recogniser(house, explanations), Curator(house, explanations), Condition(house), house.settings)
+        return cls(
+            Recogniser(house, explanations),
+            Curator(house, explanations, Changes(house)),
+            Condition(house),
+            house.settings,
+        )

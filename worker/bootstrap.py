@@ -110,9 +110,13 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
         return CompactEncoder(settings.device)
     from worker.encoders.lseg.encoder import LsegEncoder
 
-    if settings.weights is None:
-        raise SetupError("the encoder lseg needs REVISIT_WEIGHTS, its weights file; docs/lseg.md says where it is from")
-    return LsegEncoder(settings.weights, settings.bpe, mode=settings.lseg_mode, device=settings.device)
+    return LsegEncoder.open(
+        settings.weights,
+        vocabulary=settings.bpe,
+        mode=settings.lseg_mode,
+        device=settings.device,
+        batch=settings.batch,
+    )
 
 
 def _empty_index(recipe: Recipe) -> FlatIndex:

@@ -37,7 +37,7 @@ CODE_DYNAMIC = (
 STREET_AND_ROOM = (
     "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "terrain",
     "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door", "floor", "ceiling",
-    "furniture", "other",
+    "cabinet", "chair", "table", "stairs", "other",
 )  # fmt: skip
 """Words of the default preset: the street outside and the room inside."""
 

@@ -174,8 +174,8 @@ def naive(query: ContextGraph, view: ContextGraph, t: float, tau: float) -> floa
     common = either = 0
     for i, (p, r) in enumerate(pairs):
         for p2, r2 in pairs[i + 1 :]:
-            in_query = np.linalg.norm(query.positions[p] - query.positions[p2]) <= tau
-            in_view = np.linalg.norm(view.positions[r] - view.positions[r2]) <= tau
+            in_query = bool(np.linalg.norm(query.positions[p] - query.positions[p2]) <= tau)
+            in_view = bool(np.linalg.norm(view.positions[r] - view.positions[r2]) <= tau)
             common += in_query and in_view
             either += in_query or in_view
     m = len(pairs)

@@ -22,7 +22,7 @@ def test_the_same_picture_and_seed_draw_the_same_cells_and_others_do_not() -> No
     static = np.ones((20, 20), np.bool_)
 
     def draw(seed: int, digest: str) -> list[int]:
-        return keypoints.draw(static, 50, keypoints.generator(seed, digest)).tolist()
+        return [int(cell) for cell in keypoints.draw(static, 50, keypoints.generator(seed, digest))]
 
     assert draw(0, DIGEST) == draw(0, DIGEST)
     assert draw(0, DIGEST) != draw(1, DIGEST)

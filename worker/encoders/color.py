@@ -55,7 +55,9 @@ class ColorEncoder:
     def _encode(self, picture: Picture) -> PixelField:
         width, height = picture.extent
         columns, rows = (max(4, round(side * LONGEST / CELL)) for side in (width, height))
-        mean = cv2.resize(picture.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        mean = cv2.resize(picture.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(
+            np.float32
+        ) / np.float32(255)
         words = _unit(_spread(mean))
         across = np.gradient(mean, axis=1)
         down = np.gradient(mean, axis=0)
@@ -67,7 +69,7 @@ class ColorEncoder:
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""
         self.meanings(words)
-        colours = np.array([WORDS[word] for word in words], np.float32).reshape(-1, 3) / 255
+        colours = np.array([WORDS[word] for word in words], np.float32).reshape(-1, 3) / np.float32(255)
         return _unit(_spread(colours))
 
     def meanings(self, words: Sequence[str]) -> list[Meaning]:

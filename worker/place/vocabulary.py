@@ -116,7 +116,8 @@ def vector(descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel)
     normalised: Floats = np.sqrt(counts, dtype=np.float32) if channel.normalisation == "hellinger" else counts
     if vocabulary.projection is None:
         return normalised
-    return unit((normalised - vocabulary.projection.mean) @ vocabulary.projection.matrix)
+    projected: Floats = (normalised - vocabulary.projection.mean) @ vocabulary.projection.matrix
+    return unit(projected)
 
 
 def unit(vectors: Floats) -> Floats:
