@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import demo_pictures, pictures
 from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json, table, wrong_use
-from app.cli.service import running
+from app.cli.service import started
 
 if TYPE_CHECKING:
     from app.cli.demo_pictures import Material, Question
@@ -63,10 +63,11 @@ def run(arguments: argparse.Namespace) -> int:
     photos = None if arguments.photos is None else _photos(arguments.photos)
     output = arguments.output or Path(tempfile.mkdtemp(prefix="revisit-demo-"))
     output.mkdir(parents=True, exist_ok=True)
-    material = _drawn(output) if photos is None else _own(photos, output)
-    with tempfile.TemporaryDirectory(prefix="revisit-demo-data-") as folder, running(Path(folder)) as service:
-        say(f"a service runs at {service.url} on data in {folder}")
-        with Revisit(service.url) as revisit:
+    with tempfile.TemporaryDirectory(prefix="revisit-demo-data-") as folder, started(Path(folder)) as service:
+        material = _drawn(output) if photos is None else _own(photos, output)  # while the service loads its network
+        url = service.url()
+        say(f"a service runs at {url} on data in {folder}")
+        with Revisit(url) as revisit:
             calls = _enrolled(revisit, material)
             results, asked = _asked(revisit, material, output)
         right = [result.is_right for result in results if result.question.place is not None]
@@ -78,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
             verdict = f"{sum(map(bool, right))} of {len(right)} known places were recognised"
             show(f"\n{verdict}." if passed else f"\n{verdict}: fewer than expected. The service's log: {service.log}")
         if arguments.keep:
-            say(f"the service goes on at {service.url} (console {service.url}/, docs {service.url}/docs); Ctrl-C stops")
+            say(f"the service goes on at {url} (console {url}/, docs {url}/docs); Ctrl-C stops")
             try:
                 service.process.wait()
             except KeyboardInterrupt:

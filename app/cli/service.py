@@ -14,31 +14,40 @@ from app.cli.console import Failure
 
 _URL = re.compile(r"revisit serves at (http://\S+)")
 _OURS = ("REVISIT_HOST", "REVISIT_PORT", "REVISIT_OPEN", "REVISIT_DATABASE", "REVISIT_URL", "REVISIT_LOG")
+ROOT = Path(__file__).resolve().parents[2]
 STARTING_S = 180
 STOPPING_S = 30
 
 
 @dataclass(frozen=True)
 class Service:
-    """A running service."""
+    """A service that was started."""
 
-    url: str
     log: Path
     process: "subprocess.Popen[bytes]"
 
+    def url(self) -> str:
+        """Where it is, once it can be asked; raises Failure with the end of its log when it cannot start."""
+        deadline = time.monotonic() + STARTING_S
+        while time.monotonic() < deadline:
+            if match := _URL.search(self.log.read_text(errors="replace")):
+                return match[1]
+            if self.process.poll() is not None:
+                raise Failure(f"the service did not start:\n{self._end()}")
+            time.sleep(0.05)
+        raise Failure(f"the service did not start within {STARTING_S} s:\n{self._end()}")
+
+    def _end(self) -> str:
+        return "\n".join(self.log.read_text(errors="replace").splitlines()[-15:])
+
 
 @contextmanager
-def running(folder: Path, environment: Mapping[str, str] | None = None) -> Iterator[Service]:
-    """Start `serve` on a free port with its data and its log in a folder; stop it at the end.
-
-    Raises
-    ------
-    Failure
-        It did not start; the text has the end of its log.
-    """
+def started(folder: Path, environment: Mapping[str, str] | None = None) -> Iterator[Service]:
+    """Start `serve` on a free port with its data and its log in a folder; stop it at the end."""
     log = folder / "service.log"
     env = {name: value for name, value in os.environ.items() if name not in _OURS}
-    env |= {"REVISIT_DATA": str(folder / "data"), "PYTHONUNBUFFERED": "1", **(environment or {})}
+    path = os.pathsep.join(filter(None, (str(ROOT), env.get("PYTHONPATH"))))
+    env |= {"REVISIT_DATA": str(folder / "data"), "PYTHONUNBUFFERED": "1", "PYTHONPATH": path, **(environment or {})}
     with log.open("wb") as output:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "app.cli", "serve", "--port", "0", "--host", "127.0.0.1"],
@@ -48,7 +57,7 @@ def running(folder: Path, environment: Mapping[str, str] | None = None) -> Itera
             start_new_session=True,  # Ctrl-C is for us; we stop the service ourselves
         )
     try:
-        yield Service(_url(process, log), log, process)
+        yield Service(log, process)
     finally:
         process.terminate()
         try:
@@ -56,19 +65,3 @@ def running(folder: Path, environment: Mapping[str, str] | None = None) -> Itera
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def _url(process: "subprocess.Popen[bytes]", log: Path) -> str:
-    """Wait until the service says where it is."""
-    deadline = time.monotonic() + STARTING_S
-    while time.monotonic() < deadline:
-        if match := _URL.search(log.read_text(errors="replace")):
-            return match[1]
-        if process.poll() is not None:
-            raise Failure(f"the service did not start:\n{_end(log)}")
-        time.sleep(0.05)
-    raise Failure(f"the service did not start within {STARTING_S} s:\n{_end(log)}")
-
-
-def _end(log: Path) -> str:
-    return "\n".join(log.read_text(errors="replace").splitlines()[-15:])

@@ -18,9 +18,10 @@ def noise(rng: np.random.Generator, size: tuple[int, int], cells: float, octaves
         step = max(cells / 2**octave, 1.0)
         shape = (int(height / step) + 3, int(width / step) + 3)
         lumps = rng.standard_normal(shape, np.float32)
-        grown = cv2.resize(lumps, (int(shape[1] * step), int(shape[0] * step)), interpolation=cv2.INTER_CUBIC)
+        how = cv2.INTER_LINEAR if octave else cv2.INTER_CUBIC  # edges of the coarsest lumps would show
+        grown = cv2.resize(lumps, (int(shape[1] * step), int(shape[0] * step)), interpolation=how)
         if grown.shape[0] < height or grown.shape[1] < width:
-            grown = cv2.resize(lumps, (width, height), interpolation=cv2.INTER_CUBIC)
+            grown = cv2.resize(lumps, (width, height), interpolation=how)
         total += grown[:height, :width] / 1.7**octave
     deviation = float(total.std())
     return np.asarray((total - total.mean()) / max(deviation, 1e-6), np.float32)
@@ -33,7 +34,9 @@ def bounded(values: npt.NDArray[np.floating]) -> Pixels:
 
 def tinted(colour: Colour, light: Field) -> Pixels:
     """A colour times a brightness (1 is the colour itself) per texel."""
-    return bounded(np.array(colour, np.float32) * light[..., None])
+    # OpenCV multiplies, rounds and bounds in one pass; numpy would go over these large arrays four times.
+    channels = [cv2.multiply(light, float(part), dtype=cv2.CV_8U) for part in colour]
+    return np.asarray(cv2.merge(channels), np.uint8)
 
 
 def plaster(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pixels:
@@ -112,9 +115,14 @@ def paving(
     row = y // tall
     shifted = np.arange(width)[None, :] + ((row % 2) * (wide // 2 if bond else 0))[:, None]
     shades = (1 + 0.07 * rng.standard_normal((height // tall + 1, width // wide + 2))).astype(np.float32)
-    light = shades[row[:, None], shifted // wide] + 0.05 * noise(rng, size, 70) + 0.03 * rng.standard_normal(size)
+    light = (
+        shades[row[:, None], shifted // wide]
+        + 0.05 * noise(rng, size, 70)
+        + 0.03 * rng.standard_normal(size, np.float32)
+    )
     joint = (shifted % wide < 1) | ((y % tall < 1)[:, None])
-    return tinted(colour, np.where(joint, 0.62, light).astype(np.float32))
+    light[joint] = 0.62
+    return tinted(colour, light)
 
 
 def grass(rng: np.random.Generator, size: tuple[int, int], colour: Colour) -> Pixels:

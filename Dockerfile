@@ -1,0 +1,37 @@
+# syntax=docker/dockerfile:1
+# The service in a container: `docker build -t revisit .`, then `docker run -p 8000:8000 -v places:/data revisit`.
+#
+# Any image of Debian or Ubuntu with Python 3.11 and its venv module will do as BASE.
+ARG BASE=python:3.11-slim-bookworm
+
+FROM ${BASE} AS packages
+# For a mirror. The CPU build of torch is found without it; where it is not, the build stops rather than fetch CUDA.
+ARG PIP_EXTRA_INDEX_URL
+WORKDIR /opt/revisit
+# Only what decides the packages: this layer is made again when they change, not when the program does.
+COPY revisit requirements.lock ./
+RUN PIP_NO_CACHE_DIR=1 ./revisit set-up
+
+FROM ${BASE}
+RUN useradd --system --uid 10001 --home-dir /data --shell /usr/sbin/nologin revisit \
+    && install -d -o revisit -g revisit /data
+WORKDIR /opt/revisit
+COPY --from=packages /opt/revisit/.venv .venv
+COPY schemas schemas
+COPY worker worker
+COPY app app
+COPY benchmarks benchmarks
+COPY deploy/in-container /usr/local/bin/revisit
+# Compiled once here, since the service's user cannot write beside the program.
+RUN .venv/bin/python -m compileall -q schemas worker app benchmarks && .venv/bin/python -m pip uninstall -q -y pip
+
+# A container is reached from outside, so it listens everywhere and says so in its log; publish the port to whom you
+# trust, or put a proxy with keys in front (deploy/nginx.conf).
+ENV REVISIT_DATA=/data REVISIT_HOST=0.0.0.0 REVISIT_PORT=8000 REVISIT_OPEN=true REVISIT_LOG=json PYTHONUNBUFFERED=1
+USER revisit
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=15s --timeout=6s --start-period=60s --retries=4 CMD ["revisit", "healthcheck"]
+STOPSIGNAL SIGTERM
+ENTRYPOINT ["revisit"]
+CMD ["serve"]
