@@ -187,7 +187,8 @@ def _example(x: Example) -> str:
         mark = '<b class="good">right</b>' if x.right else '<b class="flag">wrong</b>'
     figures = "".join(
         f'<figure class="{"pair" if p.wide else "one"}">'
-        f'<img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}</figcaption></figure>'
+        f'<img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}</figcaption>'
+        "</figure>"
         for p in x.pictures
     )
     return (
