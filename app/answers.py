@@ -99,9 +99,7 @@ def removal(receipt: Removal) -> wire.Deleted:
     return wire.Deleted(views=receipt.views, pictures=receipt.pictures, revision=receipt.revision)
 
 
-def map_facts(
-    record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning]
-) -> wire.MapFacts:
+def map_facts(record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning]) -> wire.MapFacts:
     """A map; `meanings` says how the encoder understands its labels."""
     recipe = record.recipe
     lowest, highest = position(counts.lowest), position(counts.highest)

@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from schemas.errors import BadBody, Busy, InvalidParameters, NotFound, ParameterError, RevisitError
+from schemas.errors import BadBody, Busy, InvalidParameters, NotFound, ParameterError, RevisitError, SetupError
 from schemas.wire import Problem, ProblemParameter
 
 logger = logging.getLogger("revisit.http")
@@ -107,6 +107,9 @@ def problem(
 
 def code_of(error: RevisitError) -> str:
     """The code that a client sees: refusals that concern no client are `internal`."""
+    if isinstance(error, SetupError):
+        # Once the service runs, only a map is set up wrongly: its recipe needs another encoder or a lost vocabulary.
+        return "conflict"
     return error.code if error.code in KINDS else "internal"
 
 

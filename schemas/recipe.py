@@ -52,11 +52,12 @@ class Dynamic(Frozen):
 
 
 class DenseCells(Frozen):
-    """The coarse grid of embeddings that re-ranking compares cell by cell."""
+    """The grid of embeddings that re-ranking compares: all candidates at half its size, the best of them in full."""
 
-    rows: Annotated[int, Field(ge=1, le=64)] = 9
-    columns: Annotated[int, Field(ge=1, le=64)] = 15
+    rows: Annotated[int, Field(ge=2, le=64)] = 16
+    columns: Annotated[int, Field(ge=2, le=64)] = 28
     dimensions: Annotated[int, Field(ge=1, le=512)] = 32
+    closely: Annotated[int, Field(ge=0, le=100)] = Field(10, description="How many of the best are compared in full.")
 
 
 class Graph(Frozen):
@@ -88,7 +89,8 @@ class Parameters(Frozen):
         "weighted", description="weighted adds up terms; graph sorts by graph similarity alone, as the paper says."
     )
     weights: dict[str, float] = Field(
-        default_factory=dict, description="Weight of each term: dense.CHANNEL, histogram.CHANNEL, graph, verification."
+        default_factory=dict,
+        description="Weight of each term: dense.CHANNEL, close.CHANNEL, histogram.CHANNEL, graph, verification.",
     )
 
 

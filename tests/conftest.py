@@ -1,4 +1,4 @@
-"""Fixtures for every test."""
+"""What all tests may ask for."""
 
 import os
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The development data beside the checkout; its tests are skipped, loudly, without it."""
-    root = Path(os.environ.get("REVISIT_SHARED", Path(__file__).resolve().parents[2] / "shared"))
-    if not root.is_dir():
-        pytest.skip(f"SKIPPED FOR WANT OF DATA: no folder {root}; set REVISIT_SHARED to the development data")
-    return root
+    """The development data: `REVISIT_SHARED`, or ``shared`` beside the checkout. Too large for the repository."""
+    folder = Path(os.environ.get("REVISIT_SHARED") or Path(__file__).parents[2] / "shared")
+    if not folder.is_dir():
+        pytest.skip(f"NOT RUN: needs the development data, and there is none at {folder}; set REVISIT_SHARED to it")
+    return folder

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import json
 import platform
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from training.start import started, trunk_state
 from training.teacher import Shallow, Teacher, write_labels
 
 WORD_TEMPERATURE = 0.07
+RARITY = -0.5
+"""A pixel counts as its meaning's share of all labelled pixels, to this power: a pole six times as much as road."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -68,13 +71,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with (options.out / "runs.jsonl").open("a") as log:
         log.write(json.dumps(described) + "\n")
     mix = data.Mix(strong=options.strong, mild=options.mild, size=(options.height, options.width))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: run.stop())
     batches = data.Batches(found, lexicon, mix, options.seed)
     run.train(data.stream(batches, run.step, options.loaders))
 
 
 def _word_loss(found: dict[str, data.Source], lexicon: Lexicon) -> WordLoss:
     shares = data.meaning_shares(found, lexicon)
-    weights = (shares + 1e-4) ** -0.35
+    weights = (shares + 1e-4) ** RARITY
     return WordLoss(
         torch.from_numpy(lexicon.vectors),
         torch.from_numpy(lexicon.members()),

@@ -90,7 +90,8 @@ def sources(data: Path, teacher_labels: Path | None) -> dict[str, Source]:
 
 def classes(data: Path) -> dict[str, dict[int, Sequence[str]]]:
     """Give the words of every label value of every labelled set, the trunk's own labels among them."""
-    said = {name: class_words(data / "segmentation" / name / "classes.json") for name in LABELLED}
+    files = {name: data / "segmentation" / name / "classes.json" for name in LABELLED}
+    said = {name: class_words(path) for name, path in files.items() if path.exists()}
     return said | {STREET: {value: (word,) for value, word in enumerate(STREET_WORDS)}}
 
 

@@ -46,7 +46,7 @@ class Plan:
     detail_temperature: float = 0.07
     averaging: float = 0.998
     log_every: int = 50
-    checkpoint_every: int = 250
+    checkpoint_every: int = 100
 
     def progress(self, step: int, seconds: float) -> float:
         """Say how much of the run is over, 0..1."""
@@ -94,6 +94,7 @@ class Run:
         self.step = 0
         self.seconds = 0.0
         self._half = half
+        self._stopped = False
         self._folder = folder
         self._sums: dict[str, float] = {}
         heads = [p for name, p in network.named_parameters() if name.split(".")[0] in _HEADS]
@@ -104,9 +105,9 @@ class Run:
         )
 
     def train(self, batches: Iterator[dict[str, Tensor]]) -> None:
-        """Step until the plan is done, leaving a checkpoint behind."""
+        """Step until the plan is done or `stop` is called, leaving a checkpoint behind."""
         began = time.monotonic() - self.seconds
-        while (progress := self.plan.progress(self.step, self.seconds)) < 1:
+        while (progress := self.plan.progress(self.step, self.seconds)) < 1 and not self._stopped:
             self._take_step(next(batches), progress)
             self.seconds = time.monotonic() - began
             if self.step % self.plan.log_every == 0:
@@ -114,6 +115,10 @@ class Run:
             if self.step % self.plan.checkpoint_every == 0:
                 self.save()
         self.save()
+
+    def stop(self) -> None:
+        """End `train` after the step at hand, leaving a checkpoint to go on from."""
+        self._stopped = True
 
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Compute each loss of one batch, and the shares of cells found again."""

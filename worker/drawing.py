@@ -84,7 +84,7 @@ def graph_png(pixels: Pixels, graph: ContextGraph, words: Sequence[str], tau: fl
     for i in range(len(graph)):
         for j in range(i):
             if np.linalg.norm(graph.positions[i] - graph.positions[j]) <= tau:
-                cv2.line(picture, at[i], at[j], PAPER, max(1, round(1.6 * unit)), cv2.LINE_AA)
+                cv2.line(picture, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
     radii = [max(3 * unit, float(np.sqrt(share)) * 0.11 * longer) for share in graph.shares]
     for i in np.argsort(-graph.shares, kind="stable"):
         radius = round(radii[i])
@@ -157,7 +157,7 @@ def _stretched(cells: npt.NDArray[Any], size: tuple[int, int]) -> Pixels:
 def _toned_down(pixels: Pixels) -> Pixels:
     """The photo paler and darker, so that what is drawn on it stands out."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)[..., None]
-    return np.asarray((pixels * np.float32(0.45) + grey * np.float32(0.25)), np.uint8)
+    return np.asarray((pixels * np.float32(0.55) + grey * np.float32(0.25)), np.uint8)
 
 
 def _unit(picture: Pixels) -> float:

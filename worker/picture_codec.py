@@ -1,8 +1,8 @@
 """Bytes to pictures and back, within limits; the only module that decodes what strangers send.
 
 The order matters: type by magic bytes, size from the header, completeness by structure, and only then the decoder.
-JPEG, PNG and WebP without peculiarities go through OpenCV, which is quicker; everything with alpha, a palette, CMYK
-or unusual depths goes through Pillow, which knows what they mean.
+JPEG and PNG without peculiarities go through OpenCV, which is quicker; everything with alpha, a palette, CMYK or
+unusual depths goes through Pillow, which knows what they mean.
 """
 
 import hashlib
@@ -28,6 +28,7 @@ SHORTEST_SIDE = 32
 _ORIENTATION = 0x0112  # EXIF tag
 _TURNED = range(5, 9)  # its values that swap width and height
 _THUMBNAIL_QUALITY = 85
+_QUICKER = ("jpeg", "png")  # by OpenCV; of WebP it also returns what is damaged
 _PLAIN_MODES = ("RGB", "L")  # what OpenCV decodes exactly as Pillow would
 
 
@@ -139,7 +140,7 @@ class _Header:
                 stored = image.size
                 orientation = _orientation(image)
                 animated = kind == "webp" and getattr(image, "n_frames", 1) > 1
-                plain = kind in _WHOLE and image.mode in _PLAIN_MODES and "transparency" not in image.info
+                plain = kind in _QUICKER and image.mode in _PLAIN_MODES and "transparency" not in image.info
         except Exception as error:
             # Pillow's parsers raise whatever their struct and zlib calls do; by now the type is known to be right.
             raise _undecodable(kind, f"its header cannot be read ({error})") from error
@@ -178,6 +179,11 @@ def _orientation(image: Image.Image) -> int:
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
+# Where OpenCV gives up within a JPEG it leaves this grey; Pillow raises. A second opinion is asked only when the last
+# block is of exactly this grey, which hardly any sound picture has.
+_UNWRITTEN = 128
+
+
 def _with_opencv(data: bytes, header: _Header) -> Bytes2D:
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
     try:
@@ -186,6 +192,8 @@ def _with_opencv(data: bytes, header: _Header) -> Bytes2D:
         raise _undecodable(header.format, "it is damaged") from error
     if pixels is None or pixels.shape[1::-1] != header.stored:
         raise _undecodable(header.format, "it is damaged")
+    if header.format == "jpeg" and (pixels[-8:, -8:] == _UNWRITTEN).all():
+        _with_pillow(data, header)
     return np.ascontiguousarray(_turned(pixels, header.orientation))
 
 
@@ -230,10 +238,13 @@ def _rgb(image: Image.Image) -> Image.Image:
 # Marker other than a stuffed zero, a restart or a fill byte: the end of a run of entropy-coded data.
 _MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _END_OF_IMAGE = 0xD9
+# What may stand before it: tables, frames, scans, application data, comments. Anything else is a flipped bit, at which
+# OpenCV would stop and return what it has.
+_SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDA, 0xDE), *range(0xE0, 0xF0), 0xFE} - {0xC8})
 
 
 def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether an end-of-image marker closes the picture itself.
+    """Whether one known segment follows another up to an end-of-image marker that closes the picture itself.
 
     Decoders fill what is missing with grey. Looking for the marker's bytes alone is not enough: the thumbnail in the
     EXIF block has one too.
@@ -243,6 +254,8 @@ def _jpeg_is_whole(data: bytes) -> bool:
         marker = data[match.end() - 1]
         if marker == _END_OF_IMAGE:
             return True
+        if marker not in _SEGMENTS:
+            return False
         length = int.from_bytes(data[match.end() : match.end() + 2], "big")
         at = match.end() + max(length, 2)
     return False

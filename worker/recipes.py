@@ -74,7 +74,7 @@ _DEFAULT = Parameters(
     },
     dynamic=Dynamic(margin=0.1, most=0.5),
     candidates=20,
-    dense=DenseCells(rows=9, columns=15, dimensions=32),
+    dense=DenseCells(rows=16, columns=28, dimensions=32, closely=10),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),
     weights={
@@ -96,7 +96,7 @@ PRESETS: Mapping[str, Preset] = {
 words of their program; ``default`` is what measuring found (docs/evaluation.md)."""
 
 
-def preset_for(name: str, encoder: Encoder) -> Preset:
+def carried(name: str, encoder: Encoder) -> Preset:
     """A preset as far as an encoder can carry it.
 
     An encoder without an appearance layer searches and ranks by words alone. One that knows only the paper's words
@@ -112,16 +112,34 @@ def preset_for(name: str, encoder: Encoder) -> Preset:
     preset = PRESETS[name]
     if encoder.name == "color":
         preset = Preset(PAPER_WORDS, PAPER_DYNAMIC, preset.parameters)
-    channels = {c: v for c, v in preset.parameters.channels.items() if v.layer in encoder.layers}
-    if vocabularies.shipped(encoder.name, name) is None:
-        # Nothing was trained for this encoder: its words are the label words themselves (`vocabularies.of_text`).
-        channels = {SEMANTIC: channels[SEMANTIC].model_copy(update={"words": len(preset.labels), "dimensions": None})}
+    layers = encoder.layers
+    return _with_channels(preset, {c: v for c, v in preset.parameters.channels.items() if v.layer in layers})
+
+
+def preset_for(name: str, encoder: Encoder) -> Preset:
+    """A preset that an encoder can serve at once.
+
+    Where no vocabulary ships for it, the words of its one channel are the label words themselves
+    (`vocabularies.of_text`), until the map trains its own.
+    """
+    preset = carried(name, encoder)
+    if vocabularies.shipped(encoder.name, name) is not None:
+        return preset
+    words = preset.parameters.channels[SEMANTIC]
+    own = words.model_copy(update={"words": len(preset.labels), "dimensions": None, "assignments": 1})
+    return _with_channels(preset, {SEMANTIC: own}, dense=None)
+
+
+def _with_channels(preset: Preset, channels: Mapping[str, Channel], **changes: Any) -> Preset:
+    """A preset with these channels only, and with weights of the terms that they can give."""
+    parameters = preset.parameters.model_copy(update={"channels": dict(channels), **changes})
     weights = {
-        term: weight for term, weight in preset.parameters.weights.items()
-        if "." not in term or term.partition(".")[2] in channels
-    }  # fmt: skip
-    parameters = preset.parameters.model_copy(update={"channels": channels, "weights": weights})
-    return Preset(preset.labels, preset.dynamic, parameters)
+        term: weight
+        for term, weight in preset.parameters.weights.items()
+        if "." not in term
+        or (term.partition(".")[2] in channels and (parameters.dense or term.startswith("histogram")))
+    }
+    return Preset(preset.labels, preset.dynamic, parameters.model_copy(update={"weights": weights}))
 
 
 def general_vocabulary(encoder: Encoder, name: str) -> Vocabulary:

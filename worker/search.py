@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import ContextGraph, Description, Floats
+from schemas.description import ContextGraph, Description, Floats, Int8s
 from schemas.errors import Unavailable
 from schemas.ports import Store
 from schemas.recipe import Recipe
@@ -32,9 +32,9 @@ class Dense:
     Parameters
     ----------
     channels : mapping of channel to float
-        Similarity, 0..1.
+        Similarity at half the grid's size, 0..1.
     shift : (int, int)
-        (rows, columns) by which the view's grid of the best channel moved.
+        (rows, columns) by which the view's grid of the best channel moved, in cells of the whole grid.
     """
 
     channels: Mapping[str, float]
@@ -158,6 +158,8 @@ class Searcher:
             found = index.search(description.vectors, max(top, reranked), selection)
             searched = time.perf_counter()
             evidence = self._compare(recipe, description, found, reranked)
+            if evidence is not None:
+                _look_closely(recipe, description, found, evidence)
             compared = time.perf_counter()
             verified = None if evidence is None else self._verify(recipe, description, found, evidence)
             ranked = None if verified is None else self._best(recipe, found, verified, top)
@@ -197,14 +199,17 @@ class Searcher:
             return None
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         for name, cells in description.appearance.cells.items():
-            similarity, shifts = dense_cells.similarity(cells, np.stack([a.cells[name] for a in appearances]))
-            evidence.put(f"dense.{name}", np.clip(similarity, 0, 1))
-            evidence.shifts[name] = shifts
+            evidence.cells[name] = np.stack([a.cells[name] for a in appearances])
+            similarity, shifts = dense_cells.similarity(
+                dense_cells.halve(cells), dense_cells.halve(evidence.cells[name])
+            )
+            evidence.put(f"dense.{name}", rows, similarity)
+            evidence.shifts[name] = shifts * 2
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
             description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
         )
-        evidence.put("graph", evidence.graph.similarity)
+        evidence.put("graph", rows, evidence.graph.similarity)
         return evidence
 
     def _verify(
@@ -214,17 +219,14 @@ class Searcher:
         verification_ = recipe.parameters.verification
         if verification_ is None or description.keypoints is None or len(evidence.rows) == 0:
             return evidence
-        score, _ = ranking.weigh(evidence.terms, recipe.parameters.weights)
-        order = ranking.order(score, evidence.distance(found), evidence.rows)
-        first = order[: min(verification_.candidates, len(evidence.rows))].tolist()
+        first = evidence.best(recipe, found, verification_.candidates).tolist()
         kept = self._store.local_features([int(found.seqs[row]) for row in first], recipe.id)
         if len(kept) < len(first):
             return None
         for row in first:
             evidence.verified[row] = verification.verify(description.keypoints, kept[int(found.seqs[row])])
         bonus = verification.gated_bonus(np.array([evidence.verified[row].inliers for row in first]))
-        evidence.terms["verification"] = np.zeros(len(found.seqs), np.float32)
-        evidence.terms["verification"][first] = bonus
+        evidence.put("verification", np.array(first, np.intp), bonus)
         return evidence
 
     def _best(self, recipe: Recipe, found: Candidates, evidence: "_Evidence", top: int) -> tuple[Found, ...] | None:
@@ -249,6 +251,19 @@ class Searcher:
         )
 
 
+def _look_closely(recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence") -> None:
+    """Full-size comparison of the dense cells of the best candidates so far."""
+    dense = recipe.parameters.dense
+    if dense is None or dense.closely == 0 or not evidence.cells:
+        return
+    first = evidence.best(recipe, found, dense.closely)
+    places = np.array([evidence.place[int(row)] for row in first], np.intp)
+    for name, cells in description.appearance.cells.items():
+        similarity, shifts = dense_cells.similarity(cells, evidence.cells[name][places])
+        evidence.put(f"close.{name}", first, similarity)
+        evidence.shifts[name][places] = shifts
+
+
 class _Evidence:
     """What is known about the candidates of one question.
 
@@ -264,16 +279,22 @@ class _Evidence:
         self.terms = terms
         self.rows = rows
         self.place = {int(row): place for place, row in enumerate(rows)}
-        self.shifts: dict[str, npt.NDArray[np.int64]] = {}
+        self.cells: dict[str, Int8s] = {}
+        self.shifts: dict[str, npt.NDArray[np.intp]] = {}
         self.graphs: list[ContextGraph] = []
         self.graph: GraphComparison | None = None
         self.verified: dict[int, Verified] = {}
 
-    def put(self, term: str, values: Floats) -> None:
-        """Set a term of the re-ranked candidates."""
+    def put(self, term: str, rows: npt.NDArray[np.intp], values: Floats) -> None:
+        """Set a term of some candidates; it is 0 for the others."""
         whole = np.zeros(len(next(iter(self.terms.values()))), np.float32)
-        whole[self.rows] = values
+        whole[rows] = values
         self.terms[term] = whole
+
+    def best(self, recipe: Recipe, found: Candidates, count: int) -> npt.NDArray[np.intp]:
+        """The best re-ranked candidates by what is known so far, best first."""
+        score, _ = ranking.weigh(self.terms, recipe.parameters.weights)
+        return ranking.order(score, self.distance(found), self.rows)[: min(count, len(self.rows))]
 
     def distance(self, found: Candidates) -> Floats:
         """Sum of the channels' histogram distances: settles equal scores."""

@@ -65,7 +65,10 @@ def run_maps(arguments: argparse.Namespace) -> int:
         rows.append((facts.name, *counts, facts.places, size(facts.bytes), facts.revision, *kind))
     show(table(heads, rows))
     if arguments.name is not None:
-        labels = [(label.index, label.word, label.dynamic, label.colour, ", ".join(label.mapped_to)) for label in maps[0].labels]
+        labels = [
+            (label.index, label.word, label.dynamic, label.colour, ", ".join(label.mapped_to))
+            for label in maps[0].labels
+        ]
         show("\n" + table(("index", "label", "moves", "colour", "stands for"), labels))
     return DONE
 

@@ -5,7 +5,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO, TypeAlias
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit codes: as asked, tried and failed, asked wrongly."""
@@ -43,13 +43,18 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Columns as wide as they need to be; numbers to the right."""
     texts = [[_cell(value) for value in row] for row in rows]
     widths = [max([len(head), *(len(row[i]) for row in texts)]) for i, head in enumerate(heads)]
-    numeric = [bool(rows) and all(isinstance(row[i], int | float | None) for row in rows) for i in range(len(heads))]
+    numeric = [_is_numeric([row[i] for row in rows]) for i in range(len(heads))]
 
     def line(cells: Sequence[str]) -> str:
         padded = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(cells, widths, numeric, strict=True)]
         return "  ".join(padded).rstrip()
 
     return "\n".join([line(heads), line(["-" * width for width in widths]), *map(line, texts)])
+
+
+def _is_numeric(column: Sequence[object]) -> bool:
+    told = [value for value in column if value is not None]
+    return bool(told) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in told)
 
 
 def _cell(value: object) -> str:
@@ -108,7 +113,8 @@ class Progress:
             self._stream.flush()
 
 
-Verbs = argparse._SubParsersAction  # what argparse hands out; it has no public name
+Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""What commands are added to; argparse has no public name for it."""
 
 
 def speaks(parser: argparse.ArgumentParser) -> None:

@@ -136,7 +136,7 @@ def _degrees(value: Any, reference: Any, negative: str) -> float | None:
     parts = [_number(part) for part in value]
     if len(parts) != 3 or any(part is None for part in parts):
         return None
-    degrees = sum(part / 60**i for i, part in enumerate(parts) if part is not None)
+    degrees: float = sum(part / 60.0**i for i, part in enumerate(parts) if part is not None)
     return -degrees if str(reference).upper().startswith(negative) else degrees
 
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from schemas.description import Appearance, ContextGraph, Description, LocalFeatures
+from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.errors import LeaseLost
 from schemas.picture import PictureFacts
 from schemas.ports import Store
@@ -49,8 +49,13 @@ def facts(picture: bytes) -> PictureFacts:
 def description(seed: int) -> Description:
     """A description full of numbers drawn from a seed."""
     draw = np.random.default_rng(seed)
-    floats = lambda *shape: draw.random(shape, np.float32)  # noqa: E731
-    small = lambda *shape: draw.integers(-9, 9, shape, np.int8)  # noqa: E731
+
+    def floats(*shape: int) -> Floats:
+        return draw.random(shape, np.float32)
+
+    def small(*shape: int) -> Int8s:
+        return draw.integers(-9, 9, shape, np.int8)
+
     graph = ContextGraph(np.array([0, 1], np.int16), floats(2, 2), floats(2, 3), floats(2))
     return Description(
         vectors={"words": floats(4), "detail": floats(4)},
@@ -101,17 +106,17 @@ class Follower:
     """An index reduced to a dict: it knows of a map what `Store.since` told it, and nothing else."""
 
     def __init__(self, store: Store, name: str = "campus") -> None:
-        self._store = store
+        self.store = store
         self._name = name
         self.revision = 0
         self.recipe = ""
         self.vectors: dict[int, list[float]] = {}
 
     def catch_up(self) -> "Follower":
-        changes = self._store.since(self._name, self.revision)
+        changes = self.store.since(self._name, self.revision)
         if changes.recipe != self.recipe:
             self.vectors.clear()
-            changes = self._store.since(self._name, 0)
+            changes = self.store.since(self._name, 0)
         for seq in changes.gone.tolist():
             self.vectors.pop(seq, None)
         assert changes.seqs.tolist() == sorted(set(changes.seqs.tolist()))

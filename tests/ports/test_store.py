@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from multiprocessing import get_context
 from pathlib import Path
 from threading import Thread
+from typing import cast
 
 import numpy as np
 import pytest
@@ -161,7 +162,7 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     [claim] = store.claim("worker", 1, LEASE, NOW)
     given = description(seed(claim.view, RECIPE.id))
     store.finish(claim, given, NOW)
-    seqs = np.array([claim.view.seq, 999])  # as an index hands them over
+    seqs = cast("list[int]", list(np.array([claim.view.seq, 999])))  # as an index hands them over
 
     [appearance] = store.appearances(seqs, RECIPE.id).values()
     [features] = store.local_features(seqs, RECIPE.id).values()
@@ -342,11 +343,11 @@ def _work(url: str, data: Path) -> None:
     store.close()
 
 
-def test_two_worker_processes_do_two_hundred_jobs_once_each(reopen: Open, database_url: str, tmp_path: Path) -> None:
+def test_two_worker_processes_do_two_hundred_jobs_once_each(reopen: Open, database_url: str, data: Path) -> None:
     store = reopen()
     for number in range(200):
         enroll(store, f"{number}")
-    processes = [get_context("spawn").Process(target=_work, args=(database_url, tmp_path)) for _ in range(2)]
+    processes = [get_context("spawn").Process(target=_work, args=(database_url, data)) for _ in range(2)]
     for process in processes:
         process.start()
     for process in processes:
@@ -412,7 +413,7 @@ def test_a_correction_that_changes_nothing_gives_no_revision(store: SqlStore) ->
     assert store.revision("campus") == before
 
 
-def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, tmp_path: Path) -> None:
+def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate").view
     enroll(store, "pond")
     describe_all(store)
@@ -425,7 +426,7 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, tmp
     assert view.seq not in follower.vectors
     assert store.views_at([view.seq]) == {}
     assert store.appearances([view.seq], RECIPE.id) == {}
-    assert not list((tmp_path / "pictures").rglob(view.picture.sha256))
+    assert not list((data / "pictures").rglob(view.picture.sha256))
     assert enroll(store, "gate").view.seq > view.seq + 1
 
 
@@ -447,6 +448,47 @@ def test_views_are_deleted_by_filter(store: SqlStore) -> None:
     assert [view.said.place for view in views] == ["pond", "pond", "pond", "gate"]
     assert removal.revision == store.revision("campus") > before
     assert store.delete_views("campus", Filters(place="moon")).revision == removal.revision
+
+
+def test_many_views_are_deleted_in_portions_that_let_others_write(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.stores.removals.PORTION", 2)
+    for number in range(5):
+        enroll(store, f"{number}")
+    describe_all(store)
+    follower = Follower(store).catch_up()
+    assert store.delete_views("campus", Filters(exclude_last=1)).views == 4
+    assert len(follower.catch_up().vectors) == 1
+
+
+def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views = [enroll(store, f"{number}", said=Said("gate")).view for number in range(3)]
+    [claim, *_] = store.claim("worker", 1, LEASE, NOW)
+
+    def cut(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("worker.stores.removals.Removals._clear", cut)
+        with pytest.raises(KeyboardInterrupt):
+            store.delete_map("campus")
+
+    assert store.maps() == []
+    assert store.views(None, Filters()) == ([], None)
+    assert store.places(None, None, 5) == ([], None)
+    assert store.claim("worker", 5, LEASE, NOW) == []
+    for ask in (store.view, store.picture, store.delete_view):
+        with pytest.raises(NotFound):
+            ask(views[0].id)
+    with pytest.raises(LeaseLost):
+        finish(store, claim)
+    anew = enroll(store, "0").view
+    store.recover(NOW)
+    assert [path.name for path in (data / "pictures").glob("??/??/*")] == [anew.picture.sha256]
+    assert store.picture(anew.id) == picture("0")
 
 
 # repeated calls, vocabularies, care

@@ -1,15 +1,62 @@
-"""Interim."""
+"""Geometric verification: do the same keypoints stand in the same arrangement?
+
+Matches are each other's best descriptor and clearly better than the second best. A similarity transform proposed by
+any two of the strongest matches and supported by most of the others is refined to an affine one; the matches that
+follow it are the inliers. Everything is computed at once over all proposals, and nothing is drawn at random.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from schemas.description import Floats, LocalFeatures
+from schemas.description import Booleans, Floats, Int8s, LocalFeatures
+from schemas.errors import DescriptorMismatch
+from worker.place.vocabulary import unit
+
+Pairs = npt.NDArray[np.intp]
+Doubles = npt.NDArray[np.float64]
+
+RATIO = 0.8
+"""A match must be this much nearer than the second best (Lowe 2004)."""
+
+TOLERANCE = 8 / 480
+"""How far an inlier may lie from where the transform puts it, in fractions of the longer side."""
+
+LEAST = 5
+"""Fewer matches, or fewer inliers, are no evidence."""
+
+PROPOSERS = 32
+"""Only the strongest matches propose transforms, two at a time: 496 proposals at most."""
+
+LARGEST_ZOOM = 3.0
+"""Of two pictures worth comparing; a stronger zoom is an accident of matching."""
+
+LARGEST_TURN = np.radians(35)
+"""Cameras are held upright."""
+
+UNREMARKABLE = 4
+"""By how many inliers a candidate must beat the median of the verified ones before they count."""
+
+SOFTENING = 8
+"""Inliers added to that median, so that small numbers over a median of none stay small evidence."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verified:
-    """Geometric agreement."""
+    """What verification of one view found.
+
+    Parameters
+    ----------
+    inliers : int
+        Matches that follow the transform; 0 when there is none.
+    matches : int
+        Before geometry.
+    transform : float32 of shape (2, 3), or None
+        Maps the query's positions (x, y, 1) to the view's, in fractions of the longer side.
+    pairs : float32 of shape (inliers, 4)
+        (x, y) in the query and (x, y) in the view of each inlier.
+    """
 
     inliers: int
     matches: int
@@ -17,12 +64,161 @@ class Verified:
     pairs: Floats
 
 
+def match(query: Int8s | Floats, view: Int8s | Floats, ratio: float = RATIO) -> tuple[Pairs, Floats]:
+    """Descriptors that are each other's best and pass the ratio test.
+
+    Parameters
+    ----------
+    query : int8 or float32 of shape (n, channels)
+        Near equal lengths, none zero.
+    view : int8 or float32 of shape (m, channels)
+    ratio : float
+        Of Euclidean distances between descriptors of unit length, 0..1.
+
+    Returns
+    -------
+    pairs : intp of shape (matches, 2)
+        Rows of `query` and `view`, the strongest first; ties by the query's row.
+    cosines : float32 of shape (matches,)
+
+    Raises
+    ------
+    DescriptorMismatch
+        The two have different channels.
+    """
+    if query.shape[1] != view.shape[1]:
+        raise DescriptorMismatch(got=query.shape[1], want=view.shape[1])
+    if len(query) == 0 or len(view) == 0:
+        return np.zeros((0, 2), np.intp), np.zeros(0, np.float32)
+    cosines = unit(query.astype(np.float32)) @ unit(view.astype(np.float32)).T
+    rows = np.arange(len(query))
+    best = cosines.argmax(axis=1)
+    strength = cosines[rows, best]
+    mutual = cosines.argmax(axis=0)[best] == rows
+    cosines[rows, best] = -1
+    second = cosines.max(axis=1)
+    # |a - b|^2 = 2 - 2 cos for unit vectors.
+    kept = np.flatnonzero(mutual & (1 - strength < ratio**2 * (1 - second)))
+    kept = kept[np.argsort(-strength[kept], kind="stable")]
+    return np.stack([kept, best[kept]], axis=1), strength[kept]
+
+
+def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> tuple[Doubles | None, Booleans]:
+    """The transform that most of the matched positions follow.
+
+    Parameters
+    ----------
+    source, target : float32 of shape (matches, 2)
+        Positions of matched keypoints, the strongest match first, in fractions of the longer side.
+    tolerance : float
+        In the same unit.
+
+    Returns
+    -------
+    transform : float64 of shape (2, 3), or None
+        Affine; None when no plausible proposal finds `LEAST` followers.
+    inliers : bool of shape (matches,)
+        Which matches follow it.
+    """
+    nobody = np.zeros(len(source), np.bool_)
+    if len(source) < LEAST:
+        return None, nobody
+    followers = _best_similarity(source, target, tolerance)
+    if followers.sum() < LEAST:
+        return None, nobody
+    transform = _affine(source, target, followers)
+    for _ in range(2):
+        refined = _follow(transform, source, target) < tolerance
+        if refined.sum() < LEAST:
+            return None, nobody
+        followers = refined
+        transform = _affine(source, target, followers)
+    followers = _follow(transform, source, target) < tolerance
+    if followers.sum() < LEAST or not _plausible(transform):
+        return None, nobody
+    return transform, followers
+
+
 def verify(query: LocalFeatures, view: LocalFeatures) -> Verified:
-    """Interim."""
-    return Verified(0, 0, None, np.zeros((0, 4), np.float32))
+    """Match the keypoints of a query and a view, and count those in the same arrangement.
+
+    Raises
+    ------
+    DescriptorMismatch
+        Their descriptors have different lengths.
+    """
+    pairs, _ = match(query.descriptors, view.descriptors)
+    source, target = query.positions[pairs[:, 0]], view.positions[pairs[:, 1]]
+    transform, inliers = consensus(source, target)
+    return Verified(
+        inliers=int(inliers.sum()),
+        matches=len(pairs),
+        transform=None if transform is None else transform.astype(np.float32),
+        pairs=np.concatenate([source[inliers], target[inliers]], axis=1).astype(np.float32),
+    )
 
 
-def gated_bonus(inliers: np.ndarray) -> Floats:
-    """Interim."""
-    m = np.median(inliers) if len(inliers) else 0
-    return np.minimum(np.maximum(inliers - m - 4, 0) / (m + 8), 1).astype(np.float32)
+def gated_bonus(inliers: npt.ArrayLike) -> Floats:
+    """How much more each candidate's inliers say than those of the others.
+
+    Parameters
+    ----------
+    inliers : array-like of int, shape (candidates,)
+        Of the candidates verified for one question.
+
+    Returns
+    -------
+    float32 of shape (candidates,)
+        max(0, n - m - 4) / (n - m + m + 8) with m the median: 0 for a candidate that does not stand out, towards 1 for
+        one that does by far, never falling as its inliers grow. Where keypoints find nothing (night, snow) all
+        candidates are near the median and the others' evidence decides.
+    """
+    counts = np.asarray(inliers, np.float32)
+    if counts.size == 0:
+        return np.zeros(0, np.float32)
+    usual = float(np.median(counts))
+    excess = np.maximum(counts - usual - UNREMARKABLE, 0)
+    bonus: Floats = (excess / (excess + usual + SOFTENING)).astype(np.float32)
+    return bonus
+
+
+def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Booleans:
+    """Followers of the similarity transform with most of them, bool (matches,); of equals the first proposed."""
+    # As complex numbers a similarity is w = a z + b, and two points fix it.
+    z = source[:, 0].astype(np.complex64) + 1j * source[:, 1]
+    w = target[:, 0].astype(np.complex64) + 1j * target[:, 1]
+    first, second = np.triu_indices(min(len(z), PROPOSERS), k=1)
+    apart = z[second] - z[first]
+    far = np.abs(apart) > 2 * tolerance
+    first, second, apart = first[far], second[far], apart[far]
+    a = (w[second] - w[first]) / apart
+    upright = (np.abs(np.angle(a)) < LARGEST_TURN) & (np.abs(np.log(np.abs(a) + 1e-9)) < np.log(LARGEST_ZOOM))
+    a, first = a[upright], first[upright]
+    if len(a) == 0:
+        return np.zeros(len(z), np.bool_)
+    b = w[first] - a * z[first]
+    follows = np.abs(a[:, None] * z + b[:, None] - w) < 1.5 * tolerance
+    return np.asarray(follows[follows.sum(axis=1).argmax()], np.bool_)
+
+
+def _affine(source: Floats, target: Floats, chosen: Booleans) -> Doubles:
+    """Least-squares affine transform, float64 (2, 3)."""
+    points = np.column_stack([source[chosen], np.ones(int(chosen.sum()))]).astype(np.float64)
+    solution = np.linalg.lstsq(points, target[chosen].astype(np.float64), rcond=1e-6)[0]
+    transform: Doubles = solution.T.astype(np.float64)
+    return transform
+
+
+def _follow(transform: Doubles, source: Floats, target: Floats) -> Doubles:
+    """Distance of each target from where the transform puts its source, float64 (matches,)."""
+    moved = source @ transform[:, :2].T + transform[:, 2]
+    distance: Doubles = np.linalg.norm(moved - target, axis=1)
+    return distance
+
+
+def _plausible(transform: Doubles) -> bool:
+    """Whether an affine transform keeps orientation and neither squeezes nor stretches beyond `LARGEST_ZOOM`."""
+    if np.linalg.det(transform[:, :2]) <= 0:
+        return False
+    squeeze = np.linalg.svd(transform[:, :2], compute_uv=False)
+    return bool(squeeze[0] < LARGEST_ZOOM and squeeze[1] > 1 / LARGEST_ZOOM)

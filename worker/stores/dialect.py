@@ -60,6 +60,7 @@ def _sqlite(url: sa.URL) -> sa.Engine:
             "synchronous=FULL",  # in WAL, NORMAL forgets acknowledged commits when the power goes
             "foreign_keys=ON",
             "secure_delete=ON",  # what was deleted cannot be read from the file
+            "journal_size_limit=67108864",  # bytes of the WAL file kept after a large change
             "cache_size=-16384",  # KiB
         ):
             connection.execute(f"PRAGMA {pragma}").close()
@@ -82,6 +83,8 @@ def for_reading(connection: sa.Connection) -> sa.Connection:
 
 def for_writing(connection: sa.Connection) -> sa.Connection:
     """Make a block a writer from its beginning."""
+    if connection.dialect.name == "postgresql":  # whatever its default: each statement sees what `take_turn` waited for
+        return connection.execution_options(isolation_level="READ COMMITTED")
     return connection.execution_options(writes=True)
 
 

@@ -6,6 +6,7 @@ the chord is the haversine of d / R. A box around the point, for the index, then
 """
 
 import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from datetime import timedelta
@@ -30,8 +31,15 @@ def metadata_pair(key: str, text: str) -> str:
 
 
 def metadata_pairs(metadata: Mapping[str, Any]) -> list[str]:
-    """The pairs of a view: each top-level key with its value, as text; what is no text, as canonical JSON."""
-    return [metadata_pair(key, value if isinstance(value, str) else as_json(value)) for key, value in metadata.items()]
+    """The pairs of a view: each top-level key with the text of its value."""
+    return [metadata_pair(key, _text(value)) for key, value in metadata.items()]
+
+
+def _text(value: object) -> str:
+    """What a user types to find a value: text as it is, anything else as compact JSON with sorted keys."""
+    if isinstance(value, str):
+        return value
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
 def allowing(filters: Filters) -> list[Condition]:

@@ -50,7 +50,7 @@ class Listings(Part):
                 *means,
             )
             .join(MAPS, MAPS.c.id == VIEWS.c.map_id)
-            .where(VIEWS.c.place.is_not(None))
+            .where(VIEWS.c.place.is_not(None), MAPS.c.name.is_not(None))
             .group_by(MAPS.c.name, VIEWS.c.place)
             .order_by(MAPS.c.name, VIEWS.c.place)
             .limit(limit + 1)

@@ -1,4 +1,4 @@
-"""Maps: made, counted, given another recipe, deleted."""
+"""Maps: made, counted, given another recipe."""
 
 from datetime import datetime
 
@@ -6,7 +6,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict, NotFound
 from schemas.recipe import Recipe
-from schemas.records import MapCounts, MapRecord, Removal, ViewState, Where
+from schemas.records import MapCounts, MapRecord, ViewState, Where
 from worker.stores import clock, switching
 from worker.stores.part import Part
 from worker.stores.rows import COORDINATES, find_map, find_recipe, keep_recipe, map_record
@@ -35,7 +35,7 @@ class Maps(Part):
                 row.id: Recipe.model_validate_json(row.body)
                 for row in connection.execute(sa.select(RECIPES).where(RECIPES.c.id.in_(sa.select(MAPS.c.recipe))))
             }
-            rows = connection.execute(sa.select(MAPS).order_by(MAPS.c.name))
+            rows = connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.name))
             return [MapRecord(row.name, row.revision, recipes[row.recipe], row.created_at) for row in rows]
 
     def map(self, name: str) -> MapRecord:
@@ -100,13 +100,3 @@ class Maps(Part):
                     f"(preset {target.preset}); wait until that has finished"
                 )
             return switching.begin(connection, row, keep_recipe(connection, recipe), now)
-
-    def delete_map(self, name: str) -> Removal:
-        """Remove a map, its views and their pictures; raises NotFound."""
-        with self._database.writing() as connection:
-            row = find_map(connection, name)
-            digests = list(connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.map_id == row.id)))
-            # A map of this name that is made later begins after all that an index may know of this one.
-            clock.tick(connection, row.id)
-            connection.execute(sa.delete(MAPS).where(MAPS.c.id == row.id))
-        return Removal(views=len(digests), pictures=self._pictures.discard(digests), revision=None)

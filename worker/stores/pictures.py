@@ -115,6 +115,7 @@ class Pictures:
         path = self._path(digest)
         # A file gets its name after its bytes are durable, so one of the right length is whole.
         if path.is_file() and path.stat().st_size == len(picture):
+            self._sync_name(path)  # whoever wrote it may have died before this
             return False
         unfinished = path.parent.parent / f"{UNFINISHED}{uuid.uuid4().hex}"
         try:
@@ -124,9 +125,7 @@ class Pictures:
                 file.flush()
                 os.fsync(file.fileno())
             unfinished.rename(path)
-            # The folders may be new as well, so each name on the way is made durable.
-            for folder in (path.parent, path.parent.parent, self._folder):
-                sync_folder(folder)
+            self._sync_name(path)
         except BaseException as error:
             unfinished.unlink(missing_ok=True)
             path.unlink(missing_ok=True)
@@ -134,6 +133,11 @@ class Pictures:
                 raise DiskFull("the disk of the pictures is full; free some space or delete views") from error
             raise
         return True
+
+    def _sync_name(self, path: Path) -> None:
+        """Make the name of a picture durable, and those of its folders, which may be new."""
+        for folder in (path.parent, path.parent.parent, self._folder):
+            sync_folder(folder)
 
     def _discard(self, digests: list[str]) -> int:
         removed = 0

@@ -66,6 +66,8 @@ def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
 
 def view_rows() -> sa.Select[Any]:
     """Views with their map's name and their description by the map's recipe, ready for `view_record`."""
+    # A map without a name is being deleted: its views are no longer there for anybody.
+    named = sa.and_(MAPS.c.id == VIEWS.c.map_id, MAPS.c.name.is_not(None))
     described = sa.and_(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == MAPS.c.recipe)
     return sa.select(
         VIEWS,
@@ -75,7 +77,7 @@ def view_rows() -> sa.Select[Any]:
         DESCRIPTIONS.c.static_share,
         DESCRIPTIONS.c.nodes,
         DESCRIPTIONS.c.label_shares,
-    ).select_from(VIEWS.join(MAPS, MAPS.c.id == VIEWS.c.map_id).outerjoin(DESCRIPTIONS, described))
+    ).select_from(VIEWS.join(MAPS, named).outerjoin(DESCRIPTIONS, described))
 
 
 def view_record(row: sa.Row[Any]) -> ViewRecord:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
+from schemas.errors import SetupError
 from worker.stores.calls import Calls, Vocabularies
 from worker.stores.database import Database
 from worker.stores.descriptions import Descriptions
@@ -16,12 +17,13 @@ from worker.stores.locks import FolderLock
 from worker.stores.maps import Maps
 from worker.stores.migrating import enter, migrates_by_itself
 from worker.stores.pictures import Pictures
+from worker.stores.removals import Removals
 from worker.stores.rows import batches
 from worker.stores.tables import CALLS, CLOCK, VIEWS
 from worker.stores.views import Views
 
 
-class SqlStore(Maps, Enrolment, Jobs, Views, Listings, Descriptions, Calls, Vocabularies):
+class SqlStore(Maps, Enrolment, Jobs, Views, Removals, Listings, Descriptions, Calls, Vocabularies):
     """Keeps the promises of `schemas.ports.Store`; each part of it is a module beside this one.
 
     Parameters
@@ -48,13 +50,14 @@ class SqlStore(Maps, Enrolment, Jobs, Views, Listings, Descriptions, Calls, Voca
         return found
 
     def recover(self, now: datetime) -> None:
-        """After a crash: forget half-made calls and picture files that no view owns.
+        """After a crash: forget half-made calls and picture files that no view owns, finish deletions.
 
         For the one `serve` of a data folder, before it takes its first call: a call that runs elsewhere would be
         forgotten too.
         """
         with self._database.writing(in_turn=False) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now))
+        self.clear_deleted_maps()
         self._pictures.sweep()
 
     def check(self) -> str:
@@ -94,11 +97,18 @@ def open_store(url: str, data: Path) -> SqlStore:
     SetupError
         The database cannot be used as it is; the text says what to do.
     """
-    data.mkdir(parents=True, exist_ok=True)
     database = Database(url)
     try:
+        # First, so that no lock is held when it fails.
+        (data / "pictures").mkdir(parents=True, exist_ok=True)
         share = enter(database, data, may_migrate=migrates_by_itself(database))
+        return SqlStore(database, data, share)
+    except OSError as error:
+        database.close()
+        raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
+    except sa.exc.DBAPIError as error:
+        database.close()
+        raise SetupError(f"the database cannot be used: {error.orig}; see REVISIT_DATABASE") from error
     except BaseException:
         database.close()
         raise
-    return SqlStore(database, data, share)

@@ -38,7 +38,7 @@ MAPS = sa.Table(
     "maps",
     METADATA,
     sa.Column("id", big_key(), primary_key=True),
-    sa.Column("name", ordered_text(), nullable=False, unique=True),
+    sa.Column("name", ordered_text(), unique=True),  # NULL while it is being deleted
     sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
     sa.Column("next_recipe", sa.Text, sa.ForeignKey("recipes.id")),  # while its views are described anew
     sa.Column("revision", sa.BigInteger, nullable=False),

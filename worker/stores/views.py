@@ -1,18 +1,18 @@
-"""Views: shown, listed, corrected, deleted."""
+"""Views: shown, listed, corrected."""
 
 from collections.abc import Sequence
 
 import sqlalchemy as sa
 
 from schemas.errors import NotFound
-from schemas.records import Filters, Removal, Said, ViewRecord
-from worker.stores import clock, switching
+from schemas.records import Filters, Said, ViewRecord
+from worker.stores import clock
 from worker.stores.enrolment import keep_pairs
 from worker.stores.filtering import fitting
 from worker.stores.paging import cursor_after, read_cursor
 from worker.stores.part import Part
 from worker.stores.rows import batches, find_map, find_view, said_columns, view_record, view_rows
-from worker.stores.tables import MAPS, TOMBSTONES, VIEWS
+from worker.stores.tables import VIEWS
 
 
 class Views(Part):
@@ -70,41 +70,10 @@ class Views(Part):
                 clock.tick(connection, before.map_id)
             return view_record(find_view(connection, view_id))
 
-    def delete_view(self, view_id: str) -> Removal:
-        """Remove a view completely; raises NotFound."""
-        with self._database.writing() as connection:
-            row = find_view(connection, view_id)
-            digests, revision = self._remove(connection, row.map_id, VIEWS.c.seq == row.seq)
-        return Removal(views=1, pictures=self._pictures.discard(digests), revision=revision)
-
-    def delete_views(self, name: str, filters: Filters) -> Removal:
-        """Remove all views of a map that fit; raises NotFound."""
-        with self._database.writing() as connection:
-            row = find_map(connection, name)
-            fit = sa.and_(VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id))
-            digests, revision = self._remove(connection, row.id, fit)
-        return Removal(views=len(digests), pictures=self._pictures.discard(digests), revision=revision)
-
-    def _remove(self, connection: sa.Connection, map_id: int, which: sa.ColumnElement[bool]) -> tuple[list[str], int]:
-        """Delete views of a map; returns the digests of their pictures and the map's revision."""
-        rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))
-        if rows:
-            revision = clock.tick(connection, map_id)
-            connection.execute(
-                sa.insert(TOMBSTONES), [{"seq": row.seq, "map_id": map_id, "revision": revision} for row in rows]
-            )
-            for seqs in batches(row.seq for row in rows):
-                connection.execute(sa.delete(VIEWS).where(VIEWS.c.seq.in_(seqs)))
-            switching.finish_if_done(connection, map_id)
-        revision = int(connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0)
-        return [row.sha256 for row in rows], revision
-
     def picture(self, view_id: str) -> bytes:
         """The enrolled picture, byte for byte; raises NotFound."""
         with self._database.reading() as connection:
-            digest = connection.scalar(sa.select(VIEWS.c.sha256).where(VIEWS.c.id == view_id))
-        if digest is None:
-            raise NotFound("view", view_id)
+            digest = find_view(connection, view_id).sha256
         try:
             return self._pictures.read(digest)
         except FileNotFoundError:  # deleted between row and file

@@ -25,7 +25,7 @@ def upgrade() -> None:
     op.create_table(
         "maps",
         sa.Column("id", big_key(), primary_key=True),
-        sa.Column("name", ordered_text(), nullable=False, unique=True),
+        sa.Column("name", ordered_text(), unique=True),
         sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
         sa.Column("next_recipe", sa.Text, sa.ForeignKey("recipes.id")),
         sa.Column("revision", sa.BigInteger, nullable=False),

@@ -1,0 +1,193 @@
+"""``revisit demo``: a service, places enrolled over HTTP, the same places asked about, and what came of it."""
+
+import argparse
+import shlex
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli import demo_pictures, pictures
+from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json, table, wrong_use
+from app.cli.service import running
+
+if TYPE_CHECKING:
+    from app.cli.demo_pictures import Material, Question
+    from app.client import Revisit
+    from schemas.wire import QueryAnswer
+
+MOST = 0.75
+"""Share of known places that have to be recognised for the demo to count as passed."""
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "demo",
+        help="see it work: enrol places, ask with other pictures of them",
+        description="Start a service in a temporary folder, enrol pictures of places, ask with other pictures of the "
+        "same places, and say who was recognised. Without --photos the places are drawn.",
+    )
+    parser.add_argument("--photos", type=Path, metavar="DIR", help="use the photos of this folder")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="where pictures go (default: a temporary folder)")
+    parser.add_argument("--keep", action="store_true", help="leave the service running until Ctrl-C")
+    parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
+    parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A question and what came of it."""
+
+    question: "Question"
+    answer: "QueryAnswer"
+
+    @property
+    def first(self) -> str | None:
+        """The place that was answered; None when the service did not know."""
+        matches = self.answer.matches
+        return matches[0].view.place if matches and self.answer.status != "no_match" else None
+
+    @property
+    def is_right(self) -> bool | None:
+        """None when nobody knows."""
+        return self.first == self.question.place if self.question.known else None
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Show it; 1 when too few places were recognised."""
+    from app.client import Revisit
+
+    photos = None if arguments.photos is None else _photos(arguments.photos)
+    output = arguments.output or Path(tempfile.mkdtemp(prefix="revisit-demo-"))
+    output.mkdir(parents=True, exist_ok=True)
+    material = _drawn(output) if photos is None else _own(photos, output)
+    with tempfile.TemporaryDirectory(prefix="revisit-demo-data-") as folder, running(Path(folder)) as service:
+        say(f"a service runs at {service.url} on data in {folder}")
+        with Revisit(service.url) as revisit:
+            calls = _enrolled(revisit, material)
+            results, asked = _asked(revisit, material, output)
+        right = [result.is_right for result in results if result.question.place is not None]
+        passed = sum(map(bool, right)) >= MOST * len(right)
+        if arguments.json:
+            show_json([_facts(result) for result in results])
+        else:
+            _tell(results, [*calls, *asked], output)
+            verdict = f"{sum(map(bool, right))} of {len(right)} known places were recognised"
+            show(f"\n{verdict}." if passed else f"\n{verdict}: fewer than expected. The service's log: {service.log}")
+        if arguments.keep:
+            say(f"the service goes on at {service.url} (console {service.url}/, docs {service.url}/docs); Ctrl-C stops")
+            try:
+                service.process.wait()
+            except KeyboardInterrupt:
+                say("")
+    return DONE if passed else FAILED
+
+
+def _photos(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        wrong_use(f"{folder}: there is no such folder")
+    found = pictures.found([str(folder)])
+    if len(found) < 2:
+        wrong_use(f"{folder}: needs at least two pictures, has {len(found)}")
+    return found
+
+
+def _drawn(output: Path) -> "Material":
+    say(f"drawing {len(demo_pictures.PLACES)} places: streets, parks, corridors")
+    progress = Progress(len(demo_pictures.PLACES) + len(demo_pictures.STRANGERS), "places drawn")
+    material = demo_pictures.drawn(output, progress.step)
+    progress.end()
+    return material
+
+
+def _own(photos: Sequence[Path], output: Path) -> "Material":
+    material = demo_pictures.of_folder(photos, output, lambda _: None)
+    say(
+        f"{len(material.enrolments)} of your {len(photos)} photos are enrolled, each as a place of its own. Asked are\n"
+        "altered copies of some (cropped, turned, darker), which have to find their original, and the photos that\n"
+        "were held back: whether the place that they find is the same one, judge by the pictures."
+    )
+    return material
+
+
+def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
+    """Enrol all; returns the curl call of the first."""
+    progress = Progress(len(material.enrolments), "pictures enrolled")
+    begun = time.monotonic()
+    for enrolment in material.enrolments:
+        revisit.enroll(enrolment.path, place=enrolment.place)
+        progress.step(enrolment.place)
+    progress.end()
+    count, seconds = len(material.enrolments), time.monotonic() - begun
+    say(f"enrolled {count} pictures of {len(list(demo_pictures.names(material)))} places in {seconds:.1f} s")
+    first = material.enrolments[0]
+    return [
+        f"curl -F image=@{shlex.quote(str(first.path))} -F place={shlex.quote(first.place)} {revisit.url}/enroll"
+        f"   # and {count - 1} more"
+    ]
+
+
+def _asked(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
+    """Ask every question, and keep the pictures that show why it was answered so."""
+    folder = output / "answers"
+    folder.mkdir(exist_ok=True)
+    results = []
+    progress = Progress(len(material.questions), "questions asked")
+    for number, question in enumerate(material.questions, start=1):
+        answer = revisit.query(question.path, top=3, explain=True)
+        results.append(Result(question, answer))
+        if answer.matches:
+            view = answer.matches[0].view.id
+            name = f"{number:02d}-{question.path.stem}"
+            (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
+            (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
+            (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
+        progress.step(question.path.name)
+    progress.end()
+    path = shlex.quote(str(material.questions[0].path))
+    call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"
+    return results, [call]
+
+
+def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None:
+    rows = []
+    for result in results:
+        first = result.answer.matches[0] if result.answer.matches else None
+        mark = {True: "yes", False: "NO", None: "?"}[result.is_right]
+        rows.append(
+            (
+                result.question.path.name,
+                result.question.change,
+                first.view.place if first else None,
+                first.score if first else None,
+                result.answer.confidence,
+                result.answer.status.replace("_", " "),
+                mark,
+            )
+        )
+    heads = ("asked with", "what is different", "most alike", "score", "confidence", "verdict", "right")
+    show("\n" + table(heads, rows))
+    show("\nthe calls it made:")
+    for call in calls:
+        show(f"  {call}")
+    show(f"\npictures: {output}")
+    show("  answers/*-why.png     question and match side by side, with what agrees")
+    show("  answers/*-labels.png  what each part of the match was taken for")
+    show("  answers/*-graph.png   its context graph")
+
+
+def _facts(result: Result) -> dict[str, object]:
+    matches = result.answer.matches
+    return {
+        "picture": str(result.question.path),
+        "change": result.question.change,
+        "place": result.question.place,
+        "status": result.answer.status,
+        "answered": result.first,
+        "score": matches[0].score if matches else None,
+        "confidence": result.answer.confidence,
+        "right": result.is_right,
+    }

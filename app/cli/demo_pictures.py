@@ -1,0 +1,168 @@
+"""Pictures for the demo: drawn places, or the user's own photos, and questions whose answers are known."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from worker.scenes import Scene
+
+PLACES = (
+    "market street", "mill lane", "station road", "church street", "harbour road", "bakers row", "school lane",
+    "rose garden", "castle park", "river meadow", "east corridor", "west corridor",
+)  # fmt: skip
+STRANGERS = ("foreign street", "unknown park")
+"""Places that are asked about and were never enrolled."""
+
+
+@dataclass(frozen=True)
+class Enrolment:
+    """A picture to enrol, and the place it shows."""
+
+    path: Path
+    place: str
+
+
+@dataclass(frozen=True)
+class Question:
+    """A picture to ask with.
+
+    Parameters
+    ----------
+    place : str or None
+        The right answer; None when the place was never enrolled, or nobody knows.
+    change : str
+        How it differs from what was enrolled.
+    known : bool
+        Whether `place` being None means "never enrolled"; otherwise the answer is only shown.
+    """
+
+    path: Path
+    place: str | None
+    change: str
+    known: bool = True
+
+
+@dataclass(frozen=True)
+class Material:
+    """What to enrol and what to ask."""
+
+    enrolments: Sequence[Enrolment]
+    questions: Sequence[Question]
+
+
+Step = Callable[[str], None]
+
+
+def drawn(folder: Path, step: Step) -> Material:
+    """Draw every place as it is enrolled (from two spots) and as it is asked about (elsewhere, later, obstructed)."""
+    from worker.scenes import scene
+
+    enrolments, questions = [], []
+    changes = _changes()
+    for i, name in enumerate(PLACES):
+        place = scene(name)
+        for number, look in enumerate((place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1):
+            enrolments.append(Enrolment(_saved(look, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
+        change, how = changes[i % len(changes)]
+        questions.append(Question(_saved(how(place), folder / "asked" / f"{_file(name)}.jpg"), name, change))
+        step(name)
+    for name in STRANGERS:
+        path = _saved(scene(name), folder / "asked" / f"{_file(name)}.jpg")
+        questions.append(Question(path, None, "never enrolled"))
+        step(name)
+    return Material(enrolments, questions)
+
+
+def _changes() -> "Sequence[tuple[str, Callable[[Scene], Scene]]]":
+    return (
+        ("1 m aside, turned, dusk", lambda s: s.seen_from(dx=1.0, turn=6).at("dusk")),
+        ("a bus in front", lambda s: s.seen_from(dx=0.4, turn=-3).behind(_vehicle(s, "bus"))),
+        ("2 m ahead, dull, a person", lambda s: s.seen_from(ahead=2.0, turn=3).at("overcast").behind("person")),
+        ("turned 9 degrees", lambda s: s.seen_from(dx=-0.7, turn=9)),
+        ("dusk, a car in front", lambda s: s.seen_from(dx=0.6).at("dusk").behind(_vehicle(s, "car"))),
+        ("night", lambda s: s.seen_from(dx=0.3, turn=2).at("night")),
+    )
+
+
+def _vehicle(scene: "Scene", thing: str) -> str:
+    """No buses indoors."""
+    return "person" if scene.kind == "corridor" else thing
+
+
+def _file(name: str) -> str:
+    return name.replace(" ", "-")
+
+
+def _saved(scene: "Scene", path: Path) -> Path:
+    from PIL import Image
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(scene.pixels).save(path, quality=92)
+    return path
+
+
+def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
+    """The user's photos: nearly all are enrolled, each as a place of its own.
+
+    Asked are altered copies (cropped, turned, darker) of some of them, whose answers are known, and the photos that
+    were held back, whose answers only the user can judge.
+    """
+    held_back = photos[4::8][:4] if len(photos) >= 6 else []
+    enrolments = [Enrolment(path, path.stem) for path in photos if path not in held_back]
+    questions = []
+    stride = max(1, len(enrolments) // 12)
+    for i, enrolment in enumerate(enrolments[::stride][:12]):
+        change, how = _ALTERATIONS[i % len(_ALTERATIONS)]
+        target = folder / "asked" / f"{i:02d}-{enrolment.path.stem}.jpg"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        how(_opened(enrolment.path)).save(target, quality=88)
+        questions.append(Question(target, enrolment.place, change))
+        step(enrolment.place)
+    questions += [Question(path, None, "held back: judge yourself", known=False) for path in held_back]
+    return Material(enrolments, questions)
+
+
+def _opened(path: Path) -> "Image.Image":
+    from PIL import Image, ImageOps
+
+    with Image.open(path) as image:
+        upright = ImageOps.exif_transpose(image).convert("RGB")
+    upright.thumbnail((1280, 1280))
+    return upright
+
+
+def _cropped(image: "Image.Image", share: float, across: float, down: float) -> "Image.Image":
+    """A part of the picture: `share` of each side, at a position from 0 (left, top) to 1."""
+    width, height = round(image.width * share), round(image.height * share)
+    left, top = round((image.width - width) * across), round((image.height - height) * down)
+    return image.crop((left, top, left + width, top + height))
+
+
+def _darker(image: "Image.Image", factor: float) -> "Image.Image":
+    from PIL import ImageEnhance
+
+    return ImageEnhance.Brightness(image).enhance(factor)
+
+
+def _turned(image: "Image.Image", degrees: float) -> "Image.Image":
+    """Turned, and cropped so that no empty corner shows."""
+    from PIL.Image import Resampling
+
+    return _cropped(image.rotate(degrees, resample=Resampling.BILINEAR), 0.85, 0.5, 0.5)
+
+
+_ALTERATIONS: "Sequence[tuple[str, Callable[[Image.Image], Image.Image]]]" = (
+    ("cropped to 80 %, left", lambda i: _cropped(i, 0.8, 0.0, 0.5)),
+    ("cropped to 75 %, right, darker", lambda i: _darker(_cropped(i, 0.75, 1.0, 0.4), 0.55)),
+    ("turned 4 degrees", lambda i: _turned(i, 4)),
+    ("half as bright", lambda i: _darker(i, 0.5)),
+)
+
+
+def names(material: Material) -> Iterator[str]:
+    """Places enrolled, each once."""
+    yield from dict.fromkeys(enrolment.place for enrolment in material.enrolments)

@@ -1,0 +1,206 @@
+"""``revisit serve | worker``: the service, and helpers that describe pictures beside it."""
+
+import argparse
+import ipaddress
+import logging
+import signal
+import socket
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli import logs
+from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
+
+if TYPE_CHECKING:
+    import uvicorn
+
+    from schemas.settings import Settings
+    from worker.house import House
+
+log = logging.getLogger("revisit")
+
+GRACE_S = 20
+"""How long requests under way may take to finish when the service is told to stop."""
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the commands."""
+    serve = verbs.add_parser(
+        "serve",
+        help="run the service",
+        description="Run the service until it is told to stop (Ctrl-C, SIGTERM). Flags win over REVISIT_* variables.",
+    )
+    serve.add_argument("--host", help="address to listen on (default: 127.0.0.1)")
+    serve.add_argument("--port", type=int, help="port to listen on; 0 picks a free one (default: 8000)")
+    serve.add_argument(
+        "--open",
+        action="store_const",
+        const=True,
+        help="allow an address that others can reach, although anybody may then read, enrol and delete",
+    )
+    serve.add_argument("--preset", help="preset of maps that are made without naming one")
+    _common(serve)
+    serve.set_defaults(run=run_serve)
+
+    worker = verbs.add_parser(
+        "worker",
+        help="describe enrolled pictures in a process of its own",
+        description="Describe enrolled pictures beside a service on the same data, so that it can answer questions. "
+        "Run `serve` with REVISIT_INLINE_WORKER=false to leave all describing to workers.",
+    )
+    _common(worker)
+    worker.set_defaults(run=run_worker)
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", type=Path, help="folder of the database and the pictures (default: data)")
+    parser.add_argument("--encoder", choices=("compact", "color", "lseg"), help="network that describes pictures")
+    parser.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
+    parser.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
+
+
+def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":
+    """Settings from the environment and the named flags; a wrong one is wrong use."""
+    from schemas.errors import SetupError
+    from schemas.settings import read_settings
+
+    try:
+        return read_settings(**{name: getattr(arguments, name) for name in names})
+    except SetupError as error:
+        raise Failure(str(error), 2) from None
+
+
+def run_serve(arguments: argparse.Namespace) -> int:
+    """Serve until a signal."""
+    settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
+    _refuse_open(settings)
+    logs.configure(settings.log)
+    listening = _listen(settings)
+    try:
+        return _serve(settings, listening)
+    finally:
+        listening.close()
+
+
+def _refuse_open(settings: "Settings") -> None:
+    """Loopback only, unless the user says that everybody may call."""
+    if _is_loopback(settings.host) or settings.open:
+        return
+    raise Failure(
+        f"{settings.host} can be reached by others, and there are no keys yet: anybody could read, enrol and delete.\n"
+        "Listen on 127.0.0.1, put a proxy with authentication in front (deploy/nginx.conf), or say --open if the\n"
+        "network is yours.",
+        2,
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _listen(settings: "Settings") -> socket.socket:
+    """Take the port before anything slow is done: a taken one is said at once, and in plain words."""
+    listening: socket.socket | None = None
+    try:
+        family = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.socket(family, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((settings.host, settings.port))
+    except OSError as error:
+        if listening is not None:
+            listening.close()
+        raise Failure(
+            f"cannot listen on {settings.host}:{settings.port} ({error.strerror or error}); "
+            "is another service running there? --port chooses another port, 0 a free one"
+        ) from None
+    return listening
+
+
+def _serve(settings: "Settings", listening: socket.socket) -> int:
+    import uvicorn
+
+    from app.main import create_app
+    from worker.bootstrap import build
+
+    house = build(settings)
+    config = uvicorn.Config(
+        create_app(house),
+        log_config=None,
+        access_log=False,  # app.middleware writes the access log
+        timeout_graceful_shutdown=GRACE_S,
+        lifespan="on",
+    )
+    # uvicorn raises the signal that stopped it once more when it has finished; being stopped is no failure.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
+    server = _server(config, house, _address(settings.host, listening.getsockname()[1]))
+    server.run(sockets=[listening])
+    if not server.started:
+        say("revisit: the service could not start; the reason is above")
+        return FAILED
+    log.info("stopped")
+    return DONE
+
+
+def _address(host: str, port: int) -> str:
+    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{shown}:{port}"
+
+
+def _server(config: "uvicorn.Config", house: "House", url: str) -> "uvicorn.Server":
+    """A uvicorn server that tells people where it is once it can be asked."""
+    import uvicorn
+
+    class Announcing(uvicorn.Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets=sockets)
+            if self.started:
+                announce(house, url)
+
+    return Announcing(config)
+
+
+def announce(house: "House", url: str) -> None:
+    """Say what runs where."""
+    settings = house.settings
+    maps = house.store.maps()
+    counts = [house.store.counts(record.name) for record in maps]
+    views = sum(count.views.get("ready", 0) for count in counts)
+    pending = sum(count.views.get("pending", 0) for count in counts)
+    waiting = f", {pending} waiting to be described" if pending else ""
+    show(f"revisit serves at {url}")
+    show(f"  encoder   {house.encoder.name} on {settings.device}, preset {settings.preset}")
+    show(f"  data      {settings.data.resolve()}")
+    show(f"  enrolled  {views} views in {len(maps)} maps{waiting}")
+    show(f"  console   {url}/      documentation {url}/docs")
+    show(f"  try       curl -F image=@photo.jpg {url}/enroll")
+    if not _is_loopback(settings.host):
+        log.warning(
+            "OPEN: listening on %s without keys; whoever can reach this port may read, enrol and delete",
+            settings.host,
+            extra={"event": "open"},
+        )
+
+
+def run_worker(arguments: argparse.Namespace) -> int:
+    """Describe until a signal."""
+    settings = settings_of(arguments, "data", "encoder", "device", "threads")
+    logs.configure(settings.log)
+    from worker.bootstrap import build
+
+    house = build(settings, serving=False)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    house.start()
+    show(f"revisit worker describes pictures of {settings.data.resolve()} with {house.encoder.name}")
+    try:
+        stop.wait()
+    finally:
+        house.stop()  # what is being encoded is finished, the rest goes back to the queue
+    log.info("stopped")
+    return DONE

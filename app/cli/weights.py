@@ -1,0 +1,52 @@
+"""``revisit weights check | convert``: look at weights files, and make safe ones of published checkpoints."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli.console import DONE, FAILED, Verbs, show, show_json, size
+
+if TYPE_CHECKING:
+    from worker.weights import WeightsReport
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the commands."""
+    weights = verbs.add_parser("weights", help="check or convert a weights file")
+    commands = weights.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    check = commands.add_parser("check", help="say what a weights file is; exit code 1 when it cannot be used")
+    check.add_argument("file", type=Path)
+    check.add_argument("--json", action="store_true", help="answer as JSON, for machines")
+    check.set_defaults(run=run_check)
+    convert = commands.add_parser("convert", help="make a safetensors file of a published checkpoint")
+    convert.add_argument("source", type=Path)
+    convert.add_argument("target", type=Path)
+    convert.add_argument("--json", action="store_true", help="answer as JSON, for machines")
+    convert.set_defaults(run=run_convert)
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Check."""
+    from worker import weights
+
+    return _told(weights.check(arguments.file), arguments.json)
+
+
+def run_convert(arguments: argparse.Namespace) -> int:
+    """Convert."""
+    from worker import weights
+
+    return _told(weights.convert(arguments.source, arguments.target), arguments.json)
+
+
+def _told(report: "WeightsReport", as_json: bool) -> int:
+    if as_json:
+        show_json(asdict(report))
+    else:
+        show(f"{report.path}: {report.kind}, {size(report.byte_count)}")
+        show(f"  file    {report.sha256}")
+        show(f"  tensors {report.digest or '-'}")
+        for line in (*report.notes, *report.differences):
+            show(f"  {line}")
+    return FAILED if report.differences else DONE

@@ -1,0 +1,156 @@
+"""What the command line prints of answers, for people and for machines."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from app.cli.__main__ import main
+from tests import answers
+from tests.cli.fake_service import FakeService
+
+Out = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    path = tmp_path / "q.jpg"
+    path.write_bytes(b"a picture")
+    return path
+
+
+def test_a_known_place(service: FakeService, picture: Path, capsys: Out) -> None:
+    other = answers.match(2, 0.3, place="canal", position=None)
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match(), other)
+
+    assert main(["query", str(picture), "--top", "2", "--near", "1,2,30"]) == 0
+
+    text = capsys.readouterr().out
+    assert text.startswith("This place is known. (confidence 0.93, 3 views searched)")
+    lines = text.splitlines()
+    assert lines[3].split()[:4] == ["1", "square", "0.800", "0.930"]
+    assert "1.00, 2.00 m" in lines[3]
+    assert lines[4].split()[1] == "canal"
+    assert b"1.0,2.0,30.0" in service.asked[0][1]
+
+
+def test_an_unknown_place_is_an_answer_too(service: FakeService, picture: Path, capsys: Out) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(status="no_match")
+
+    assert main(["query", str(picture)]) == 0
+    assert "not known" in capsys.readouterr().out
+
+
+def test_the_answer_as_json_is_the_services(service: FakeService, picture: Path, capsys: Out) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match())
+
+    assert main(["query", str(picture), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["matches"][0]["view"]["place"] == "square"
+
+
+def test_why_is_drawn_into_a_file(service: FakeService, picture: Path, tmp_path: Path) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match())
+    service.replies["GET /queries/q1/explanation.png"] = 200, b"a png"
+
+    assert main(["query", str(picture), "--explain", str(tmp_path / "why.png")]) == 0
+    assert (tmp_path / "why.png").read_bytes() == b"a png"
+
+
+@pytest.mark.parametrize("argv", [["--near", "1,2"], ["--near", "a,b,c"]])
+def test_a_point_needs_three_numbers(picture: Path, argv: list[str]) -> None:
+    assert main(["query", str(picture), *argv]) == 2
+
+
+def test_a_missing_file_is_named(capsys: Out) -> None:
+    assert main(["query", "missing.jpg"]) == 1
+    assert "missing.jpg: No such file" in capsys.readouterr().err
+
+
+def test_maps_as_a_table_and_as_json(service: FakeService, capsys: Out) -> None:
+    service.replies["GET /maps"] = 200, {"maps": [answers.map_facts("campus")]}
+
+    assert main(["maps"]) == 0
+    assert capsys.readouterr().out.splitlines()[2].split()[:2] == ["campus", "3"]
+    assert main(["maps", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["name"] == "campus"
+
+
+def test_no_maps_says_how_to_begin(service: FakeService, capsys: Out) -> None:
+    service.replies["GET /maps"] = 200, {"maps": []}
+
+    assert main(["maps"]) == 0
+    assert "./revisit enroll" in capsys.readouterr().out
+
+
+def test_one_map_shows_its_labels(service: FakeService, capsys: Out) -> None:
+    service.replies["GET /maps/campus"] = 200, answers.map_facts("campus")
+
+    assert main(["maps", "campus"]) == 0
+    assert "#4682b4" in capsys.readouterr().out
+
+
+def test_a_map_is_deleted_by_name_only(service: FakeService, capsys: Out) -> None:
+    service.replies["DELETE /maps/campus"] = 200, {"views": 3, "pictures": 2, "revision": None}
+
+    assert main(["maps", "--delete"]) == 2
+    assert main(["maps", "campus", "--delete"]) == 0
+    assert "3 views, 2 pictures" in capsys.readouterr().out
+
+
+def test_views_failed_ones_with_their_reason(service: FakeService, capsys: Out) -> None:
+    failed = answers.view("v2", state="failed", failure={"code": "nothing-static", "detail": "all moves"})
+    service.replies["GET /views"] = 200, {"views": [answers.view("v1"), failed], "next": None}
+
+    assert main(["views", "--map", "campus"]) == 0
+
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].startswith("v1")
+    assert "failed: nothing-static" in lines[3]
+    assert "map=campus" in service.asked[0][0]
+
+
+def test_a_view_is_written_to_files(service: FakeService, tmp_path: Path) -> None:
+    service.replies["GET /views/v1"] = 200, answers.view("v1")
+    service.replies["GET /views/v1/graph.png"] = 200, b"graph"
+    service.replies["GET /views/v1/segmentation.png"] = 200, b"labels"
+
+    argv = ["views", "v1", "--graph", str(tmp_path / "g.png"), "--segmentation", str(tmp_path / "s.png")]
+    assert main(argv) == 0
+
+    assert (tmp_path / "g.png").read_bytes() == b"graph"
+    assert (tmp_path / "s.png").read_bytes() == b"labels"
+    assert main(["views", "--graph", "x.png"]) == 2
+
+
+def test_places(service: FakeService, capsys: Out) -> None:
+    place = {"map": "default", "place": "square", "views": 2, "position": None, "last_enrolled_at": answers.NOON}
+    service.replies["GET /places"] = 200, {"places": [place], "next": None}
+
+    assert main(["places"]) == 0
+    assert "square" in capsys.readouterr().out
+
+
+def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, capsys: Out) -> None:
+    service.replies["GET /maps/default"] = 200, answers.map_facts()
+    service.replies["POST /maps/default/recipe"] = 202, answers.job("waiting", kind="recipe")
+    service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("done", kind="recipe")
+
+    assert main(["recipe"]) == 0
+    assert json.loads(capsys.readouterr().out)["preset"] == "default"
+    assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
+    assert capsys.readouterr().out == "recipe of map default: done\n"
+    assert json.loads(service.asked[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
+
+
+@pytest.mark.parametrize("text", ["{", "[1]"])
+def test_parameters_need_to_be_a_json_object(text: str) -> None:
+    assert main(["recipe", "--parameters", text]) == 2
+
+
+def test_a_vocabulary_that_cannot_be_trained_says_why(service: FakeService, capsys: Out) -> None:
+    failed = answers.job("failed", kind="vocabulary", failure={"code": "conflict", "detail": "too few views"})
+    service.replies["POST /maps/default/vocabulary"] = 202, answers.job("waiting", kind="vocabulary")
+    service.replies[f"GET /jobs/{answers.JOB}"] = 200, failed
+
+    assert main(["vocabulary", "train"]) == 1
+    assert "too few views" in capsys.readouterr().err

@@ -1,0 +1,150 @@
+"""Folders, globs, positions, EXIF; what is there already, what is refused, what goes on later."""
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from app.cli import pictures
+from app.cli.__main__ import main
+from app.cli.console import Failure
+from tests import answers
+from tests.cli.fake_service import FakeService
+
+Out = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "photos" / "inner").mkdir(parents=True)
+    for name in ("b.png", "a.PNG", "inner/c.png"):
+        Image.new("RGB", (40, 40), "red").save(tmp_path / "photos" / name)
+    (tmp_path / "photos" / "notes.txt").write_text("no picture")
+    return tmp_path / "photos"
+
+
+def names(paths: list[Path], folder: Path) -> list[str]:
+    return [path.relative_to(folder).as_posix() for path in paths]
+
+
+def test_a_folder_means_all_pictures_inside(folder: Path) -> None:
+    assert names(pictures.found([str(folder)]), folder) == ["a.PNG", "b.png", "inner/c.png"]
+
+
+def test_globs_are_understood_and_nothing_is_taken_twice(folder: Path) -> None:
+    found = pictures.found([f"{folder}/*.png", f"{folder}/b.png", f"{folder}/**/c.png"])
+
+    assert names(found, folder) == ["b.png", "inner/c.png"]
+
+
+@pytest.mark.parametrize("name", ["missing.png", "missing-*.png", "empty"])
+def test_nothing_there_is_wrong_use(folder: Path, name: str) -> None:
+    (folder / "empty").mkdir()
+
+    with pytest.raises(Failure) as caught:
+        pictures.found([str(folder / name)])
+    assert caught.value.code == 2
+
+
+def test_pictures_are_enrolled_and_counted(service: FakeService, folder: Path, capsys: Out) -> None:
+    created = iter([True, False, True])
+    service.replies["POST /enroll"] = lambda _: (201, answers.enrolled(next(created)))
+
+    assert main(["enroll", str(folder), "--map", "campus", "--place", "gate", "--parallel", "1"]) == 0
+
+    assert capsys.readouterr().out == "2 enrolled, 1 already there, 0 failed\n"
+    assert len(service.asked) == 3
+    assert all(b"campus" in body and b"gate" in body for _, body in service.asked)
+
+
+def test_one_refused_picture_does_not_stop_the_others(service: FakeService, folder: Path, capsys: Out) -> None:
+    def reply(body: bytes) -> tuple[int, object]:
+        if b'filename="b.png"' in body:
+            return 422, answers.problem("undecodable-picture", 422, detail="cut off")
+        return 201, answers.enrolled()
+
+    service.replies["POST /enroll"] = reply
+
+    assert main(["enroll", str(folder), "--json"]) == 1
+
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["enrolled"] == 2
+    assert summary["failed"][0]["file"].endswith("b.png")
+    assert "cut off" in summary["failed"][0]["reason"]
+
+
+@pytest.mark.usefixtures("nobody")
+def test_a_service_that_is_gone_stops_it_and_says_how_to_go_on(folder: Path, capsys: Out) -> None:
+    assert main(["enroll", str(folder)]) == 1
+
+    assert "run the same command again" in capsys.readouterr().err
+
+
+def test_the_folder_can_name_the_place(service: FakeService, folder: Path) -> None:
+    service.replies["POST /enroll"] = 201, answers.enrolled()
+
+    main(["enroll", str(folder / "inner"), "--place-from-folder"])
+
+    assert b"inner" in service.asked[0][1]
+
+
+def positions(folder: Path, text: str) -> pictures.Positions:
+    path = folder / "positions.csv"
+    path.write_text(text)
+    return pictures.Positions(path)
+
+
+def test_rows_belong_to_the_pictures_whose_path_they_end(folder: Path) -> None:
+    table = positions(folder, "file,x,y,place\nb.png,1,2.5,door\ninner/c.png,3,4,\nelse.png,0,0,\n")
+
+    assert table.of(folder / "b.png") == {"x": 1.0, "y": 2.5, "place": "door"}
+    assert table.of(folder / "inner" / "c.png") == {"x": 3.0, "y": 4.0}
+    assert table.of(folder / "a.PNG") is None
+    assert table.unused() == ["else.png"]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x,y\n1,2\n", "file\na.png\n", "file,x,speed\na,1,2\n", "file,x,y\na,one,2\n", "file,x,y\na,nan,2\n"]
+)
+def test_positions_that_cannot_be_used_are_wrong_use(folder: Path, text: str) -> None:
+    with pytest.raises(Failure) as caught:
+        positions(folder, text)
+    assert caught.value.code == 2
+
+
+def test_positions_travel(service: FakeService, folder: Path, capsys: Out) -> None:
+    service.replies["POST /enroll"] = 201, answers.enrolled()
+    (folder / "p.csv").write_text("file,lat,lon,heading\nb.png,48.5,11.25,90\n")
+
+    assert main(["enroll", str(folder), "--positions", str(folder / "p.csv"), "--parallel", "1"]) == 0
+
+    bodies = {b'filename="b.png"' in body: body for _, body in service.asked}
+    assert b"48.5" in bodies[True]
+    assert b"11.25" in bodies[True]
+    assert b'name="lat"' not in bodies[False]
+    assert "2 of 3 pictures are not in" in capsys.readouterr().err
+
+
+def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
+    path = tmp_path / "photo.jpg"
+    exif = Image.Exif()
+    gps = exif.get_ifd(0x8825)
+    gps[1], gps[2] = "S", (IFDRational(33), IFDRational(51), IFDRational(36))
+    gps[3], gps[4] = "E", (IFDRational(151), IFDRational(12), IFDRational(0))
+    gps[6], gps[16], gps[17] = IFDRational(20), "T", IFDRational(270)
+    gps[29], gps[7] = "2026:03:01", (IFDRational(9), IFDRational(30), IFDRational(0))
+    Image.new("RGB", (40, 40)).save(path, exif=exif)
+
+    known = pictures.from_exif(path)
+
+    assert known["lat"] == pytest.approx(-33.86)
+    assert known["lon"] == pytest.approx(151.2)
+    assert (known["alt"], known["heading"]) == (20, 270)
+    assert known["captured_at"].isoformat() == "2026-03-01T09:30:00+00:00"
+
+
+def test_pictures_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
+    assert pictures.from_exif(folder / "b.png") == {}
+    assert pictures.from_exif(folder / "notes.txt") == {}

@@ -1,0 +1,100 @@
+"""Wrong use is exit code 2, failure 1, and each says what to do next; nothing slow is imported to say so."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from app.cli import browse
+from app.cli.__main__ import main
+from tests import answers
+from tests.cli.fake_service import FakeService
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        [],
+        ["unheard-of"],
+        ["enroll"],
+        ["query"],
+        ["vocabulary"],
+        ["serve", "--port", "many"],
+        ["query", "a.jpg", "--top", "five"],
+    ],
+)
+def test_wrong_use_is_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(argv)
+
+    assert caught.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("nobody")
+@pytest.mark.parametrize("argv", [["maps"], ["views"], ["places"], ["healthcheck"], ["recipe"], ["openapi"]])
+def test_a_service_that_does_not_run_is_1_and_says_how_to_start_one(
+    argv: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(argv) == 1
+    assert "./revisit serve" in capsys.readouterr().err
+
+
+def test_a_refusal_is_1_and_says_what_the_service_said(
+    service: FakeService, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service.replies["GET /maps/x"] = 404, answers.problem()
+
+    assert main(["maps", "x"]) == 1
+    assert "there is no map 'x'" in capsys.readouterr().err
+
+
+def test_tests_need_a_checkout(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["test"]) == 2
+    assert "checkout" in capsys.readouterr().err
+
+
+def test_a_mistake_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: object) -> int:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(browse, "run_places", broken)
+
+    with pytest.raises(ZeroDivisionError):
+        main(["places"])
+
+
+def test_help_loads_nothing_slow() -> None:
+    script = (
+        "import sys\n"
+        "from app.cli.__main__ import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "main(['version'])\n"
+        "import json; print(json.dumps([m for m in ('torch', 'cv2', 'faiss', 'fastapi', 'httpx', 'numpy', 'pydantic',"
+        " 'sqlalchemy') if m in sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+
+    assert json.loads(done.stdout.splitlines()[-1]) == []
+
+
+def test_version_as_text_and_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["version"]) == 0
+    text = capsys.readouterr().out
+    assert main(["version", "--json"]) == 0
+
+    assert text == f"revisit {json.loads(capsys.readouterr().out)['version']}\n"
+
+
+@pytest.mark.parametrize(("ready", "code"), [(True, 0), (False, 1)])
+def test_the_healthcheck_tells_by_its_exit_code(
+    service: FakeService, capsys: pytest.CaptureFixture[str], ready: bool, code: int
+) -> None:
+    checks = {"encoder": "ok" if ready else "loading"}
+    service.replies["GET /readyz"] = 200 if ready else 503, {"ready": ready, "checks": checks}
+
+    assert main(["healthcheck"]) == code
+    if not ready:
+        assert "encoder: loading" in capsys.readouterr().err

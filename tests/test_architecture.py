@@ -1,0 +1,90 @@
+"""What is kept by machine: who may import whom, how long a file may be, and what it may not be called."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("app", "worker", "schemas", "training", "benchmarks", "tests")
+
+MOST_LINES = 400
+BANNED = ("util", "utils", "helper", "helpers", "common", "misc")
+
+HEAVY = ("torch", "faiss", "sqlalchemy", "alembic")
+"""What takes long to load, and what the application must not depend on: it is loaded by worker.bootstrap, late."""
+
+
+def sources() -> Iterator[Path]:
+    for room in ROOMS:
+        yield from sorted((ROOT / room).rglob("*.py"))
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_imports_run_one_way() -> None:
+    """The contracts are in pyproject.toml; import-linter follows every import."""
+    program = Path(sys.executable).with_name("lint-imports")
+    if not program.exists():
+        pytest.fail("import-linter is not installed; `./revisit test` installs it")
+    linted = run(str(program), "--no-cache")
+    assert linted.returncode == 0, linted.stdout + linted.stderr
+
+
+@pytest.mark.parametrize("module", ["app.main", "app.client", "schemas.wire"])
+def test_the_application_loads_without_what_is_heavy(module: str) -> None:
+    if not (ROOT / f"{module.replace('.', '/')}.py").exists():
+        pytest.skip(f"there is no {module} yet")
+    asked = f"import {module}, sys; print(*(set(sys.modules) & set({HEAVY!r})))"
+    loaded = run(sys.executable, "-W", "ignore", "-c", asked)
+    assert loaded.returncode == 0, loaded.stderr
+    assert loaded.stdout.split() == []
+
+
+def imported(path: Path) -> set[str]:
+    """First names of all modules that a file imports, wherever in the file."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names.add(node.module.partition(".")[0])
+    return names
+
+
+@pytest.mark.parametrize(
+    ("room", "never"),
+    [
+        ("app", {"torch", "cv2", "faiss", "sqlalchemy", "alembic", "sqlite3"}),
+        ("worker", {"fastapi", "starlette", "uvicorn", "app"}),
+        ("worker/place", {"torch", "cv2", "faiss", "PIL", "time", "datetime", "random", "os", "io", "pathlib"}),
+        ("schemas", {"torch", "cv2", "faiss", "fastapi", "sqlalchemy", "worker", "app"}),
+    ],
+)
+def test_no_file_of_a_room_imports_what_does_not_belong_there(room: str, never: set[str]) -> None:
+    strays = {str(path.relative_to(ROOT)): imported(path) & never for path in (ROOT / room).rglob("*.py")}
+    assert {path: names for path, names in strays.items() if names} == {}
+
+
+def test_no_file_is_longer_than_four_hundred_lines() -> None:
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in sources()}
+    assert {path: lines for path, lines in lengths.items() if lines > MOST_LINES} == {}
+
+
+def test_every_file_and_folder_says_what_it_is_for() -> None:
+    named = {part.removesuffix(".py") for path in sources() for part in path.relative_to(ROOT).parts}
+    assert named.isdisjoint(BANNED)
+
+
+def test_every_module_begins_with_what_it_is() -> None:
+    silent = [
+        str(path.relative_to(ROOT))
+        for path in sources()
+        if "tests" not in path.parts and ast.get_docstring(ast.parse(path.read_text())) is None
+    ]
+    assert silent == []

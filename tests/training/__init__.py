@@ -1,0 +1,1 @@
+"""Tests of the built-in encoder's network and of its training."""

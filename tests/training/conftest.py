@@ -1,0 +1,53 @@
+"""A data folder of a few drawn pictures, with everything that training looks for."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+CLIP_WORDS = (
+    *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic sign", "traffic light", "vegetation", "tree"),
+    *("terrain", "grass", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door"),
+    *("floor", "ceiling", "background", "parking space", "branch", "wood", "plant", "ground", "house", "van"),
+    *("motorcyclist", "stairs", "stairway", "bench", "bridge", "train", "rider", "street"),
+)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    """Small networks on a busy machine: threads would wait for each other most of the time."""
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def data_folder(tmp_path: Path) -> Path:
+    """Four street pictures with road below and sky above, two rooms, and a square by day and by night."""
+    rng = np.random.default_rng(0)
+    folder = tmp_path / "data"
+    (folder / "text").mkdir(parents=True)
+    vectors = rng.standard_normal((len(CLIP_WORDS), 512)) + 2
+    np.savez(folder / "text" / "words_ViT-B-16.npz", words=np.array(CLIP_WORDS), vectors=vectors.astype(np.float16))
+    street = folder / "segmentation" / "camvid"
+    for part in ("images", "labels"):
+        (street / "train" / part).mkdir(parents=True)
+    (street / "classes.json").write_text(json.dumps({"0": ["sky"], "1": ["road", "street"], "2": ["lane marking"]}))
+    for number in range(4):
+        picture = rng.integers(0, 120, (96, 128, 3), np.uint8)
+        picture[:48] += 120
+        labels = np.zeros((96, 128), np.uint8)
+        labels[48:] = 1
+        cv2.imwrite(str(street / "train" / "images" / f"{number}.jpg"), picture)
+        cv2.imwrite(str(street / "train" / "labels" / f"{number}.png"), labels)
+    square = rng.integers(0, 255, (96, 128, 3), np.uint8)
+    scenes = {
+        "unlabelled/indoor/flat": [rng.integers(0, 255, (96, 128, 3), np.uint8) for _ in range(2)],
+        "pairs/aligned/webcam/square": [square, square // 4],
+    }
+    for name, pictures in scenes.items():
+        (folder / name).mkdir(parents=True)
+        for number, picture in enumerate(pictures):
+            cv2.imwrite(str(folder / name / f"{number}.jpg"), picture)
+    return folder

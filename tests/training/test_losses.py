@@ -1,0 +1,91 @@
+import math
+
+import pytest
+import torch
+
+from training.losses import WordLoss, likeness_loss, matched_cells, two_view_loss
+
+
+def one_pixel(x: float, y: float, z: float) -> torch.Tensor:
+    return torch.tensor([x, y, z], dtype=torch.float32).view(1, 3, 1, 1)
+
+
+def loss_over_three_words(members: list[list[bool]], known: list[bool]) -> WordLoss:
+    allowed = torch.tensor(members)
+    return WordLoss(torch.eye(3), allowed, torch.tensor([known]), torch.ones(len(members)), temperature=0.5)
+
+
+def test_the_word_loss_is_the_cross_entropy_of_cosines_over_the_temperature() -> None:
+    loss = loss_over_three_words([[True, False, False]], [True, True, True])
+
+    value = loss(one_pixel(0.6, 0.8, 0.0), torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0]))
+
+    expected = -1.2 + math.log(math.exp(1.2) + math.exp(1.6) + 1)
+    assert float(value) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_word_that_the_set_does_not_know_is_not_taught_against() -> None:
+    loss = loss_over_three_words([[True, False, False]], [True, False, True])
+    meanings, sets = torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0])
+
+    with_unknown_word = loss(one_pixel(0.6, 0.8, 0.0), meanings, sets)
+
+    assert float(with_unknown_word) == pytest.approx(-1.2 + math.log(math.exp(1.2) + 1), rel=1e-5)
+
+
+def test_a_coarse_class_is_satisfied_by_any_of_its_words() -> None:
+    loss = loss_over_three_words([[True, True, False]], [True, True, True])
+    meanings, sets = torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0])
+
+    assert float(loss(one_pixel(1, 0, 0), meanings, sets)) == pytest.approx(
+        float(loss(one_pixel(0, 1, 0), meanings, sets))
+    )
+    assert float(loss(one_pixel(1, 0, 0), meanings, sets)) < float(loss(one_pixel(0, 0, 1), meanings, sets))
+
+
+def test_pictures_and_pixels_without_labels_teach_nothing() -> None:
+    loss = loss_over_three_words([[True, False, False]], [True, True, True])
+    pixel = one_pixel(0, 0, 1)
+
+    assert float(loss(pixel, torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([-1]))) == 0
+    assert float(loss(pixel, torch.full((1, 2, 2), -1, dtype=torch.int16), torch.tensor([0]))) == 0
+
+
+def test_cells_that_find_themselves_again_cost_little() -> None:
+    points = torch.eye(6).view(2, 3, 6)
+    cells = torch.tensor([[0, 10, 20], [0, 10, 20]])
+
+    right, found = two_view_loss(points, points, cells, columns=32, temperature=0.07, margin=1)
+    wrong, lost = two_view_loss(points, points.flip(0), cells, columns=32, temperature=0.07, margin=1)
+
+    assert float(right) < 0.01
+    assert float(wrong) > 10
+    assert (float(found), float(lost)) == (1.0, 0.0)
+
+
+def test_neighbouring_cells_are_not_held_against_each_other() -> None:
+    same = torch.ones(1, 2, 4) / 2
+
+    neighbours, _ = two_view_loss(same, same, torch.tensor([[0, 1]]), columns=32, temperature=0.07, margin=2)
+    strangers, _ = two_view_loss(same, same, torch.tensor([[0, 9]]), columns=32, temperature=0.07, margin=2)
+
+    assert float(neighbours) == pytest.approx(0, abs=1e-6)
+    assert float(strangers) == pytest.approx(math.log(2), rel=1e-5)
+
+
+def test_a_network_as_alike_as_its_teacher_pays_nothing() -> None:
+    here, there = torch.eye(4).view(1, 4, 4), torch.eye(4).flip(0).view(1, 4, 4)
+
+    assert float(likeness_loss(here, there, here, there)) == 0
+    assert float(likeness_loss(here, there, here, here)) > 0
+
+
+def test_matched_cells_are_read_where_the_views_show_them() -> None:
+    field = torch.arange(12.0).view(1, 1, 3, 4).expand(2, 2, 3, 4).clone()
+    field[:, 1] = 1
+    cells = torch.tensor([[5, 11]])  # row 1 column 1, row 2 column 3
+    positions = torch.tensor([[[-0.25, 0.0], [0.75, 2 / 3]]])  # the same cells' centres
+
+    here, there = matched_cells(field, cells, positions)
+
+    assert torch.allclose(torch.nn.functional.normalize(here, dim=2), there, atol=1e-5)

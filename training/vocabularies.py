@@ -1,0 +1,93 @@
+"""General vocabularies: ``python -m training.vocabularies --encoder compact --data DATA`` (or ``--encoder color``).
+
+They ship with an encoder, so that the very first enrolled picture can be found. Those of ``compact`` are trained on
+pictures of many places and kinds under DATA (streets, facades, country, rooms, webcams, walks indoors) and on none of
+``DATA/places``; those of ``color`` on scenes that the project draws itself.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from schemas.description import Booleans, PixelField
+from schemas.picture import Picture
+from schemas.ports import Encoder
+from schemas.settings import Settings
+from training.pictures import read_rgb
+from worker.bootstrap import make_encoder
+from worker.place import labels, static_pixels
+from worker.recipes import PRESETS, Preset, carried
+from worker.scenes import scene
+from worker.scenes.scene import Kind
+from worker.vocabularies import SHIPPED, Vocabulary, train
+
+KINDS = (
+    ("segmentation/camvid/train", 120),
+    ("segmentation/labelmefacade/train", 180),
+    ("segmentation/nyuv2/train", 180),
+    ("segmentation/ade_outdoor/train", 70),
+    ("unlabelled/indoor", 250),
+    ("pairs/aligned/tilde_webcam", 60),
+    ("pairs/aligned/mefb", 60),
+    ("pairs/same_place", 80),
+)
+"""Folders under DATA and how many of their pictures take part: about as many indoors as outdoors."""
+
+DRAWN: tuple[Kind, ...] = ("street", "park", "corridor")
+"""Kinds of scenes for the encoder ``color``."""
+
+
+def photographs(data: Path, seed: int) -> Iterator[Picture]:
+    """Pictures of every kind, drawn by a seed; a folder with fewer gives all it has."""
+    random = np.random.default_rng(seed)
+    for folder, count in KINDS:
+        every = (data / folder).rglob("*")
+        files = sorted(p for p in every if p.suffix.lower() in {".jpg", ".png"} and "labels" not in p.parts)
+        for number in sorted(random.permutation(len(files))[:count]):
+            yield Picture.of(read_rgb(files[number]))
+
+
+def drawings(seed: int, count: int = 180) -> Iterator[Picture]:
+    """Scenes that the project draws."""
+    for number in range(count):
+        yield Picture.of(scene(f"vocabulary {seed} {number}", DRAWN[number % len(DRAWN)]).pixels)
+
+
+def train_vocabulary(encoder: Encoder, preset: Preset, pictures: Iterator[Picture], seed: int) -> Vocabulary:
+    """The vocabulary of a preset from pictures."""
+    text = encoder.text_vectors(preset.labels)
+    dynamic = np.isin(np.array(preset.labels), np.array(preset.dynamic))
+    rule = preset.parameters.dynamic
+
+    def static(field: PixelField) -> Booleans:
+        return static_pixels.static_cells(labels.scores(field.semantic, text), dynamic, rule.margin, rule.most)
+
+    fields = (field for picture in pictures for field in encoder.encode([picture]))
+    return train(fields, static, preset.parameters, seed)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train and write the vocabularies of every preset."""
+    parser = argparse.ArgumentParser(prog="python -m training.vocabularies", description=__doc__)
+    parser.add_argument("--encoder", choices=("compact", "color"), required=True)
+    parser.add_argument("--data", type=Path, help="folder of the pictures; not needed for color")
+    parser.add_argument("--preset", choices=tuple(PRESETS), action="append", help="only these; default: all")
+    parser.add_argument("--to", type=Path, default=SHIPPED)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    options = parser.parse_args(arguments)
+    if options.encoder == "compact" and options.data is None:
+        parser.error("--encoder compact needs --data")
+    encoder = make_encoder(Settings(encoder=options.encoder), options.threads)
+    for name in options.preset or PRESETS:
+        pictures = drawings(options.seed) if options.encoder == "color" else photographs(options.data, options.seed)
+        learned = train_vocabulary(encoder, carried(name, encoder), pictures, options.seed)
+        path = options.to / f"{encoder.name}-{name}.vocabulary.safetensors"
+        path.write_bytes(learned.tensors)
+        print(f"{path.name}: {len(learned.tensors):,} bytes, SHA-256 {learned.digest}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,239 @@
+"""The encoder port, kept by LSeg."""
+
+import hashlib
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from schemas.description import SEMANTIC, Floats, PixelField
+from schemas.errors import InvalidParameters, ParameterError, SetupError
+from schemas.picture import Picture
+from schemas.records import Meaning
+from worker.encoders.lseg.checkpoint import load
+from worker.encoders.lseg.config import PUBLISHED, Config
+from worker.encoders.lseg.network import Network
+from worker.encoders.lseg.tokenizer import Tokenizer, TooLong
+from worker.encoders.lseg.windows import Covering, Input, Single, Windows
+
+Mode = Literal["windows", "single"]
+
+BATCH_ON_GPU = 8
+
+
+class LsegEncoder:
+    """LSeg's pixels and CLIP's words.
+
+    Parameters
+    ----------
+    network : Network
+        In float32, on the CPU.
+    tokenizer : Tokenizer
+    digest : str
+        Of the weights.
+    mode : {"windows", "single"}
+        How a picture is covered; see `worker.encoders.lseg.windows`.
+    device : str
+        Where the image network runs. The text tower stays on the CPU in float32, so that a word's vector is the same
+        whatever runs the network.
+    dtype : torch.dtype or None
+        Of the image network; None: float32 on a CPU; on a GPU bfloat16, which cannot overflow, or float16
+        where the GPU has no bfloat16.
+    batch : int
+        Inputs (windows) that go through the network together; 0: 1 on a CPU, 8 on a GPU. Fewer than this are filled
+        up: which product routine is taken, and so how sums round, depends on the shape of a batch, and a picture's
+        embeddings must not depend on what came with it.
+
+    Raises
+    ------
+    SetupError
+        There is no such device.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        tokenizer: Tokenizer,
+        digest: str,
+        *,
+        mode: Mode = "windows",
+        device: str = "cpu",
+        dtype: torch.dtype | None = None,
+        batch: int = 0,
+    ) -> None:
+        self._device = usable_device(device)
+        on_cpu = self._device.type == "cpu"
+        self._dtype = dtype or (torch.float32 if on_cpu else half_precision())
+        self._batch = batch or (1 if on_cpu else BATCH_ON_GPU)
+        self._network, self._tokenizer, self._digest, self._mode = network, tokenizer, digest, mode
+        for part in (network.pretrained, network.scratch):
+            part.to(self._device, self._dtype)
+        self._covering: Covering = Windows(network.config) if mode == "windows" else Single(network.config)
+
+    @classmethod
+    def open(
+        cls,
+        weights: Path | None,
+        *,
+        vocabulary: Path | None = None,
+        mode: Mode = "windows",
+        device: str = "cpu",
+        dtype: torch.dtype | None = None,
+        batch: int = 0,
+        config: Config = PUBLISHED,
+    ) -> Self:
+        """The encoder with its weights read from a file.
+
+        Parameters
+        ----------
+        weights : Path or None
+            ``demo_e200.ckpt``, or what `convert` made of it. There is no default: None is refused.
+        vocabulary : Path or None
+            CLIP's; None takes it from an installed package.
+        mode, device, dtype, batch
+            As for the class.
+        config : Config
+
+        Raises
+        ------
+        SetupError
+            Says what is missing or wrong, and what was expected.
+        """
+        if weights is None:
+            raise SetupError(
+                "the encoder lseg needs REVISIT_WEIGHTS=.../demo_e200.ckpt; docs/lseg.md says where it comes from"
+            )
+        usable_device(device)
+        tokenizer = Tokenizer.read(vocabulary, config.context)
+        network, digest = load(weights, config)
+        return cls(network, tokenizer, digest, mode=mode, device=device, dtype=dtype, batch=batch)
+
+    @property
+    def name(self) -> str:
+        """``lseg``."""
+        return "lseg"
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of the weights' values; in mode ``single``, whose embeddings differ, of that and the mode."""
+        if self._mode == "windows":
+            return self._digest
+        return hashlib.sha256(f"{self._digest}:{self._mode}".encode()).hexdigest()
+
+    @property
+    def layers(self) -> Mapping[str, int]:
+        """The language-aligned layer alone."""
+        return {SEMANTIC: self._network.config.channels}
+
+    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+        """One field per picture, in order, each made when it is asked for.
+
+        In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before you ask for
+        the next. In mode ``single`` it has half as many.
+        """
+        for picture, raw in zip(pictures, self.raw(pictures), strict=True):
+            field = unit_length(raw)
+            del raw
+            yield PixelField({SEMANTIC: field}, picture.extent)
+
+    def raw(self, pictures: Sequence[Picture]) -> Iterator[Tensor]:
+        """Embeddings as the reference returns them.
+
+        Returns
+        -------
+        iterator of float32 of shape (rows, columns, channels)
+            On the encoder's device; of lengths up to 14.29, less where windows that disagree were averaged.
+        """
+        inputs = (i for picture in pictures for i in self._covering.inputs(picture.pixels))
+        outputs = self._outputs(inputs)
+        for picture in pictures:
+            yield self._covering.join((picture.height, picture.width), outputs)
+
+    def _outputs(self, inputs: Iterable[Input]) -> Iterator[Tensor]:
+        """The network's output for each input; neighbours of one shape go through it together."""
+        for _, alike in itertools.groupby(inputs, key=lambda i: i.pixels.shape):
+            while batch := list(itertools.islice(alike, self._batch)):
+                yield from self._forward(batch)
+
+    @torch.inference_mode()
+    def _forward(self, batch: list[Input]) -> list[Tensor]:
+        """One pass of the network."""
+        filled = batch + batch[-1:] * (self._batch - len(batch))
+        pixels = torch.stack([i.pixels for i in filled])
+        pixels = pixels.to(self._device, self._dtype, memory_format=torch.channels_last)
+        # A batch of several is computed whole: its shape must not depend on how much of each window is padding.
+        keep = batch[0].keep if self._batch == 1 else None
+        return list(self._network(pixels, keep)[: len(batch)])
+
+    def text_vectors(self, words: Sequence[str]) -> Floats:
+        """Unit-length vectors of words, float32 of shape (words, channels).
+
+        Bare words, no sentence around them, as in LSeg.
+
+        Raises
+        ------
+        InvalidParameters
+            Names each word that is empty, or longer than the text tower's context.
+        """
+        ids = self._ids(words)
+        if not ids:
+            return np.zeros((0, self.layers[SEMANTIC]), np.float32)
+        with torch.inference_mode():
+            vectors: Floats = self._network.clip_pretrained(ids).numpy()
+        return vectors
+
+    def meanings(self, words: Sequence[str]) -> list[Meaning]:
+        """Every word stands for itself: the text tower reads any. None is known to have been trained on.
+
+        The published checkpoint does not say which labels its pixels carried; see docs/lseg.md.
+        """
+        self._ids(words)
+        return [Meaning(word, (word,), trained=False) for word in words]
+
+    def _ids(self, words: Sequence[str]) -> list[list[int]]:
+        """Token ids of words; all that cannot be used are refused at once."""
+        ids, errors = [], []
+        for index, word in enumerate(words):
+            try:
+                ids.append(self._tokenizer.encode(word))
+            except TooLong as error:
+                errors.append(ParameterError(f"labels[{index}]", f"{word[:40]!r}... is too long: {error}"))
+                continue
+            if len(ids[-1]) == 2:
+                errors.append(ParameterError(f"labels[{index}]", f"{word!r} is empty; expected a word"))
+        if errors:
+            raise InvalidParameters(errors)
+        return ids
+
+
+def half_precision() -> torch.dtype:
+    """What this machine's GPU computes fastest in without running out of range."""
+    return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float16
+
+
+def unit_length(raw: Tensor) -> Floats:
+    """Vectors (rows, columns, channels) scaled to length 1, in place."""
+    with torch.inference_mode():
+        raw.div_(torch.linalg.vector_norm(raw, dim=-1, keepdim=True))
+        return raw.cpu().numpy()
+
+
+def usable_device(name: str) -> torch.device:
+    """A device of this machine.
+
+    Raises
+    ------
+    SetupError
+        There is none of this name.
+    """
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise SetupError(f"REVISIT_DEVICE={name}: {reason}; use cpu, or cuda with a CUDA build of PyTorch") from None
+    return device

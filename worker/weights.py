@@ -1,0 +1,49 @@
+"""Weights files: what one is, and turning a published checkpoint into a safe one."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from worker.encoders.lseg import checkpoint
+from worker.encoders.lseg.checkpoint import WeightsReport
+
+COMPACT_TENSORS = frozenset({"words.weight", "detail.weight"})
+"""The two heads of the built-in encoder; no LSeg file has tensors of these names."""
+
+
+def check(path: Path) -> WeightsReport:
+    """Say what a file is: LSeg's checkpoint, its conversion, revisit's own weights, or none of them.
+
+    Raises
+    ------
+    SetupError
+        There is no such file.
+    """
+    names = _safetensors_names(path)
+    if names >= COMPACT_TENSORS:
+        sha256 = checkpoint.file_digest(path)
+        notes = (f"{len(names)} tensors: the weights of revisit's own encoder, compact",)
+        return WeightsReport(path, "compact", path.stat().st_size, sha256, sha256, (), notes)
+    report = checkpoint.check(path)
+    if report.kind == "unknown" and not report.differences:
+        # Every tensor of LSeg's, none other, but not by our hand: it works all the same.
+        return replace(report, kind="lseg-converted")
+    return report
+
+
+def convert(source: Path, target: Path) -> WeightsReport:
+    """Turn LSeg's checkpoint into a safetensors file; see `worker.encoders.lseg.checkpoint.convert`."""
+    return checkpoint.convert(source, target)
+
+
+def _safetensors_names(path: Path) -> frozenset[str]:
+    """Names of the tensors in a safetensors file (a length in eight bytes, then JSON); none if it is no such file."""
+    try:
+        with path.open("rb") as file:
+            length = int.from_bytes(file.read(8), "little")
+            if length > min(path.stat().st_size, 100_000_000):
+                return frozenset()
+            header = json.loads(file.read(length))
+    except (OSError, ValueError):
+        return frozenset()
+    return frozenset(header) if isinstance(header, dict) else frozenset()
