@@ -5,7 +5,7 @@ A batch is a function of (seed, step) alone, so a run that is resumed sees what 
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -100,27 +100,7 @@ def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
     return sorted((segmentation / data_set / "train" / "images").glob("*"))
 
 
-@dataclass(frozen=True)
-class Mix:
-    """How a batch is put together.
-
-    Attributes
-    ----------
-    strong, mild
-        Pairs of views under strongly and under mildly changed light.
-    strong_shares, mild_shares
-        How often each source is drawn for either, relative to the others.
-    size
-        Height and width of a view in pixels, multiples of 32.
-    """
-
-    strong: int = 4
-    mild: int = 4
-    strong_shares: Mapping[str, float] | None = None
-    mild_shares: Mapping[str, float] | None = None
-    size: tuple[int, int] = (192, 256)
-
-
+# How often each source is drawn, relative to the others.
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,
@@ -139,6 +119,27 @@ MILD_SHARES = {
     "indoor": 0.28,
     "aligned": 0.12,
 }
+
+
+@dataclass(frozen=True)
+class Mix:
+    """How a batch is put together.
+
+    Attributes
+    ----------
+    strong, mild
+        Pairs of views under strongly and under mildly changed light.
+    strong_shares, mild_shares
+        How often each source is drawn for either, relative to the others.
+    size
+        Height and width of a view in pixels, multiples of 32.
+    """
+
+    strong: int = 4
+    mild: int = 4
+    strong_shares: Mapping[str, float] = field(default_factory=lambda: STRONG_SHARES)
+    mild_shares: Mapping[str, float] = field(default_factory=lambda: MILD_SHARES)
+    size: tuple[int, int] = (192, 256)
 
 
 class Batches(Dataset[dict[str, Tensor]]):
@@ -167,8 +168,8 @@ class Batches(Dataset[dict[str, Tensor]]):
         rng = np.random.default_rng([self._seed, step])
         mix = self._mix
         pairs = [
-            *(self._pair(rng, mix.strong_shares or STRONG_SHARES, FOR_WORDS, mild=False) for _ in range(mix.strong)),
-            *(self._pair(rng, mix.mild_shares or MILD_SHARES, FOR_DETAIL, mild=True) for _ in range(mix.mild)),
+            *(self._pair(rng, mix.strong_shares, FOR_WORDS, mild=False) for _ in range(mix.strong)),
+            *(self._pair(rng, mix.mild_shares, FOR_DETAIL, mild=True) for _ in range(mix.mild)),
         ]
         views = [pair.first for pair in pairs] + [pair.second for pair in pairs]
         stacked = np.stack([picture for picture, _ in views])

@@ -1,7 +1,6 @@
 """Weights files: what one is, and turning a published checkpoint into a safe one."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 from worker.encoders.lseg import checkpoint
@@ -24,11 +23,7 @@ def check(path: Path) -> WeightsReport:
         sha256 = checkpoint.file_digest(path)
         notes = (f"{len(names)} tensors: the weights of revisit's own encoder, compact",)
         return WeightsReport(path, "compact", path.stat().st_size, sha256, sha256, (), notes)
-    report = checkpoint.check(path)
-    if report.kind == "unknown" and not report.differences:
-        # Every tensor of LSeg's, none other, but not by our hand: it works all the same.
-        return replace(report, kind="lseg-converted")
-    return report
+    return checkpoint.check(path)
 
 
 def convert(source: Path, target: Path) -> WeightsReport:

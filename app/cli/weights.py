@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from app.cli.console import DONE, FAILED, Verbs, show, show_json, size
 
 if TYPE_CHECKING:
-    from worker.weights import WeightsReport
+    from worker.encoders.lseg.checkpoint import WeightsReport
 
 
 def add(verbs: Verbs) -> None:

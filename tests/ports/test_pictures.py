@@ -3,6 +3,10 @@
 import errno
 import os
 import stat
+from contextlib import suppress
+from itertools import count
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Thread
 from typing import Any, NoReturn
@@ -13,7 +17,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, DiskFull, NotFound
 from schemas.records import Filters, Said
 from tests.ports.databases import sqlite_url
-from tests.ports.material import NOW, Follower, describe_all, enroll, facts, picture
+from tests.ports.material import LEASE, NOW, Follower, describe_all, enroll, facts, picture
 from worker.stores.pictures import Pictures, sync_folder
 from worker.stores.store import SqlStore, open_store
 
@@ -202,6 +206,42 @@ def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away
             other.join()
     assert files(data) == []
     assert Follower(store).catch_up().vectors == {}
+
+
+def _enroll_until_killed(url: str, data: Path, acknowledged: Connection) -> None:
+    store = open_store(url, data)
+    for number in count():
+        view = enroll(store, f"{number}").view
+        acknowledged.send(view.id)
+        describe_all(store)
+        if number % 4 == 3:
+            store.delete_view(view.id)
+
+
+def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(store: SqlStore, data: Path) -> None:
+    spawn = get_context("spawn")
+    receive, send = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_enroll_until_killed, args=(sqlite_url(data), data, send))
+    process.start()
+    acknowledged = [receive.recv() for _ in range(15)]
+    process.kill()
+    process.join()
+    send.close()
+    with suppress(EOFError, OSError):  # it may have died in the middle of a word
+        while True:
+            acknowledged.append(receive.recv())
+    receive.close()
+
+    store.recover(NOW)
+
+    views, _ = store.views("campus", Filters(), limit=1000)
+    kept = {view.id for view in views}
+    for number, view_id in enumerate(acknowledged[:-1]):  # what came after the last one was cut short
+        assert (view_id in kept) == (number % 4 != 3)
+    assert {path.name for path in files(data)} == {view.picture.sha256 for view in views}
+    assert all(facts(store.picture(view.id)) == view.picture for view in views)
+    describe_all(store, NOW + LEASE)
+    assert Follower(store).catch_up().vectors.keys() == {view.seq for view in views}
 
 
 def test_a_folder_that_is_gone_is_noticed(store: SqlStore, data: Path) -> None:

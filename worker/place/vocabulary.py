@@ -116,8 +116,8 @@ def vector(descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel)
     normalised: Floats = np.sqrt(counts, dtype=np.float32) if channel.normalisation == "hellinger" else counts
     if vocabulary.projection is None:
         return normalised
-    projected: Floats = (normalised - vocabulary.projection.mean) @ vocabulary.projection.matrix
-    return unit(projected)
+    centred = (normalised - vocabulary.projection.mean).astype(np.float32)
+    return unit(centred @ vocabulary.projection.matrix)
 
 
 def unit(vectors: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """Bring a database to the tables that this version of revisit knows."""
 
+from functools import cache
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -22,11 +23,15 @@ def _config() -> Config:
     return config
 
 
+@cache
+def _revisions() -> tuple[str, ...]:
+    """All revisions that this version knows, newest first."""
+    return tuple(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
+
+
 def newest() -> str:
     """The revision of the tables that this version needs, such as ``0001``."""
-    head = ScriptDirectory.from_config(_config()).get_current_head()
-    assert head is not None
-    return head
+    return _revisions()[0]
 
 
 def current(connection: sa.Connection) -> str | None:
@@ -43,8 +48,7 @@ def is_current(connection: sa.Connection) -> bool:
         The database was made by a newer version.
     """
     found = current(connection)
-    known = {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
-    if found is not None and found not in known:
+    if found is not None and found not in _revisions():
         raise SetupError(
             f"the database has tables of revision {found}, which is newer than this version of revisit "
             f"({newest()}); run the newer version, or restore a snapshot made by this one"

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
@@ -123,13 +124,40 @@ def test_each_departure_is_named(tmp_path: Path, change: Change, named: str) -> 
 
 
 def test_an_error_names_some_and_check_names_all(tmp_path: Path) -> None:
-    file = small.save({"a": torch.ones(1)}, tmp_path / "foreign.ckpt")
+    half = {name: tensor for name, tensor in small.state().items() if not name.startswith("scratch")}
+    missing = {name for name in small.network(small.state()).state_dict() if name.startswith("scratch")}
+    file = small.save(half, tmp_path / "half.ckpt")
 
     report = check(file, small.SMALL)
 
-    assert len(report.differences) == len(small.network(small.state()).state_dict()) + 1
+    assert report.kind == "lseg-checkpoint"
+    assert {line.split(":")[0] for line in report.differences} == missing
     with pytest.raises(SetupError, match=r"; and \d+ more \(`./revisit weights check"):
         load(file, small.SMALL)
+
+
+def test_another_networks_checkpoint_is_unknown(tmp_path: Path) -> None:
+    file = small.save({"fc.weight": torch.ones(1)}, tmp_path / "foreign.ckpt")
+
+    report = check(file, small.SMALL)
+
+    assert (report.kind, report.usable) == ("unknown", False)
+    assert "tensors is there; the file's 1 begin with: fc.weight" in report.differences[0]
+
+
+def test_no_damage_to_a_file_is_more_than_a_setup_error(tmp_path: Path, file: Path) -> None:
+    """Whichever byte is wrong: where tensors are described, or within their values."""
+    convert(file, tmp_path / "lseg.safetensors", small.SMALL)
+    rng = np.random.default_rng(1)
+    for path in (file, tmp_path / "lseg.safetensors"):
+        data = path.read_bytes()
+        for _ in range(40):
+            damaged = bytearray(data)
+            for at in (*rng.integers(0, len(data), 3), *rng.integers(0, 3000, 3), len(data) - rng.integers(1, 3000)):
+                damaged[at] = rng.integers(0, 256)
+            path.write_bytes(damaged)
+            check(path, small.SMALL)  # says what it is, and raises nothing
+        path.write_bytes(data)
 
 
 def test_a_truncated_checkpoint_is_refused_with_its_size(file: Path) -> None:
@@ -226,6 +254,15 @@ def test_the_built_in_weights_are_recognised(tmp_path: Path) -> None:
 
     assert (report.kind, report.usable) == ("compact", True)
     assert report.digest == report.sha256 == checkpoint.file_digest(file)
+
+
+def test_a_conversion_by_other_hands_is_taken(tmp_path: Path, file: Path) -> None:
+    network = small.network(small.state())
+    save_file(
+        {name: tensor.contiguous() for name, tensor in network.state_dict().items()}, tmp_path / "own.safetensors"
+    )
+
+    assert check(tmp_path / "own.safetensors", small.SMALL).digest == check(file, small.SMALL).digest
 
 
 def test_a_foreign_safetensors_file_is_unknown(tmp_path: Path) -> None:

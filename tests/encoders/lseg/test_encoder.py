@@ -1,5 +1,6 @@
 """The encoder port as LSeg keeps it."""
 
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,18 @@ def test_fields_are_made_when_they_are_asked_for() -> None:
     assert passes == []
     next(fields)
     assert len(passes) == 2  # the first picture's two windows
+
+
+def test_a_field_that_was_dropped_takes_no_memory() -> None:
+    fields = encoder().encode(PICTURES)
+    first = next(fields)
+    held = weakref.ref(first)
+    data = weakref.ref(first.semantic)
+
+    del first
+
+    assert held() is None
+    assert data() is None
 
 
 def test_lower_precision_gives_unit_float32_fields_near_the_exact_ones() -> None:

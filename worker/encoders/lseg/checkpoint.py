@@ -20,7 +20,7 @@ from torch import Tensor
 
 from schemas.errors import SetupError
 from worker.encoders.lseg.config import PUBLISHED, Config
-from worker.encoders.lseg.layout import Layout, differences
+from worker.encoders.lseg.layout import SHOWN, Layout, differences
 from worker.encoders.lseg.network import Network
 
 PREFIX = "net."
@@ -28,8 +28,6 @@ FORMAT = "revisit-lseg-1"
 """Value of ``format`` in the metadata of a converted file."""
 
 ZIP_MAGIC = b"PK\x03\x04"
-SHOWN = 8
-"""Differences that an error lists; `check` lists all."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +108,9 @@ def _read_checkpoint(path: Path) -> Contents:
         raise SetupError(
             f"weights {path}: holds pickled objects other than tensors and plain values, which are never run: {reason}"
         ) from None
-    except (RuntimeError, OSError, EOFError, ValueError, KeyError) as error:
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    except (RuntimeError, OSError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
+        # All of these come out of an archive or a pickle that is damaged.
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         raise SetupError(f"weights {path}: not a whole PyTorch file ({path.stat().st_size} bytes): {reason}") from None
     state = whole.get("state_dict") if isinstance(whole, dict) else None
     if not isinstance(state, dict):
@@ -126,16 +125,15 @@ def _read_checkpoint(path: Path) -> Contents:
 
 
 def _read_converted(path: Path) -> Contents:
-    """What `convert` wrote, or another safetensors file."""
+    """What `convert` wrote, or another safetensors file; names and shapes decide whether it is of use."""
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
     except (safetensors.SafetensorError, OSError) as error:
         raise SetupError(f"weights {path}: not a whole safetensors file: {error}") from None
-    kind = "lseg-converted" if metadata.get("format") == FORMAT else "unknown"
     notes = (f"{len(tensors)} tensors", *(f"{key}: {value}" for key, value in sorted(metadata.items())))
-    return Contents(kind, tensors, notes)
+    return Contents("lseg-converted", tensors, notes)
 
 
 def digest(tensors: Mapping[str, Tensor], layout: Layout) -> str:
@@ -198,9 +196,9 @@ def check(path: Path, config: Config = PUBLISHED) -> WeightsReport:
         return WeightsReport(path, "unknown", size, sha256, None, (error.detail,))
     layout = Layout.of(config)
     found = differences(contents.tensors, layout)
-    return WeightsReport(
-        path, contents.kind, size, sha256, None if found else digest(contents.tensors, layout), found, contents.notes
-    )
+    kind = contents.kind if layout.used.keys() & contents.tensors.keys() else "unknown"
+    made = None if found else digest(contents.tensors, layout)
+    return WeightsReport(path, kind, size, sha256, made, found, contents.notes)
 
 
 def convert(source: Path, target: Path, config: Config = PUBLISHED) -> WeightsReport:

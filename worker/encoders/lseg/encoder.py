@@ -135,10 +135,10 @@ class LsegEncoder:
         In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before you ask for
         the next. In mode ``single`` it has half as many.
         """
-        for picture, raw in zip(pictures, self.raw(pictures), strict=True):
-            field = unit_length(raw)
-            del raw
-            yield PixelField({SEMANTIC: field}, picture.extent)
+        raw = self.raw(pictures)
+        for picture in pictures:
+            # No name is bound to a field here: it would keep half a gigabyte alive while the next one is made.
+            yield PixelField({SEMANTIC: unit_length(next(raw))}, picture.extent)
 
     def raw(self, pictures: Sequence[Picture]) -> Iterator[Tensor]:
         """Embeddings as the reference returns them.

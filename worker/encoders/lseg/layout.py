@@ -11,6 +11,9 @@ from worker.encoders.lseg.network import Network
 
 Shape = tuple[int, ...]
 
+SHOWN = 8
+"""Names or differences that one sentence lists."""
+
 FLOATS = frozenset({torch.float32, torch.float16, torch.bfloat16})
 
 
@@ -95,6 +98,9 @@ def differences(tensors: Mapping[str, Tensor], layout: Layout) -> tuple[str, ...
     A surplus tensor is a fault like a missing one: LSeg's variants with further head blocks differ from the published
     network by nothing else, and leaving those blocks out would change every embedding without a word.
     """
+    if not layout.used.keys() & tensors.keys():
+        some = ", ".join(sorted(tensors)[:SHOWN]) or "none"
+        return (f"none of LSeg's {len(layout.used)} tensors is there; the file's {len(tensors)} begin with: {some}",)
     known = {**layout.unused, **layout.used}
     missing = sorted(layout.used.keys() - tensors.keys())
     found = [f"{name}: missing, expected shape {list(layout.used[name])}" for name in missing]
