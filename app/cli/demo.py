@@ -63,7 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     photos = None if arguments.photos is None else _photos(arguments.photos)
     output = arguments.output or Path(tempfile.mkdtemp(prefix="revisit-demo-"))
     output.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="revisit-demo-data-") as folder, started(Path(folder)) as service:
+    log = output / "service.log"
+    with tempfile.TemporaryDirectory(prefix="revisit-demo-data-") as folder, started(Path(folder), log) as service:
         material = _drawn(output) if photos is None else _own(photos, output)  # while the service loads its network
         url = service.url()
         say(f"a service runs at {url} on data in {folder}")
@@ -77,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             _tell(results, [*calls, *asked], output)
             verdict = f"{sum(map(bool, right))} of {len(right)} known places were recognised"
-            show(f"\n{verdict}." if passed else f"\n{verdict}: fewer than expected. The service's log: {service.log}")
+            show(f"\n{verdict}." if passed else f"\n{verdict}: fewer than expected. The service's log: {log}")
         if arguments.keep:
             say(f"the service goes on at {url} (console {url}/, docs {url}/docs); Ctrl-C stops")
             try:

@@ -62,13 +62,12 @@ def drawn(folder: Path, step: Step) -> Material:
     from worker.scenes import scene
 
     enrolments, questions = [], []
-    changes = _changes()
     for i, name in enumerate(PLACES):
         place = scene(name)
         for number, look in enumerate((place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1):
             enrolments.append(Enrolment(_saved(look, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
-        change, how = changes[i % len(changes)]
-        questions.append(Question(_saved(how(place), folder / "asked" / f"{_file(name)}.jpg"), name, change))
+        change, changed = _change(i, place)
+        questions.append(Question(_saved(changed, folder / "asked" / f"{_file(name)}.jpg"), name, change))
         step(name)
     for name in STRANGERS:
         path = _saved(scene(name), folder / "asked" / f"{_file(name)}.jpg")
@@ -77,20 +76,18 @@ def drawn(folder: Path, step: Step) -> Material:
     return Material(enrolments, questions)
 
 
-def _changes() -> "Sequence[tuple[str, Callable[[Scene], Scene]]]":
-    return (
-        ("1 m aside, turned, dusk", lambda s: s.seen_from(dx=1.0, turn=6).at("dusk")),
-        ("a bus in front", lambda s: s.seen_from(dx=0.4, turn=-3).behind(_vehicle(s, "bus"))),
-        ("2 m ahead, dull, a person", lambda s: s.seen_from(ahead=2.0, turn=3).at("overcast").behind("person")),
-        ("turned 9 degrees", lambda s: s.seen_from(dx=-0.7, turn=9)),
-        ("dusk, a car in front", lambda s: s.seen_from(dx=0.6).at("dusk").behind(_vehicle(s, "car"))),
-        ("night", lambda s: s.seen_from(dx=0.3, turn=2).at("night")),
+def _change(number: int, place: "Scene") -> "tuple[str, Scene]":
+    """A place as it is asked about, and how that differs from how it was enrolled; each of six ways in turn."""
+    thing = "person" if place.kind == "corridor" else ("bus", "car")[number // 6 % 2]  # no vehicles indoors
+    ways = (
+        ("1 m aside, turned, dusk", place.seen_from(dx=1.0, turn=6).at("dusk")),
+        (f"a {thing} in front", place.seen_from(dx=0.4, turn=-3).behind(thing)),
+        ("2 m ahead, dull, a person", place.seen_from(ahead=2.0, turn=3).at("overcast").behind("person")),
+        ("turned 9 degrees", place.seen_from(dx=-0.7, turn=9)),
+        (f"dusk, a {thing} in front", place.seen_from(dx=0.6).at("dusk").behind(thing)),
+        ("night", place.seen_from(dx=0.3, turn=2).at("night")),
     )
-
-
-def _vehicle(scene: "Scene", thing: str) -> str:
-    """No buses indoors."""
-    return "person" if scene.kind == "corridor" else thing
+    return ways[number % len(ways)]
 
 
 def _file(name: str) -> str:

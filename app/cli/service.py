@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,12 +42,11 @@ class Service:
 
 
 @contextmanager
-def started(folder: Path, environment: Mapping[str, str] | None = None) -> Iterator[Service]:
-    """Start `serve` on a free port with its data and its log in a folder; stop it at the end."""
-    log = folder / "service.log"
+def started(data: Path, log: Path) -> Iterator[Service]:
+    """Start `serve` on a free port, with its log in a file; stop it at the end."""
     env = {name: value for name, value in os.environ.items() if name not in _OURS}
     path = os.pathsep.join(filter(None, (str(ROOT), env.get("PYTHONPATH"))))
-    env |= {"REVISIT_DATA": str(folder / "data"), "PYTHONUNBUFFERED": "1", "PYTHONPATH": path, **(environment or {})}
+    env |= {"REVISIT_DATA": str(data), "PYTHONUNBUFFERED": "1", "PYTHONPATH": path}
     with log.open("wb") as output:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "app.cli", "serve", "--port", "0", "--host", "127.0.0.1"],

@@ -1,0 +1,92 @@
+"""What the documentation says exists: settings, commands, calls, files, the version."""
+
+import argparse
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from app.cli.__main__ import parser
+from app.client import Revisit
+from app.version import VERSION
+from schemas.settings import Settings
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+OUTSIDE = {"set-up"}
+"""Commands that the launcher answers itself."""
+
+
+def commands() -> dict[str, argparse.ArgumentParser]:
+    (verbs,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return dict(verbs.choices)
+
+
+def settings_table() -> list[str]:
+    """The rows that docs/settings.md has to have."""
+    rows = []
+    for name, field in Settings.model_fields.items():
+        default = (
+            ""
+            if field.default is None
+            else f"`{str(field.default).lower() if isinstance(field.default, bool) else field.default}`"
+        )
+        rows.append(f"| `REVISIT_{name.upper()}` | {default} | {field.description} |")
+    return rows
+
+
+def test_the_settings_page_is_the_settings() -> None:
+    page = (ROOT / "docs" / "settings.md").read_text().splitlines()
+
+    assert [line for line in page if line.startswith("| `REVISIT_")] == settings_table()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_command_that_a_page_shows_exists_with_its_options(page: Path) -> None:
+    known = commands()
+    for line in re.findall(r"\./revisit ([^`\n]+)", page.read_text()):
+        words = [word for word in line.split() if word != "--gpu"]
+        if not words or words[0] in OUTSIDE or words[0].startswith(("-", "COMMAND")):
+            continue
+        assert words[0].rstrip(",.;:)") in known, f"./revisit {line}"
+        text = known[words[0].rstrip(",.;:)")].format_help()
+        for option in (word for word in words[1:] if word.startswith("--")):
+            assert option.rstrip(",.;:)") in text or "..." in text, f"./revisit {line}"
+
+
+def test_every_setting_that_files_name_exists() -> None:
+    known = {f"REVISIT_{name}".upper() for name in Settings.model_fields} | {"REVISIT_GPU", "REVISIT_SHARED"}
+    for path in [*PAGES, ROOT / "Dockerfile", *(p for p in (ROOT / "deploy").iterdir() if p.is_file())]:
+        named = set(re.findall(r"REVISIT_[A-Z_]*[A-Z]", path.read_text()))
+        assert named <= known, path.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if not target.startswith("http"):
+            assert (page.parent / target).exists(), target
+
+
+def test_every_call_in_the_clients_page_exists() -> None:
+    page = (ROOT / "docs" / "client.md").read_text()
+    named = set(re.findall(r"`(\w+)\(", page)) | set(re.findall(r"revisit\.(\w+)\(", page))
+
+    assert named
+    assert named <= set(dir(Revisit))
+
+
+def test_one_version_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+    assert project["version"] == VERSION
+
+
+def test_every_package_that_is_needed_is_pinned() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pins = (ROOT / "requirements.lock").read_text() + (ROOT / "requirements-dev.lock").read_text()
+    pinned = set(re.findall(r"^([a-z0-9-]+)==", pins, re.MULTILINE))
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+
+    assert {re.split(r"[>=<\[ ]", text)[0].lower() for text in wanted} <= pinned
