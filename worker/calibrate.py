@@ -187,11 +187,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     [preset] = options.preset or ["default"]
     try:
         sets = gather(options, preset)
-    except RevisitError as refusal:
-        print(refusal.detail, file=sys.stderr)
+        source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
+        learned = learn(sets, options.features.split(","), source)
+    except (RevisitError, ValueError) as refusal:  # ValueError: too little to learn from
+        print(refusal, file=sys.stderr)
         return 2
-    source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
-    learned = learn(sets, options.features.split(","), source)
     print(as_markdown(learned))
     limits = learned.calibration.thresholds
     print(f"\nthresholds: matched from {limits.matched:.3f}, ambiguous from {limits.ambiguous:.3f}")

@@ -128,4 +128,5 @@ def test_a_baselines_distances_respect_what_a_query_may_know(tmp_path: Path) -> 
     distances = np.abs(np.subtract.outer(np.arange(30.0), np.arange(30.0))).astype(np.float32)
     asked = ranked_by(distances, drive, "perfect")
     assert asked.ranked[:, 0].tolist() == [-1, *range(29)]
+    assert asked.confidence is not None
     assert asked.confidence[0] < asked.confidence[1:].min()

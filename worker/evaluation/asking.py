@@ -86,8 +86,8 @@ class Asked:
     method : str
     ranked : int64 of shape (queries, depth)
         Database indices, best first; -1 where there was no further answer.
-    confidence : float64 of shape (queries,)
-        Grows with sureness; a probability when `calibrated`.
+    confidence : float64 of shape (queries,) or None
+        Grows with sureness; a probability when `calibrated`. None where there is no telling.
     before : int64 of shape (queries, depth) or None
         As `ranked`, before re-ranking.
     claimed : bool of shape (queries,) or None
@@ -102,7 +102,7 @@ class Asked:
 
     method: str
     ranked: Indices
-    confidence: Doubles
+    confidence: Doubles | None
     before: Indices | None = None
     claimed: Booleans | None = None
     calibrated: bool = False
