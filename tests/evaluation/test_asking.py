@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.errors import SetupError
+from schemas.errors import SetupError, Unavailable
 from schemas.records import Where
 from tests.evaluation.fakes import FakeRetriever, walk
 from worker.evaluation.asking import Answer, ask, fingerprint, ranked_by
@@ -87,6 +87,16 @@ def test_pictures_that_are_refused_are_counted(tmp_path: Path) -> None:
     asked = ask(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
     assert asked.refused == {"nothing-static": 1}
     assert asked.ranked[0, 0] == 1
+
+
+def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) -> None:
+    class Down(FakeRetriever):
+        def query(self, picture: Path, top: int) -> Answer:
+            raise Unavailable("stopping", 5)
+
+    with pytest.raises(Unavailable):
+        ask(walk(tmp_path / "set"), Down(near), journals=tmp_path / "runs")
+    assert [p.read_text() for p in (tmp_path / "runs").iterdir()] == []
 
 
 def test_the_same_file_twice_stands_for_both(tmp_path: Path) -> None:
