@@ -20,10 +20,10 @@ import torch
 
 from training import data
 from training.export import network_of
-from training.memory import keep_freed_memory
 from training.pictures import Picture, read_rgb
 from training.recognition import DenseCells, Field, Floats, Histograms, best_shift, recall_at_one
 from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.memory import keep_freed_memory
 
 Embed = Callable[[Picture], tuple[Field, Field]]
 """A picture (RGB) to its words field and its detail field."""
