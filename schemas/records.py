@@ -81,7 +81,7 @@ class MapCounts:
     highest: Where
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DescriptionRecord:
     """The small facts of a description that every answer shows."""
 

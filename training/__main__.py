@@ -17,9 +17,9 @@ from training.detail_start import EarlierDetail, SpreadFeatures, fit_detail_head
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Plan, Run
 from training.losses import WordLoss
-from training.memory import keep_freed_memory
 from training.start import started, trunk_state
 from training.teacher import Shallow, Teacher, write_labels
+from worker.encoders.memory import keep_freed_memory
 
 WORD_TEMPERATURE = 0.07
 RARITY = -0.5

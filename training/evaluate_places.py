@@ -20,10 +20,10 @@ import torch
 
 from training import data
 from training.export import network_of
-from training.memory import keep_freed_memory
 from training.pictures import Picture, read_rgb
 from training.recognition import DenseCells, Field, Floats, Histograms, best_shift, recall_at_one
 from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.memory import keep_freed_memory
 
 Embed = Callable[[Picture], tuple[Field, Field]]
 """A picture (RGB) to its words field and its detail field."""
@@ -121,13 +121,15 @@ def _scores(
             fit = best_shift(query_cells[k][row], view_cells[k][nearest])
             ranked[row, nearest] = DENSE_SHARES[k] * fit + (1 - DENSE_SHARES[k]) * likeness[k][row, nearest]
         scores[f"{CHANNELS[k]}: 20 re-ranked by cells"] = ranked
-    for each in (10, 20):
-        union = np.full_like(likeness[0], -9)
-        for row in range(len(union)):
-            nearest = np.unique([order[k][row, :each] for k in range(2)])
-            fits = [best_shift(query_cells[k][row], view_cells[k][nearest]) for k in range(2)]
-            union[row, nearest] = sum(0.4 * fits[k] + 0.1 * likeness[k][row, nearest] for k in range(2))
-        scores[f"both: {each} + {each} re-ranked by cells"] = union
+    unions = {each: np.full_like(likeness[0], -9) for each in (10, 20)}
+    for row in range(len(likeness[0])):
+        nearest = np.unique([order[k][row, :20] for k in range(2)])
+        fits = [best_shift(query_cells[k][row], view_cells[k][nearest]) for k in range(2)]
+        together = sum(0.4 * fits[k] + 0.1 * likeness[k][row, nearest] for k in range(2))
+        unions[20][row, nearest] = together
+        first = np.isin(nearest, [order[k][row, :10] for k in range(2)])
+        unions[10][row, nearest[first]] = together[first]
+    scores |= {f"both: {each} + {each} re-ranked by cells": union for each, union in unions.items()}
     return scores
 
 
@@ -185,6 +187,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.evaluate_places", description="Recall at 1 on places.")
     parser.add_argument("--network", type=Path, required=True, help="checkpoint.pt or an exported .safetensors")
     parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--pairs", nargs="+", default=[pair.name for pair in PAIRS], help="only these")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--json", type=Path, help="also write the table here")
     options = parser.parse_args(arguments)
@@ -193,11 +196,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     faiss.omp_set_num_threads(options.threads)
     cv2.setNumThreads(1)
     began = time.monotonic()
-    table = evaluate(embedder(network_of(options.network)), options.data)
-    print(show(table))
+    pairs = [pair for pair in PAIRS if pair.name in options.pairs]
+    table = evaluate(embedder(network_of(options.network)), options.data, pairs)
+    print(show(table, pairs))
     print(f"{time.monotonic() - began:.0f} s")
     if options.json:
-        options.json.write_text(json.dumps({"pairs": [pair.name for pair in PAIRS], "recall": table}, indent=1))
+        options.json.write_text(json.dumps({"pairs": [pair.name for pair in pairs], "recall": table}, indent=1))
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ from torch import Tensor, nn
 from training import data
 from training.export import basis_of, network_of
 from training.lexicon import ClipWords, class_words
-from training.memory import keep_freed_memory
 from training.pictures import read_labels, read_rgb
+from worker.encoders.memory import keep_freed_memory
 
 JUDGED = {"camvid": 11, "labelmefacade": 8, "nyuv2": 13}
 """Sets, and how many of their classes are judged: the most common ones."""

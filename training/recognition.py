@@ -54,7 +54,9 @@ class Histograms:
         ).astype(np.float32)
         clusters = faiss.Kmeans(sample.shape[1], words, niter=15, seed=seed, spherical=True)
         clusters.train(sample)
-        self._words: Floats = np.asarray(clusters.centroids, np.float32)
+        self._index = faiss.IndexFlatIP(sample.shape[1])
+        self._index.add(np.asarray(clusters.centroids, np.float32))
+        self._size = words
         self._temperature = temperature
         raw = np.stack([self._counts(field) for field in training])
         self._mean: Floats = raw.mean(axis=0)
@@ -68,12 +70,10 @@ class Histograms:
         return unit(((counts - self._mean) @ self._components).astype(np.float32))
 
     def _counts(self, field: Field) -> Floats:
-        scores = field.cells.astype(np.float32) @ self._words.T
-        nearest = np.argpartition(-scores, 2, axis=1)[:, :3]
-        near = np.take_along_axis(scores, nearest, axis=1)
+        near, nearest = self._index.search(field.cells.astype(np.float32), 3)
         shares = np.exp((near - near.max(axis=1, keepdims=True)) / self._temperature)
         shares /= shares.sum(axis=1, keepdims=True)
-        counts = np.bincount(nearest.ravel(), shares.ravel(), minlength=len(self._words)).astype(np.float32)
+        counts = np.bincount(nearest.ravel(), shares.ravel(), minlength=self._size).astype(np.float32)
         frequencies: Floats = np.sqrt(counts / counts.sum())
         return frequencies
 
@@ -95,9 +95,8 @@ def pooled(field: Field) -> Floats:
     rows, columns = field.shape
     index = np.arange(rows * columns)
     cell = (index // columns * GRID[0] // rows) * GRID[1] + (index % columns) * GRID[1] // columns
-    sums = np.zeros((GRID[0] * GRID[1], field.cells.shape[1]), np.float32)
-    np.add.at(sums, cell, field.cells.astype(np.float32))
-    means = unit(sums)
+    members = (cell == np.arange(GRID[0] * GRID[1])[:, None]).astype(np.float32)
+    means = unit(members @ field.cells.astype(np.float32))
     return unit(means - means.mean(axis=0))
 
 

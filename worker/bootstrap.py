@@ -86,6 +86,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
             default_recipe=make_recipe(encoder, settings.preset),
             calibration=lambda recipe: shipped_calibration(recipe.encoder, recipe.preset),
             schema_version=newest(),
+            serving=serving,
             unlock=unlock,
         )
     except BaseException:

@@ -181,17 +181,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
     parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
     evaluate.add_arguments(parser)
-    parser.add_argument("--features", default="score,lead,inliers", help="what the curve reads, comma-separated")
+    parser.add_argument("--features", default="lead,inliers", help="what the curve reads, comma-separated")
     parser.add_argument("--write", type=Path, help="JSON file for the calibration")
     options = parser.parse_args(argv)
     [preset] = options.preset or ["default"]
     try:
         sets = gather(options, preset)
-    except RevisitError as refusal:
-        print(refusal.detail, file=sys.stderr)
+        source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
+        learned = learn(sets, options.features.split(","), source)
+    except (RevisitError, ValueError) as refusal:  # ValueError: too little to learn from
+        print(refusal, file=sys.stderr)
         return 2
-    source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
-    learned = learn(sets, options.features.split(","), source)
     print(as_markdown(learned))
     limits = learned.calibration.thresholds
     print(f"\nthresholds: matched from {limits.matched:.3f}, ambiguous from {limits.ambiguous:.3f}")

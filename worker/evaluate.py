@@ -168,14 +168,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rest.add_argument("--heading", type=float, help="degrees by which the heading may differ")
 
 
-def main(argv: Sequence[str] | None = None, connect: Callable[[str], Contender] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, connect: Callable[[str, str], Contender] | None = None) -> int:
     """Run the command.
 
     Parameters
     ----------
     argv : sequence of str or None
     connect : function or None
-        From a URL to the service that runs there; given by `app`, which knows HTTP.
+        From a URL and a preset to the service that runs there; given by `app`, which knows HTTP.
 
     Returns
     -------
@@ -192,7 +192,7 @@ def main(argv: Sequence[str] | None = None, connect: Callable[[str], Contender] 
         return 2
 
 
-def evaluate(options: argparse.Namespace, connect: Callable[[str], Contender] | None = None) -> int:
+def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None) -> int:
     """Run the command from parsed arguments; raises RevisitError."""
     datasets = read(options.dataset, options)
     if options.truth_only:
@@ -226,16 +226,17 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str], Contender] | 
 
 @contextmanager
 def services(
-    options: argparse.Namespace, connect: Callable[[str], Contender] | None = None
+    options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None
 ) -> Iterator[tuple[list[Contender], Needs]]:
     """The services to measure, and what baselines can use of them: one house, started, with a map for each preset."""
     needs = Needs(netvlad=options.netvlad, device=options.device)
+    presets = options.preset or ["default", "paper"]
     if options.no_service:
         yield [], needs
     elif options.url:
         if connect is None:
             raise InvalidParameters.of("url", "only `revisit evaluate` can measure a service by URL")
-        yield [connect(options.url)], needs
+        yield [connect(options.url, preset) for preset in presets], needs
     else:
         # Late: a house brings torch, the database and the index, which baselines do without.
         from worker.evaluation.in_process import contender, house_for_measuring
@@ -249,7 +250,7 @@ def services(
                 dynamic=recipe.dynamic,
                 decode=lambda path: house.decode(path.read_bytes()),
             )
-            yield [contender(house, preset) for preset in options.preset or ["default", "paper"]], inside
+            yield [contender(house, preset) for preset in presets], inside
 
 
 class Bar:

@@ -32,6 +32,8 @@ class House:
         Recipe to what makes confidences of its scores.
     schema_version : str
         Of the database's tables.
+    serving : bool
+        Whether this is the one process that answers HTTP over the data folder.
     unlock : function
         Lets go of the data folder.
     """
@@ -50,11 +52,13 @@ class House:
     default_recipe: Recipe
     calibration: Callable[[Recipe], Calibration]
     schema_version: str
+    serving: bool
     unlock: Callable[[], None]
 
     def start(self) -> None:
         """Clean up after a crash, if there was one, and begin to work."""
-        self.store.recover(datetime.now(UTC))
+        if self.serving:  # a worker must not forget the calls that the service beside it is answering
+            self.store.recover(datetime.now(UTC))
         self.desk.start()
         if self.loop is not None:
             self.loop.start()

@@ -20,4 +20,8 @@ def add(verbs: Verbs) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Hand over."""
     module = importlib.import_module(arguments.module)
+    if arguments.module == "worker.evaluate":
+        from app.measured import contender
+
+        return int(module.main(arguments.rest, contender))
     return int(module.main(arguments.rest))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.errors import SetupError
+from schemas.errors import SetupError, Unavailable
 from schemas.records import Where
 from tests.evaluation.fakes import FakeRetriever, walk
 from worker.evaluation.asking import Answer, ask, fingerprint, ranked_by
@@ -89,6 +89,16 @@ def test_pictures_that_are_refused_are_counted(tmp_path: Path) -> None:
     assert asked.ranked[0, 0] == 1
 
 
+def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) -> None:
+    class Down(FakeRetriever):
+        def query(self, picture: Path, top: int) -> Answer:
+            raise Unavailable("stopping", 5)
+
+    with pytest.raises(Unavailable):
+        ask(walk(tmp_path / "set"), Down(near), journals=tmp_path / "runs")
+    assert [p.read_text() for p in (tmp_path / "runs").iterdir()] == []
+
+
 def test_the_same_file_twice_stands_for_both(tmp_path: Path) -> None:
     dataset = walk(tmp_path)
     twice = replace(dataset, database=(*dataset.database[:29], dataset.database[5]))
@@ -128,4 +138,5 @@ def test_a_baselines_distances_respect_what_a_query_may_know(tmp_path: Path) -> 
     distances = np.abs(np.subtract.outer(np.arange(30.0), np.arange(30.0))).astype(np.float32)
     asked = ranked_by(distances, drive, "perfect")
     assert asked.ranked[:, 0].tolist() == [-1, *range(29)]
+    assert asked.confidence is not None
     assert asked.confidence[0] < asked.confidence[1:].min()

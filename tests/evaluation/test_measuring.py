@@ -27,6 +27,8 @@ def test_a_good_retriever(tmp_path: Path) -> None:
     assert before.recall[0].value == 0
     assert after.gain is not None
     assert after.gain[0].value == 1
+    assert after.known_place is not None
+    assert before.known_place is None
     assert after.known_place.best_f1 == 1  # the nearest unknown place is .1 less sure
     assert after.calibrated is not None
     assert after.timing_ms["total"] == (1.5, 1.5)
@@ -35,6 +37,7 @@ def test_a_good_retriever(tmp_path: Path) -> None:
 def test_the_last_quarter_is_rejected(tmp_path: Path) -> None:
     dataset = walk(tmp_path)
     [known, _] = measure(dataset, ask(dataset, FakeRetriever(lambda a, b: float(a == b))))
+    assert known.known_place is not None
     assert known.known_place.rejected == 1
     assert known.known_place.wrong_claims == 0
     assert known.known_place.recall_at_full_precision == 1

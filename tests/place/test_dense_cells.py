@@ -91,10 +91,29 @@ def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
         candidate_cell=np.array([1, 2, 19]),  # columns 1 and 2; row 1, column 9
         cosine=np.array([1.0, 0.5, 1.0], np.float32),
     )
-    found = dense_cells.agreement(pairs, (2, 10), 1, zooms=(1.0,), tolerance=0)
+    found = dense_cells.agreement(pairs, np.ones(20, np.float32), (2, 10), 1, zooms=(1.0,), tolerance=0)
     # The first two move one column to the right: (1 + .25) / 20 cells; the third moves elsewhere.
     np.testing.assert_allclose(found.scores, [1.25 / 20])
     assert found.shifts.tolist() == [[0, 1]]
+
+
+def test_a_cell_that_is_seen_again_far_away_says_nothing() -> None:
+    # Columns: a, b, c, a, d with d halfway (cosine .6) between b and something else; neighbours do not count.
+    a, b, c, d = np.eye(5)[0], np.eye(5)[1], np.eye(5)[2], 0.6 * np.eye(5)[1] + 0.8 * np.eye(5)[4]
+    distinct = dense_cells.distinctness(np.array([[a, b, c, a, d]], np.float32), apart=2)
+    np.testing.assert_allclose(distinct, [0, 0.4, 1, 0, 0.4], atol=1e-6)
+    np.testing.assert_allclose(dense_cells.distinctness(np.array([[a, b, c]], np.float32), apart=2), [1, 1, 1])
+
+
+def test_weight_follows_distinctness() -> None:
+    pairs = dense_cells.Correspondences(
+        candidate=np.array([0, 1]),
+        query_cell=np.array([0, 1]),
+        candidate_cell=np.array([0, 1]),
+        cosine=np.ones(2, np.float32),
+    )
+    found = dense_cells.agreement(pairs, np.array([0.25, 0.75], np.float32), (1, 2), 2)
+    np.testing.assert_allclose(found.scores, [0.25, 0.75])
 
 
 def test_a_picture_is_entirely_like_itself() -> None:
@@ -111,7 +130,7 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     columns = np.rint((np.arange(20) - 9.5) / 1.25 + 9.5).astype(int)
     near = wide[rows][:, columns]
     pairs = dense_cells.correspondences(wide, near[None])
-    assert dense_cells.agreement(pairs, (16, 20), 1, tolerance=0).zooms.tolist() == [1.25]
+    assert dense_cells.agreement(pairs, np.ones(320, np.float32), (16, 20), 1, tolerance=0).zooms.tolist() == [1.25]
 
 
 @given(st.integers(0, 2**16), st.integers(-3, 3), st.integers(-4, 4))
@@ -119,7 +138,7 @@ def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> N
     large = cells(seed, rows=20, columns=24, channels=24)
     query, moved = large[6:14, 6:18], large[6 - down : 14 - down, 6 - across : 18 - across]
     pairs = dense_cells.correspondences(query, moved[None])
-    found = dense_cells.agreement(pairs, (8, 12), 1, tolerance=0)
+    found = dense_cells.agreement(pairs, np.ones(96, np.float32), (8, 12), 1, tolerance=0)
     assert found.shifts.tolist() == [[down, across]]
     assert found.scores[0] >= (8 - abs(down)) * (12 - abs(across)) / 96 - 0.02
 

@@ -75,6 +75,14 @@ def test_near_in_degrees_is_a_circle_on_the_globe_across_the_antimeridian_and_at
             assert chosen(store, Filters(near=(centre.lat, centre.lon, radius), geographic=True)) == near
 
 
+def test_the_whole_globe_is_near_enough_for_its_other_side(store: SqlStore) -> None:
+    view = enroll(store, "antipode", said=Said(where=Where(lat=-33.3, lon=-168.7))).view
+    enroll(store, "nowhere")
+    half = math.pi * EARTH_RADIUS_M
+    assert chosen(store, Filters(near=(33.3, 11.3, half), geographic=True)) == {view.seq}
+    assert chosen(store, Filters(near=(33.3, 11.3, half - 10), geographic=True)) == set()
+
+
 def test_near_in_degrees_is_exact_to_a_millimetre(store: SqlStore) -> None:
     here = Where(lat=48.137, lon=11.575)
     view = enroll(store, "gate", said=Said(where=here)).view

@@ -16,6 +16,18 @@ from worker.datasets.dataset import Dataset
 from worker.place.calibration import Verdict
 from worker.place.recall import Booleans, Doubles, Indices
 
+PICTURES_FAULT = frozenset(
+    {
+        "conflict",  # the same bytes again, at another position
+        "not-a-picture",
+        "nothing-static",
+        "picture-too-large",
+        "picture-too-small",
+        "undecodable-picture",
+    }
+)
+"""Codes of refusals that are a picture's own fault: the service was asked and said no, and that counts as no answer."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -86,8 +98,8 @@ class Asked:
     method : str
     ranked : int64 of shape (queries, depth)
         Database indices, best first; -1 where there was no further answer.
-    confidence : float64 of shape (queries,)
-        Grows with sureness; a probability when `calibrated`.
+    confidence : float64 of shape (queries,) or None
+        Grows with sureness; a probability when `calibrated`. None where there is no telling.
     before : int64 of shape (queries, depth) or None
         As `ranked`, before re-ranking.
     claimed : bool of shape (queries,) or None
@@ -102,7 +114,7 @@ class Asked:
 
     method: str
     ranked: Indices
-    confidence: Doubles
+    confidence: Doubles | None
     before: Indices | None = None
     claimed: Booleans | None = None
     calibrated: bool = False
@@ -156,7 +168,6 @@ def ask(
     pictures: dict[str, list[int]] = {}
     refused: dict[str, int] = {}
     enrolled = 0
-    # Answers name pictures, not ids: ids are new in every run.
     for done, query in enumerate(np.argsort(allowed, kind="stable").tolist(), start=1):
         if query not in journal.answers:
             while enrolled < allowed[query]:
@@ -165,17 +176,24 @@ def ask(
                     view = retriever.enroll(dataset.database[picture], _where(dataset, picture))
                     pictures.setdefault(view, []).append(picture)
                 except RevisitError as refusal:
-                    refused[refusal.code] = refused.get(refusal.code, 0) + 1
+                    _count(refused, refusal)
                 enrolled += 1
                 tell("enrolling", enrolled, total)
             try:
                 answer = retriever.query(dataset.queries[query], depth)
             except RevisitError as refusal:
-                refused[refusal.code] = refused.get(refusal.code, 0) + 1
+                _count(refused, refusal)
                 answer = Answer(())
             journal.keep(query, answer, pictures)
         tell("asking", done, len(dataset.queries))
     return journal.asked(depth, refused)
+
+
+def _count(refused: dict[str, int], refusal: RevisitError) -> None:
+    """Count a picture that was refused; anything else, such as a service that is too busy, ends the run."""
+    if refusal.code not in PICTURES_FAULT:
+        raise refusal
+    refused[refusal.code] = refused.get(refusal.code, 0) + 1
 
 
 class _Journal:
@@ -202,7 +220,7 @@ class _Journal:
             self.path.write_bytes(b"\n".join(lines[:-1]) + b"\n" if len(lines) > 1 else b"")
 
     def keep(self, query: int, answer: Answer, pictures: Mapping[str, list[int]]) -> None:
-        """Remember an answer, its ids turned into database numbers."""
+        """Remember an answer, its ids turned into database numbers: ids are new in every run."""
         named = Answer(
             _numbers(answer.views, pictures),
             None if answer.before is None else _numbers(answer.before, pictures),

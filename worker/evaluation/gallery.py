@@ -114,7 +114,7 @@ def _answer(dataset: Dataset, asked: Asked, query: int, first: int, right: bool,
     if artist is not None:
         pictures += [_smaller(shown) for shown in artist.explain(one, answer)]
     where = "" if right else f", first right answer at rank {first}" if first else ", no right answer among those asked"
-    sure = f", confidence {asked.confidence[query]:.2f}" if asked.calibrated else ""
+    sure = f", confidence {asked.confidence[query]:.2f}" if asked.calibrated and asked.confidence is not None else ""
     return Example(f"{asked.method}, query {query}{where}{sure}", right, pictures)
 
 

@@ -1,6 +1,7 @@
 """The report: one HTML file with everything in it, pictures included, that can be mailed and kept."""
 
 import base64
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -114,8 +115,9 @@ def _table(e: Evaluation) -> str:
         known = m.known_place
         flag = ' <span class="flag">at chance</span>' if m.luck.at_chance else ""
         cells = [f"<td>{escape(m.method)}{flag}</td>", *(f"<td>{_cell(f)}</td>" for f in m.recall)]
-        cells.append(f"<td>{m.recall_of_all[0].value:.3f}</td><td>{known.best_f1:.3f}</td>")
-        cells.append(f"<td>{known.recall_at_full_precision:.3f}</td><td>{_share(known.rejected)}</td>")
+        cells.append(f"<td>{m.recall_of_all[0].value:.3f}</td>")
+        sure = (known.best_f1, known.recall_at_full_precision, known.rejected) if known else (math.nan,) * 3
+        cells += [f"<td>{_share(value)}</td>" for value in sure]
         cells.append(f"<td>{m.calibrated.expected_error:.3f}</td>" if m.calibrated else "<td></td>")
         cells.append(f"<td>{_gain(m.gain[0])}</td>" if m.gain else "<td></td>")
         rows.append(f"<tr>{''.join(cells)}</tr>")
@@ -147,7 +149,7 @@ def _known_place_plot(e: Evaluation) -> str:
     series = [
         Series(m.method, [(r, p) for _, p, r in m.known_place.curve], "steps")
         for m in e.methods
-        if len(m.known_place.curve) > 1
+        if m.known_place is not None and len(m.known_place.curve) > 1
     ]
     share = e.chance_of_all[0]
     series.append(Series("chance", [(0, share), (1, share)], "guide"))
@@ -212,4 +214,4 @@ def _gain(f: Figure) -> str:
 
 
 def _share(value: float) -> str:
-    return "" if value != value else f"{value:.3f}"
+    return "" if math.isnan(value) else f"{value:.3f}"

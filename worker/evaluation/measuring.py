@@ -86,7 +86,8 @@ class Figures:
     recall_of_all : tuple of Figure
         Over all queries.
     luck : Luck
-    known_place : KnownPlace
+    known_place : KnownPlace or None
+        None when the method does not tell how sure it is.
     calibrated : Calibrated or None
         None when confidences are no probabilities.
     gain : tuple of Figure or None
@@ -101,7 +102,7 @@ class Figures:
     recall: tuple[Figure, ...]
     recall_of_all: tuple[Figure, ...]
     luck: Luck
-    known_place: KnownPlace
+    known_place: KnownPlace | None
     calibrated: Calibrated | None = None
     gain: tuple[Figure, ...] | None = None
     timing_ms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -189,7 +190,7 @@ def measure(dataset: Dataset, asked: Asked, *, seed: int = 0, depths: Sequence[i
     if asked.before is None:
         return [_figures(dataset, asked, after, None, seed, depths)]
     first = first_right(asked.before, dataset.judged())
-    plain = Asked(f"{asked.method}, histograms alone", asked.before, np.zeros(len(first)), timing_ms={})
+    plain = Asked(f"{asked.method}, histograms alone", asked.before, None)
     return [
         _figures(dataset, asked, after, first, seed, depths),
         _figures(dataset, plain, first, None, seed, depths),
@@ -222,7 +223,7 @@ def _figures(
         recall_of_all=share(None),
         luck=looks_like_chance(asked.ranked, truth, np.random.default_rng(seed), depths=depths),
         known_place=_known_place(asked, right, answerable),
-        calibrated=_calibrated(asked, right) if asked.calibrated else None,
+        calibrated=_calibrated(asked.confidence, right) if asked.calibrated and asked.confidence is not None else None,
         gain=gain,
         timing_ms={
             stage: (float(np.median(ms)), float(np.quantile(ms, 0.95)))
@@ -238,7 +239,9 @@ def _with_interval(means: Doubles, low: Doubles, high: Doubles) -> tuple[Figure,
     return tuple(Figure(float(m), float(a), float(b)) for m, a, b in zip(means, low, high, strict=True))
 
 
-def _known_place(asked: Asked, right: Booleans, answerable: Booleans) -> KnownPlace:
+def _known_place(asked: Asked, right: Booleans, answerable: Booleans) -> KnownPlace | None:
+    if asked.confidence is None:
+        return None
     curve = precision_recall(asked.confidence, right, answerable)
     best, at = curve.best_f1
     claimed = asked.confidence >= at if asked.claimed is None else asked.claimed
@@ -257,8 +260,8 @@ def _known_place(asked: Asked, right: Booleans, answerable: Booleans) -> KnownPl
     )
 
 
-def _calibrated(asked: Asked, right: Booleans) -> Calibrated:
-    found = reliability(asked.confidence, right)
+def _calibrated(confidence: Doubles, right: Booleans) -> Calibrated:
+    found = reliability(confidence, right)
     rows = zip(found.edges[:-1], found.edges[1:], found.counts, found.promised, found.true, strict=True)
     bins = tuple((float(a), float(b), int(n), float(p), float(t)) for a, b, n, p, t in rows)
     return Calibrated(found.expected_error, bins)

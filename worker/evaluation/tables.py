@@ -23,8 +23,8 @@ def as_text(evaluation: Evaluation) -> str:
         known = method.known_place
         figures = [f"{f.value:.3f}" for f in method.recall]
         figures[0] = str(method.recall[0])
-        own = [method.recall_of_all[0].value, known.best_f1, known.recall_at_full_precision]
-        rows.append([method.method, *figures, *(f"{v:.3f}" for v in own)])
+        sure = ["", ""] if known is None else [f"{known.best_f1:.3f}", f"{known.recall_at_full_precision:.3f}"]
+        rows.append([method.method, *figures, f"{method.recall_of_all[0].value:.3f}", *sure])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = [
         f"{evaluation.dataset}: {evaluation.queries} queries, {evaluation.answerable} of them answerable, "
@@ -80,11 +80,11 @@ def remarks(method: Figures) -> list[str]:
             f"{method.method}: re-ranking changed recall@1 by {gain.value:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"
         )
     if method.calibrated is not None:
-        known = method.known_place
         line = f"{method.method}: expected calibration error {method.calibrated.expected_error:.3f}"
-        if not math.isnan(known.rejected):
+        known = method.known_place
+        if known is not None and not math.isnan(known.rejected):
             line += f", {known.rejected:.1%} of the unanswerable queries rejected"
-        if not math.isnan(known.wrong_claims):
+        if known is not None and not math.isnan(known.wrong_claims):
             line += f", {known.wrong_claims:.1%} of its 'matched' wrong"
         found.append(line)
     if method.refused:

@@ -80,7 +80,7 @@ class FlatIndex:
             available = len(self._seqs) if allowed is None else len(allowed)
             selector = None if allowed is None else self._selector(allowed)
             found = {name: self._nearest(name, vectors[name], min(count, available), available, selector)
-                     for name in self._dimensions}  # fmt: skip
+                     for name in vectors}  # fmt: skip
             union = np.unique(np.concatenate(list(found.values())))
             distances = {name: self._distances(name, vectors[name], union) for name in found}
             seqs = self._seqs[union]

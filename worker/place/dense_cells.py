@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Floats, Int8s
+from schemas.description import Booleans, Floats, Int8s
 from schemas.errors import DescriptorMismatch
 
 Indices = npt.NDArray[np.intp]
@@ -29,6 +29,10 @@ ZOOMS = (1.0, 0.8, 1.25)
 
 TOLERANCE = 2
 """How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
+
+
+APART = 2
+"""Cells further from one another than this, in rows or columns, show different things."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,8 @@ class Agreement:
     Parameters
     ----------
     scores : float32 of shape (candidates,)
-        0..1; 1 for a picture against itself when no two of its cells are equal.
+        Share of what the query's cells could weigh, 0..1; 1 for a picture against itself when no two of its cells are
+        equal.
     shifts : intp of shape (candidates, 2)
         (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells.
     zooms : float32 of shape (candidates,)
@@ -136,6 +141,34 @@ def halve(cells: Int8s | Floats) -> Floats:
     return _unit(down[..., 0::2, :] + down[..., 1::2, :])
 
 
+def distinctness(cells: Int8s | Floats, apart: int = APART) -> Floats:
+    """How unlike the rest of its own picture each cell is.
+
+    Parameters
+    ----------
+    cells : int8 or float32 of shape (rows, columns, dimensions)
+        As `reduce` or `halve` gives them.
+    apart : int
+        Cells up to so many rows and columns away are no rest: neighbours share what they show.
+
+    Returns
+    -------
+    float32 of shape (rows * columns,)
+        1 less the largest cosine with a cell further away, 0..1; 1 where there is none.
+
+    Notes
+    -----
+    A stretch of sky or of bare floor is many cells, each of which finds a counterpart in any other sky. What is seen
+    once in a picture says more (burstiness: Jegou et al. 2009).
+    """
+    rows, columns = cells.shape[:2]
+    flat = _as_unit(cells).reshape(rows * columns, cells.shape[2])
+    cosines = flat @ flat.T
+    cosines[_near(rows, columns, apart)] = 0
+    unlike: Floats = 1 - np.clip(cosines.max(axis=1), 0, 1)
+    return unlike
+
+
 def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Correspondences:
     """Pairs of cells that are each other's best, for each candidate.
 
@@ -171,6 +204,7 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
 
 def agreement(
     pairs: Correspondences,
+    distinct: Floats,
     shape: tuple[int, int],
     candidates: int,
     zooms: Sequence[float] = ZOOMS,
@@ -181,6 +215,8 @@ def agreement(
     Parameters
     ----------
     pairs : Correspondences
+    distinct : float32 of shape (rows * columns,)
+        What each of the query's cells counts for, at least 0.
     shape : (int, int)
         Rows and columns of the grids.
     candidates : int
@@ -196,13 +232,13 @@ def agreement(
 
     Notes
     -----
-    A correspondence of cosine c weighs c^2: half of one that fits well counts for little, and few of them decide.
+    A correspondence of cosine c weighs c^2 times the distinctness of its cell: one that fits half counts a quarter.
     Displacements of more than half the picture are left out: too little of it would be common. With zoom z a query
     cell p (from the picture's centre) belongs at z p + t; both sides are divided by sqrt(z) so
     that the tolerance is the same in either direction.
     """
     reach = np.array(shape) // 2
-    weight = pairs.cosine.astype(np.float64) ** 2
+    weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
     ours, theirs = _centred(pairs.query_cell, shape), _centred(pairs.candidate_cell, shape)
     score, shift, chosen = np.zeros(candidates), np.zeros((candidates, 2)), np.ones(candidates)
     for zoom in zooms:
@@ -216,7 +252,7 @@ def agreement(
         score[better], chosen[better] = height[better], zoom
         shift[better] = (np.stack(moved, axis=1) / np.maximum(height, 1e-9)[:, None] * root)[better]
     return Agreement(
-        np.minimum(score / (shape[0] * shape[1]), 1).astype(np.float32),
+        np.minimum(score / max(float(distinct.sum()), 1e-6), 1).astype(np.float32),
         np.rint(shift).astype(np.intp),
         chosen.astype(np.float32),
     )
@@ -243,7 +279,7 @@ def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Float
         As `correspondences`.
     """
     pairs = correspondences(query, candidates)
-    found = agreement(pairs, (query.shape[0], query.shape[1]), len(candidates))
+    found = agreement(pairs, distinctness(query), (query.shape[0], query.shape[1]), len(candidates))
     return found.scores, found.shifts
 
 
@@ -269,6 +305,14 @@ def _coverage(pixels: int, cells: int) -> Floats:
     overlap = np.minimum(edges[1:, None], start + 1) - np.maximum(edges[:-1, None], start)
     share: Floats = (np.clip(overlap, 0, None) * cells / pixels).astype(np.float32)
     return share
+
+
+@lru_cache(maxsize=16)
+def _near(rows: int, columns: int, apart: int) -> Booleans:
+    """Which cells lie within `apart` rows and columns of one another, bool (cells, cells)."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    near: Booleans = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column)) <= apart
+    return near
 
 
 def _mutual(ours: Floats, theirs: Floats, at: int) -> tuple[Indices, Indices, Indices, Floats]:

@@ -169,8 +169,8 @@ def gated_bonus(inliers: npt.ArrayLike) -> Floats:
     Returns
     -------
     float32 of shape (candidates,)
-        max(0, n - m - 4) / (n - m + m + 8) with m the median: 0 for a candidate that does not stand out, towards 1 for
-        one that does by far, never falling as its inliers grow. Where keypoints find nothing (night, snow) all
+        max(0, n - m - 4) / (n + 4) with m the median: 0 for a candidate that does not stand out, towards 1 for one
+        that does by far, never falling as its inliers grow. Where keypoints find nothing (night, snow) all
         candidates are near the median and the others' evidence decides.
     """
     counts = np.asarray(inliers, np.float32)

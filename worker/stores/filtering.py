@@ -95,7 +95,10 @@ def _near_metres(x: float, y: float, radius: float) -> list[Condition]:
 
 
 def _near_degrees(lat: float, lon: float, radius: float) -> list[Condition]:
-    chord = 2 * math.sin(min(radius / (2 * EARTH_RADIUS_M), math.pi / 2))
+    half_angle = radius / (2 * EARTH_RADIUS_M)
+    if half_angle >= math.pi / 2:  # the whole globe, and no rounding at the antipode
+        return [VIEWS.c.globe_z.is_not(None)]
+    chord = 2 * math.sin(half_angle)
     # z first: the index has it first, because views of one city differ in it wherever the city lies.
     x, y, z = unit_vector(lat, lon)
     return _near((VIEWS.c.globe_z, VIEWS.c.globe_x, VIEWS.c.globe_y), (z, x, y), chord, slack=1e-12)

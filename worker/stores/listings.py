@@ -15,9 +15,9 @@ from worker.stores.part import Part
 from worker.stores.rows import find_map
 from worker.stores.tables import MAPS, VIEWS
 
-NOTHING = Filters()
-
 BY_PLACE = "places"
+
+MEANS = ("x", "y", "z", "alt", "globe_x", "globe_y", "globe_z")
 
 
 class Listings(Part):
@@ -65,9 +65,6 @@ class Listings(Part):
             rows = list(connection.execute(page))
         following = cursor_after(BY_PLACE, rows[limit - 1].map, rows[limit - 1].place) if len(rows) > limit else None
         return [(row.map, row.place, row.views, _mean_position(row), row.last) for row in rows[:limit]], following
-
-
-MEANS = ("x", "y", "z", "alt", "globe_x", "globe_y", "globe_z")
 
 
 def _mean_position(row: sa.Row[Any]) -> Where:

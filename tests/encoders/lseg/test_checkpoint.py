@@ -31,8 +31,9 @@ def file(tmp_path: Path) -> Path:
 def test_a_checkpoint_loads_under_its_own_names(file: Path) -> None:
     network, digest = load(file, small.SMALL)
 
+    saved = small.state()
     for name, tensor in network.state_dict().items():
-        assert torch.equal(tensor, small.state()[name])
+        assert torch.equal(tensor, saved[name])
     assert check(file, small.SMALL).digest == digest
     assert not any(parameter.requires_grad for parameter in network.parameters())
 

@@ -51,13 +51,29 @@ class Block(nn.Module):
         return x + inner
 
 
+class TokenTable(nn.Module):
+    """A vector for each token.
+
+    `torch.nn.Embedding` without its random start, which on the device ``meta``, where networks are made before their
+    weights are read, imports eight hundred modules of PyTorch's compiler.
+    """
+
+    def __init__(self, tokens: int, width: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.empty(tokens, width))
+
+    def forward(self, ids: Tensor) -> Tensor:
+        """Ids of any shape to vectors: (..., width)."""
+        return F.embedding(ids, self.weight)
+
+
 class TextTower(nn.Module):
     """Token ids to vectors in the space of the pixels."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
         width = config.text_width
-        self.token_embedding = nn.Embedding(config.tokens, width)
+        self.token_embedding = TokenTable(config.tokens, width)
         self.positional_embedding = nn.Parameter(torch.empty(config.context, width))
         blocks = nn.ModuleList(Block(width, config.text_heads) for _ in range(config.text_depth))
         self.transformer = nn.ModuleDict({"resblocks": blocks})

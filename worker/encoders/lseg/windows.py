@@ -132,19 +132,17 @@ class Windows:
             keep = (self._axis(rows).reach, self._axis(columns).reach)
             yield Input(F.pad(part, padding, value=BLACK), keep)
 
-    def _axis(self, cells: slice, *, start: int = 0) -> Axis:
+    def _axis(self, cells: slice) -> Axis:
         """From the head's resolution to the window's, as far as its true part goes."""
-        return Axis(self.crop // 2, self.crop, start, cells.stop - cells.start)
+        return Axis(self.crop // 2, self.crop, 0, cells.stop - cells.start)
 
     def join(self, size: Cells, outputs: Iterator[Tensor]) -> Tensor:
         """The mean, at each cell, of the windows that cover it; lengths are left as they come out."""
         grid = self.grid(size)
-        field = times = torch.empty(0)
-        for rows, columns in self.places(grid):
-            output = next(outputs)
-            if not len(field):
-                field = torch.zeros(*grid, output.shape[-1], device=output.device)
-                times = torch.zeros(*grid, 1, device=output.device)
+        first = next(outputs)
+        field = torch.zeros(*grid, first.shape[-1], device=first.device)
+        times = torch.zeros(*grid, 1, device=first.device)
+        for (rows, columns), output in zip(self.places(grid), itertools.chain([first], outputs), strict=False):
             self._add(output, field[rows, columns], self._axis(rows), self._axis(columns))
             times[rows, columns] += 1
         return field.div_(times)

@@ -1,0 +1,212 @@
+"""Where the time of enrolling and asking goes: ``./revisit benchmark stages [--views 1000 10000 100000]``.
+
+Times are medians; every absolute time stands beside its ratio to a 512 x 512 x 512 float32 matrix product measured in
+the same run on one thread, since machines differ and shared ones vary from minute to minute.
+"""
+
+import argparse
+import json
+import platform
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+
+import cv2
+import faiss
+import numpy as np
+from fastapi.testclient import TestClient
+
+from app.main import create_app
+from benchmarks.filling import fill
+from schemas.picture import Picture
+from schemas.records import Filters
+from schemas.settings import Settings
+from worker.bootstrap import build
+from worker.describe import Describer
+from worker.house import House
+from worker.local_features import local_features
+from worker.scenes import scene
+
+SIZE = (640, 480)
+KINDS = ("street", "park", "corridor")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement: what, at how many views (None: independent of them), and its median in milliseconds."""
+
+    stage: str
+    views: int | None
+    ms: float
+
+
+def milliseconds(work: Callable[[], object], repeats: int) -> float:
+    """Median wall time of a piece of work, after one warm-up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append((time.perf_counter() - began) * 1000)
+    return median(times)
+
+
+def matrix_product_ms(repeats: int = 50) -> float:
+    """The yardstick: 512 x 512 x 512 in float32 on one thread."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    left, right = torch.rand(512, 512), torch.rand(512, 512)
+    took = milliseconds(lambda: left @ right, repeats)
+    torch.set_num_threads(threads)
+    return took
+
+
+def drawn(count: int) -> list[bytes]:
+    """JPEG pictures of drawn places."""
+    pictures = []
+    for number in range(count):
+        pixels = scene(f"benchmark {number}", KINDS[number % len(KINDS)]).sized(*SIZE).pixels  # type: ignore[arg-type]
+        encoded = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
+        pictures.append(encoded.tobytes())
+    return pictures
+
+
+def describing(house: House, pictures: Sequence[bytes], repeats: int) -> list[Row]:
+    """Stages that do not depend on the size of the map."""
+    recipe = house.default_recipe
+    describer = house.describers.of(recipe)
+    decoded = [house.decode(data) for data in pictures]
+    fields = [next(iter(house.encoder.encode([picture]))) for picture in decoded]
+    turn = iter(range(10**9))
+
+    def each(work: Callable[[int], object]) -> float:
+        return milliseconds(lambda: work(next(turn) % len(pictures)), repeats)
+
+    rows = [
+        Row("decode", None, each(lambda i: house.decode(pictures[i]))),
+        Row("encode", None, each(lambda i: list(house.encoder.encode([decoded[i]])))),
+        Row("describe, with local features", None, each(lambda i: describer.describe(decoded[i], fields[i]))),
+    ]
+    if recipe.parameters.verification is not None:
+        count = recipe.parameters.verification.keypoints
+        rows.append(Row("local features", None, each(lambda i: local_features(decoded[i].pixels, count))))
+    return rows
+
+
+def enrolling(client: TestClient, pictures: Sequence[bytes]) -> Row:
+    """Pictures through `/enroll`, one after the other, to the answer."""
+    times = []
+    for data in pictures:
+        began = time.perf_counter()
+        answer = client.post("/enroll", content=data, headers={"content-type": "image/jpeg"})
+        assert answer.status_code in (200, 201), answer.text
+        times.append((time.perf_counter() - began) * 1000)
+    return Row("enroll over HTTP", None, median(times))
+
+
+def asking(house: House, client: TestClient, describer: Describer, data: bytes, views: int, repeats: int) -> list[Row]:
+    """Stages that depend on the size of the map, at `views` views."""
+    recipe = house.default_recipe
+    picture: Picture = house.decode(data)
+    description = describer.describe(picture, next(iter(house.encoder.encode([picture]))))
+    began = time.perf_counter()
+    house.catalogue.index("default")
+    rows = [Row("index from the database", views, (time.perf_counter() - began) * 1000)]
+    index, _ = house.catalogue.index("default")
+    selection = house.store.select("default", Filters())
+    changes = house.store.since("default", 0)
+    start = 0
+    for name, channel in recipe.parameters.channels.items():
+        bare = faiss.IndexFlatL2(channel.length)
+        bare.add(np.ascontiguousarray(changes.vectors[:, start : start + channel.length]))
+        start += channel.length
+        question = description.vectors[name][None]
+        one = {name: description.vectors[name]}
+        rows += [
+            Row(f"bare FAISS, {name}", views, milliseconds(lambda b=bare, q=question: b.search(q, 25), repeats)),
+            Row(f"search, {name}", views, milliseconds(lambda o=one: index.search(o, 25, selection), repeats)),
+        ]  # fmt: skip
+    stages: dict[str, list[float]] = {"search": [], "rerank": [], "verify": []}
+    for _ in range(repeats):
+        answer = house.searcher.search("default", recipe, description, Filters(), 5, 25)
+        for stage, took in answer.timing_ms.items():
+            stages[stage].append(took)
+    rows += [Row(f"/query: {stage}", views, median(times)) for stage, times in stages.items()]
+
+    def ask() -> dict[str, float]:
+        url = "/query?candidates=25"
+        answer = client.post(url, content=data, headers={"content-type": "image/jpeg"})
+        assert answer.status_code == 200, answer.text
+        took: dict[str, float] = answer.json()["timing_ms"]
+        return took
+
+    ask()
+    whole, rest = [], []
+    for _ in range(repeats):
+        sent = time.perf_counter()
+        took = ask()
+        whole.append((time.perf_counter() - sent) * 1000)
+        rest.append(whole[-1] - sum(v for k, v in took.items() if k != "total"))
+    return [*rows, Row("/query: HTTP and the rest", views, median(rest)), Row("/query: all", views, median(whole))]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print a table, and write JSON if asked to."""
+    parser = argparse.ArgumentParser(prog="revisit benchmark stages", description=__doc__)
+    parser.add_argument("--views", type=int, nargs="+", default=[1000, 10_000, 100_000])
+    parser.add_argument("--encoder", default="compact", choices=("compact", "color"))
+    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--pictures", type=int, default=24)
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Settings(data=Path(folder), encoder=options.encoder, threads=options.threads)
+        house = build(settings)
+        pictures = drawn(options.pictures)
+        describer = house.describers.of(house.default_recipe)
+        rows = []
+        with TestClient(create_app(house)) as client:
+            yardstick = matrix_product_ms()
+            rows.append(enrolling(client, pictures))
+            rows += describing(house, pictures, options.repeats)
+            decoded = [house.decode(data) for data in pictures]
+            seen = [describer.describe(p, f) for p, f in zip(decoded, house.encoder.encode(decoded), strict=True)]
+            there = len(pictures)
+            for views in sorted(options.views):
+                fill(settings.database_url, "default", house.default_recipe, seen, views - there, seed=views)
+                there = views
+                rows += asking(house, client, describer, pictures[0], views, options.repeats)
+        disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    facts = {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "machine": platform.processor() or platform.machine(),
+        "threads": options.threads,
+        "matrix product ms": round(yardstick, 2),
+        "peak memory MB": round(memory),
+        "disk MB": round(disk / 1e6),
+        "torch": version("torch"),
+        "faiss-cpu": version("faiss-cpu"),
+        "numpy": version("numpy"),
+    }
+    print("  ".join(f"{name}: {value}" for name, value in facts.items()))
+    print(f"{'stage':34}{'views':>9}{'ms':>10}{'ratio':>9}")
+    for row in rows:
+        views = "" if row.views is None else f"{row.views:,}"
+        print(f"{row.stage:34}{views:>9}{row.ms:>10.2f}{row.ms / yardstick:>9.2f}")
+    if options.json is not None:
+        options.json.write_text(json.dumps({"facts": facts, "rows": [vars(row) for row in rows]}, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,96 @@
+"""The real service, as a process of its own."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from types import TracebackType
+
+import httpx
+
+ROOT = Path(__file__).resolve().parents[2]
+START_S = 120
+
+
+class RunningService:
+    """`revisit serve` on a free port, with the encoder that needs no weights.
+
+    Parameters
+    ----------
+    data : Path
+        Its data folder.
+    environment : str
+        Further ``REVISIT_*`` variables.
+    """
+
+    def __init__(self, data: Path, **environment: str) -> None:
+        self.data = data
+        settings = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_PORT": "0", "REVISIT_THREADS": "1"}
+        clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "app.cli", "serve"],
+            cwd=ROOT,
+            env=clean | settings | environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.output: list[str] = []
+        self._address = threading.Event()
+        self.url = ""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        if not self._address.wait(START_S) or not self.url:
+            self.kill()
+            raise AssertionError("the service did not start:\n" + "".join(self.output))
+        self._await_readiness()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.output.append(line)
+            found = re.search(r"http://127\.0\.0\.1:\d+", line)
+            if found and not self.url:
+                self.url = found.group()
+                self._address.set()
+        self._address.set()
+
+    def _await_readiness(self) -> None:
+        for _ in range(600):
+            try:
+                if httpx.get(f"{self.url}/readyz", timeout=5).status_code == 200:
+                    return
+            except httpx.TransportError:
+                pass
+            threading.Event().wait(0.05)
+        raise AssertionError("the service did not become ready:\n" + "".join(self.output))
+
+    def kill(self) -> None:
+        """SIGKILL: no chance to tidy up."""
+        self._process.send_signal(signal.SIGKILL)
+        self._process.wait(30)
+        self._close()
+
+    def stop(self) -> int:
+        """SIGTERM, and the exit code."""
+        self._process.send_signal(signal.SIGTERM)
+        code = self._process.wait(60)
+        self._close()
+        return code
+
+    def _close(self) -> None:
+        self._reader.join(5)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+    def __enter__(self) -> "RunningService":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process.poll() is None:
+            self.stop()
