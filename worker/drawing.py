@@ -200,7 +200,7 @@ def _with_key(picture: Pixels, labels: Integers, words: Sequence[str], static: B
     for index in np.argsort(-counts, kind="stable"):
         if counts[index]:
             of_label = labels == index
-            moves = not static[of_label].any()
+            moves = static[of_label].mean() < 0.5
             name = f"{words[index]} {100 * counts[index] / labels.size:.0f}%" + (" (moves)" if moves else "")
             entries.append((name, (190, 190, 190) if moves else colour(words[index])))
     width = picture.shape[1]

@@ -77,8 +77,10 @@ def run(arguments: argparse.Namespace) -> int:
             show_json([_facts(result) for result in results])
         else:
             _tell(results, [*calls, *asked], output)
-            verdict = f"{sum(map(bool, right))} of {len(right)} known places were recognised"
-            show(f"\n{verdict}." if passed else f"\n{verdict}: fewer than expected. The service's log: {log}")
+            unsure = sum(bool(result.is_right) and result.answer.status == "ambiguous" for result in results)
+            show(f"\n{sum(map(bool, right))} of {len(right)} known places were recognised: {_sureness(unsure)}.")
+            if not passed:
+                show(f"That is fewer than expected. The service's log: {log}")
         if arguments.keep:
             say(f"the service goes on at {url} (console {url}/, docs {url}/docs); Ctrl-C stops")
             try:
@@ -179,6 +181,13 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
     show("  answers/*-why.png     question and match side by side, with what agrees")
     show("  answers/*-labels.png  what each part of the match was taken for")
     show("  answers/*-graph.png   its context graph")
+
+
+def _sureness(unsure: int) -> str:
+    """How to read the verdicts."""
+    if not unsure:
+        return "the right one came first, and the service was sure"
+    return f"the right one came first, in {unsure} cases with the verdict that it might be another"
 
 
 def _facts(result: Result) -> dict[str, object]:
