@@ -24,7 +24,6 @@ STAND_INS: dict[str, tuple[str, ...]] = {
     "television": ("tv",),
     "blinds": ("window-blind",),
     "books": ("book",),
-    "stairs": ("stairs", "stairway"),
 }
 """Words without a vector of their own, and the words whose unit mean stands for each."""
 
