@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A busy machine is slow, not wrong.
+settings.register_profile("revisit", deadline=None, max_examples=60, print_blob=True)
+settings.load_profile("revisit")
 
 SHARED = os.environ.pop("REVISIT_SHARED", None)
 """Taken out of the environment, where settings refuse a ``REVISIT_`` variable that they do not know."""
