@@ -181,7 +181,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
     parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
     evaluate.add_arguments(parser)
-    parser.add_argument("--features", default="lead,inliers", help="what the curve reads, comma-separated")
+    parser.add_argument("--features", default="lead", help="what the curve reads, comma-separated")
     parser.add_argument("--write", type=Path, help="JSON file for the calibration")
     options = parser.parse_args(argv)
     [preset] = options.preset or ["default"]
