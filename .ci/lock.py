@@ -41,7 +41,8 @@ def write(path: Path, pins: dict[str, str]) -> None:
 def main() -> None:
     """Resolve once with everything, so that both files agree, and split."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    everything = resolved([*project["dependencies"], *project["optional-dependencies"]["dev"], *HELD])
+    extras = project["optional-dependencies"]
+    everything = resolved([*project["dependencies"], *extras["dev"], *extras["lseg"], *HELD])
     pinned = [f"{name}=={version}" for name, version in everything.items()]
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as constraints:
         constraints.write("\n".join(pinned))

@@ -73,7 +73,7 @@ _DEFAULT = Parameters(
         "detail": Channel(layer="detail", words=512, assignments=3, temperature=0.1, dimensions=128),
     },
     dynamic=Dynamic(margin=0.1, most=0.5),
-    candidates=20,
+    candidates=25,
     dense=DenseCells(rows=16, columns=28, dimensions=32, closely=10),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),

@@ -111,7 +111,8 @@ def test_every_acknowledged_view_survives_sigkill_at_any_moment(tmp_path: Path) 
         assert found["searched"] == views["ready"], "the index and the store disagree"
         assert service.stop() == 0
 
-    files = [path for path in (tmp_path / "data" / "pictures").rglob("*") if path.is_file()]
+    every = (tmp_path / "data" / "pictures").rglob("*")
+    files = [path for path in every if path.is_file() and path.name != ".lock"]
     with sqlite3.connect(tmp_path / "data" / "revisit.db") as database:
         kept = {row[0] for row in database.execute("SELECT DISTINCT sha256 FROM views")}
         (ready,) = database.execute("SELECT count(*) FROM descriptions").fetchone()
