@@ -11,13 +11,11 @@
 Answers are the models of `schemas.wire`. A refusal is a `RevisitProblem`; nobody answering is `Unreachable`.
 """
 
-import email.utils
-import json
 import os
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
@@ -25,6 +23,8 @@ from typing import Any, Literal, Self, TypeVar
 import httpx
 from pydantic import BaseModel, ValidationError
 
+from app.client_errors import ClientError, JobFailed, RevisitProblem, Unreachable, problem_of, reason, retry_after
+from app.client_parameters import Time, filters, texts, utc, wanted
 from schemas import wire
 
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -33,57 +33,9 @@ USER_AGENT = "revisit-client"
 Picture = bytes | str | os.PathLike[str]
 """A picture's bytes (JPEG, PNG, WebP, BMP, TIFF), or the path of a file that holds them."""
 
-Time = datetime | str
 Answer = TypeVar("Answer", bound=BaseModel)
 
-
-class ClientError(Exception):
-    """Something asked of the service did not work."""
-
-
-class Unreachable(ClientError):
-    """No service answers at this address, or it stopped answering."""
-
-    def __init__(self, url: str, reason: str) -> None:
-        super().__init__(
-            f"no service answers at {url} ({reason}); start one with `./revisit serve`, "
-            "or set REVISIT_URL to where it runs"
-        )
-        self.url = url
-
-
-class RevisitProblem(ClientError):
-    """The service refused, and says why (RFC 9457).
-
-    Attributes
-    ----------
-    type : str
-        Stable URN; `code` is its last part, such as ``picture-too-large``.
-    errors : list of ProblemParameter
-        Every parameter that cannot be used.
-    """
-
-    def __init__(self, problem: wire.Problem, retry_after_s: float | None = None) -> None:
-        lines = [f"{problem.title}: {problem.detail}" if problem.detail else problem.title]
-        lines += [f"  {error.parameter}: {error.detail}" for error in problem.errors]
-        super().__init__("\n".join(lines))
-        self.type = problem.type
-        self.code = problem.type.rpartition(":")[2]
-        self.title = problem.title
-        self.status = problem.status
-        self.detail = problem.detail
-        self.errors = problem.errors
-        self.request_id = problem.request_id
-        self.retry_after_s = retry_after_s
-
-
-class JobFailed(ClientError):
-    """A job that was waited for ended without success."""
-
-    def __init__(self, job: wire.Job) -> None:
-        reason = f"{job.failure.code}: {job.failure.detail}" if job.failure else "no reason given"
-        super().__init__(f"job {job.id} {job.state}: {reason}")
-        self.job = job
+__all__ = ["ClientError", "JobFailed", "Revisit", "RevisitProblem", "Unreachable"]
 
 
 class Revisit:
@@ -161,7 +113,7 @@ class Revisit:
         RevisitProblem, Unreachable
         """
         said = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
-        fields = _texts({**said, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
+        fields = texts({**said, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
         # One key for all repetitions of this call: the service does the work once, whatever gets lost on the way.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = _read(picture)
@@ -195,15 +147,15 @@ class Revisit:
         exclude_last : int or timedelta
             Not the newest N views, or not those of this time: for loop closure.
         """
-        filters = _filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
+        chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         asked = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
         name, data = _read(picture)
-        answer = self._send("POST", "/query", data=_texts({**asked, **filters}), files={"image": (name, data)})
+        answer = self._send("POST", "/query", data=texts({**asked, **chosen}), files={"image": (name, data)})
         return self._model(wire.QueryAnswer, answer)
 
     def explanation(self, query_id: str, view: str | None = None) -> bytes:
         """PNG of a question (asked with `explain`) beside a match, with what agrees."""
-        return self._send("GET", f"/queries/{query_id}/explanation.png", params=_texts({"view": view})).content
+        return self._send("GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})).content
 
     # views
 
@@ -223,10 +175,10 @@ class Revisit:
         page: int = 100,
     ) -> Iterator[wire.View]:
         """All views that fit, page by page as they are needed; `limit` ends early."""
-        filters = _filters(near, geographic, after, before, place, metadata, None, ())
+        chosen = filters(near, geographic, after, before, place, metadata, None, ())
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
-        params = _texts({"map": map, "state": state, "sort": sort, "limit": page, **filters})
+        params = texts({"map": map, "state": state, "sort": sort, "limit": page, **chosen})
         given = 0
         while limit is None or given < limit:
             answer = self._model(wire.Views, self._send("GET", "/views", params=params))
@@ -243,7 +195,7 @@ class Revisit:
 
     def patch(self, view_id: str, **said: Any) -> wire.View:
         """Change `place`, `position` (a mapping), `captured_at` or `metadata` of a view; None clears."""
-        said = {name: wire.rfc3339(_utc(v)) if isinstance(v, datetime) else v for name, v in said.items()}
+        said = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in said.items()}
         return self._model(wire.View, self._send("PATCH", f"/views/{view_id}", json=said))
 
     def delete(self, view_id: str) -> wire.Deleted:
@@ -260,7 +212,7 @@ class Revisit:
 
     def segmentation(self, view_id: str, *, overlay: bool = False) -> bytes:
         """PNG whose pixels are indices into the map's labels; with `overlay` blended over the photo."""
-        params = _texts({"overlay": True if overlay else None})
+        params = texts({"overlay": True if overlay else None})
         return self._send("GET", f"/views/{view_id}/segmentation.png", params=params).content
 
     def graph(self, view_id: str) -> bytes:
@@ -287,8 +239,8 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
     ) -> wire.MapFacts:
         """Make a map, or give an empty one other labels, preset or parameters."""
-        wanted = _wanted(labels, dynamic, preset, parameters)
-        return self._model(wire.MapFacts, self._send("PUT", f"/maps/{name}", json=wanted))
+        recipe = wanted(labels, dynamic, preset, parameters)
+        return self._model(wire.MapFacts, self._send("PUT", f"/maps/{name}", json=recipe))
 
     def switch_recipe(
         self,
@@ -300,8 +252,8 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
     ) -> wire.Job:
         """Describe all views of a map anew; the old recipe answers until that is done."""
-        wanted = _wanted(labels, dynamic, preset, parameters)
-        return self._model(wire.Job, self._send("POST", f"/maps/{name}/recipe", json=wanted, repeat=False))
+        recipe = wanted(labels, dynamic, preset, parameters)
+        return self._model(wire.Job, self._send("POST", f"/maps/{name}/recipe", json=recipe, repeat=False))
 
     def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on the map's own views, and describe them by it."""
@@ -313,7 +265,7 @@ class Revisit:
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
         """All places, page by page as they are needed."""
-        params = _texts({"map": map})
+        params = texts({"map": map})
         while True:
             answer = self._model(wire.Places, self._send("GET", "/places", params=params))
             yield from answer.places
@@ -386,15 +338,15 @@ class Revisit:
             try:
                 answer = self._http.request(method, path, **request)
             except httpx.TransportError as error:
-                trouble = Unreachable(self.url, _reason(error))
+                trouble = Unreachable(self.url, reason(error))
                 # Nobody there is told at once. A broken connection may have been heard: then only what is harmless
                 # twice is sent twice.
                 again, wait = repeat and not isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol), pause
             else:
                 if answer.status_code < 400 or answer.status_code == also:
                     return answer
-                told = _retry_after(answer)
-                trouble = RevisitProblem(_problem(answer), told)
+                told = retry_after(answer)
+                trouble = RevisitProblem(problem_of(answer), told)
                 # A refusal for being busy comes before any work: repeating is safe whatever the request.
                 again, wait = answer.status_code in (429, 503), pause if told is None else told
             if not again or self._clock() + wait > deadline:
@@ -403,102 +355,9 @@ class Revisit:
             pause = min(8.0, pause * 2)
 
 
-def _reason(error: httpx.TransportError) -> str:
-    if isinstance(error, httpx.ConnectError):
-        return "connection refused" if "refused" in str(error).lower() else str(error) or "cannot connect"
-    if isinstance(error, httpx.TimeoutException):
-        return "no answer in time"
-    return str(error) or type(error).__name__
-
-
 def _read(picture: Picture) -> tuple[str, bytes]:
     """Name and bytes of a picture."""
     if isinstance(picture, bytes):
         return "picture", picture
     path = Path(picture)
     return path.name, path.read_bytes()
-
-
-def _utc(moment: datetime) -> datetime:
-    """A time in UTC; one without a zone is taken as local time."""
-    return moment.astimezone(UTC)
-
-
-def _texts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Parameters as they travel; those that are None do not."""
-    texts: dict[str, str] = {}
-    for name, value in values.items():
-        if value is None:
-            continue
-        if isinstance(value, bool):
-            texts[name] = "true" if value else "false"
-        elif isinstance(value, datetime):
-            texts[name] = wire.rfc3339(_utc(value))
-        elif isinstance(value, Mapping):
-            texts[name] = json.dumps(value)
-        else:
-            texts[name] = str(value)
-    return texts
-
-
-def _filters(
-    near: tuple[float, float, float] | None,
-    geographic: bool,
-    after: Time | None,
-    before: Time | None,
-    place: str | None,
-    metadata: Mapping[str, str] | None,
-    exclude_last: int | str | timedelta | None,
-    exclude: Sequence[str],
-) -> dict[str, Any]:
-    if isinstance(exclude_last, timedelta):
-        exclude_last = f"{exclude_last.total_seconds():g}s"
-    filters: dict[str, Any] = {
-        "near": None if near is None else ",".join(map(str, near)),
-        "frame": "geo" if geographic else None,
-        "after": after,
-        "before": before,
-        "place": place,
-        "exclude_last": exclude_last,
-        "exclude": ",".join(exclude) or None,
-    }
-    return filters | {f"metadata.{key}": value for key, value in (metadata or {}).items()}
-
-
-def _wanted(
-    labels: Sequence[str] | None,
-    dynamic: Sequence[str] | None,
-    preset: str | None,
-    parameters: Mapping[str, Any] | None,
-) -> dict[str, Any]:
-    wanted = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
-    return {name: value for name, value in wanted.items() if value is not None}
-
-
-def _retry_after(answer: httpx.Response) -> float | None:
-    """Seconds that the service asks to wait: a number, or (from a proxy) a date."""
-    text = answer.headers.get("retry-after")
-    if text is None:
-        return None
-    try:
-        return max(0.0, float(text))
-    except ValueError:
-        pass
-    try:
-        return max(0.0, (email.utils.parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
-    except (TypeError, ValueError):
-        return None
-
-
-def _problem(answer: httpx.Response) -> wire.Problem:
-    """The refusal as the service wrote it, or made up from the status when something else (a proxy) wrote it."""
-    try:
-        return wire.Problem.model_validate(answer.json(), extra="ignore")
-    except (ValidationError, ValueError):
-        return wire.Problem(
-            type="about:blank",
-            title=f"HTTP {answer.status_code} {answer.reason_phrase}".strip(),
-            status=answer.status_code,
-            detail=answer.text.strip()[:200],
-            request_id=answer.headers.get("x-request-id", ""),
-        )

@@ -30,8 +30,6 @@ from worker.place.recall import bootstrap_interval
 from worker.recipes import PRESETS
 
 PARAMETERS = PRESETS["default"].parameters
-GENERAL = 600
-"""Pictures that words and projections are learned from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +132,9 @@ def _picture(path: Path) -> Picture:
     return Picture.of(np.asarray(pixels, np.uint8))
 
 
-def _general(folders: Sequence[Path]) -> list[Path]:
+def _general(folders: Sequence[Path], count: int) -> list[Path]:
     paths = sorted(p for folder in folders for p in folder.rglob("*") if p.suffix.lower() in ENDINGS)
-    drawn = np.random.default_rng(0).permutation(len(paths))[:GENERAL]
+    drawn = np.random.default_rng(0).permutation(len(paths))[:count]
     return [paths[i] for i in sorted(drawn)]
 
 
@@ -145,6 +143,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="recall@1 of each step of re-ranking")
     parser.add_argument("--places", type=Path, required=True)
     parser.add_argument("--general", type=Path, required=True, action="append")
+    parser.add_argument("--learn", type=int, default=600, help="how many general pictures are read")
     parser.add_argument("--part", type=float, default=1.0, help="share of the queries that are asked")
     parser.add_argument("--only", action="append", default=[], help="sets whose name contains this")
     arguments = parser.parse_args()
@@ -152,7 +151,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     print(f"{datetime.now(UTC):%Y-%m-%d}, one thread, numpy {np.__version__}, torch {torch.__version__},", end=" ")
     print(f"OpenCV {cv2.__version__}, Python {platform.python_version()}\n")
-    describe = Describer(_general(arguments.general))
+    describe = Describer(_general(arguments.general, arguments.learn))
     for dataset in pairs.read(arguments.places):
         if arguments.only and not any(text in dataset.name for text in arguments.only):
             continue

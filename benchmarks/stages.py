@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
@@ -34,6 +35,8 @@ from worker.local_features import local_features
 from worker.scenes import scene
 
 SIZE = (640, 480)
+NEAREST = 25
+"""Candidates of each channel: some 50 in all are re-ranked."""
 KINDS = ("street", "park", "corridor")
 
 
@@ -128,21 +131,21 @@ def asking(house: House, client: TestClient, describer: Describer, data: bytes, 
         bare = faiss.IndexFlatL2(channel.length)
         bare.add(np.ascontiguousarray(changes.vectors[:, start : start + channel.length]))
         start += channel.length
-        question = description.vectors[name][None]
-        one = {name: description.vectors[name]}
+        question = {name: description.vectors[name]}
+        query = question[name][None]
         rows += [
-            Row(f"bare FAISS, {name}", views, milliseconds(lambda b=bare, q=question: b.search(q, 25), repeats)),
-            Row(f"search, {name}", views, milliseconds(lambda o=one: index.search(o, 25, selection), repeats)),
-        ]  # fmt: skip
+            Row(f"bare FAISS, {name}", views, milliseconds(partial(bare.search, query, NEAREST), repeats)),
+            Row(f"search, {name}", views, milliseconds(partial(index.search, question, NEAREST, selection), repeats)),
+        ]
     stages: dict[str, list[float]] = {"search": [], "rerank": [], "verify": []}
     for _ in range(repeats):
-        answer = house.searcher.search("default", recipe, description, Filters(), 5, 25)
-        for stage, took in answer.timing_ms.items():
-            stages[stage].append(took)
+        answer = house.searcher.search("default", recipe, description, Filters(), 5, NEAREST)
+        for stage, stage_ms in answer.timing_ms.items():
+            stages[stage].append(stage_ms)
     rows += [Row(f"/query: {stage}", views, median(times)) for stage, times in stages.items()]
 
     def ask() -> dict[str, float]:
-        url = "/query?candidates=25"
+        url = f"/query?candidates={NEAREST}"
         answer = client.post(url, content=data, headers={"content-type": "image/jpeg"})
         assert answer.status_code == 200, answer.text
         took: dict[str, float] = answer.json()["timing_ms"]

@@ -24,7 +24,6 @@ STAND_INS: dict[str, tuple[str, ...]] = {
     "television": ("tv",),
     "blinds": ("window-blind",),
     "books": ("book",),
-    "stairs": ("stairs", "stairway"),
 }
 """Words without a vector of their own, and the words whose unit mean stands for each."""
 
@@ -50,6 +49,17 @@ STREET_WORDS = (
     "bicycle",
 )
 """The trunk's own outputs, in its order."""
+
+INDOOR_SETS = ("nyuv2",)
+
+ANYWHERE = frozenset(
+    (
+        *("wall", "window", "windowpane", "door", "person", "pedestrian", "child", "animal", "box", "bag", "light"),
+        *("lamp", "picture", "poster", "painting", "paper", "clothes", "column", "railing", "fence", "signboard"),
+        *("plant", "blinds", "curtain", "mirror", "ground", "path", "walkway", "bridge", "bicycle", "pole", "stones"),
+    )
+)
+"""Words that can be met both in rooms and outdoors, so that a label of one realm says nothing about them."""
 
 
 class ClipWords:
@@ -131,7 +141,10 @@ class Lexicon:
         return np.array([[word in meaning.words for word in self.words] for meaning in self.meanings])
 
     def known(self) -> npt.NDArray[np.bool_]:
-        """Say which words each set knows, so that its silence on the others teaches nothing.
+        """Say which words each set's labels speak for or against; on the others its silence teaches nothing.
+
+        A set speaks for its own words, and a room's label speaks against a street's words (and the other way round)
+        unless they can be met in both: otherwise nothing would ever tell a floor from a pavement.
 
         Returns
         -------
@@ -139,7 +152,13 @@ class Lexicon:
         """
         members = self.members()
         owners = np.array([meaning.data_set for meaning in self.meanings])
-        return np.stack([members[owners == data_set].any(axis=0) for data_set in self.sets])
+        own = np.stack([members[owners == data_set].any(axis=0) for data_set in self.sets])
+        indoors = np.array([data_set in INDOOR_SETS for data_set in self.sets])
+        somewhere = np.array([word not in ANYWHERE for word in self.words])
+        known: npt.NDArray[np.bool_] = own.copy()
+        known[indoors] |= own[~indoors].any(axis=0) & somewhere
+        known[~indoors] |= own[indoors].any(axis=0) & somewhere
+        return known
 
     def table(self, data_set: str) -> npt.NDArray[np.int16]:
         """Map a set's label values to meanings: int16 of shape (256,), -1 where a value teaches nothing."""

@@ -78,12 +78,14 @@ _DEFAULT = Parameters(
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),
     weights={
-        "dense.words": 0.4,
-        "dense.detail": 0.4,
-        "histogram.words": 0.1,
-        "histogram.detail": 0.1,
+        "close.words": 0.7,
+        "close.detail": 1.0,
+        "dense.words": 0.1,
+        "dense.detail": 0.15,
+        "histogram.words": 0.08,
+        "histogram.detail": 0.08,
         "graph": 0.05,
-        "verification": 0.3,
+        "verification": 0.2,
     },
 )
 

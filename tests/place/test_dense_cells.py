@@ -93,7 +93,7 @@ def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
     )
     found = dense_cells.agreement(pairs, np.ones(20, np.float32), (2, 10), 1, zooms=(1.0,), tolerance=0)
     # The first two move one column to the right: (1 + .25) / 20 cells; the third moves elsewhere.
-    np.testing.assert_allclose(found.scores, [1.25 / 20])
+    np.testing.assert_allclose(found.scores, [np.sqrt(1.25 / 20)])
     assert found.shifts.tolist() == [[0, 1]]
 
 
@@ -113,7 +113,7 @@ def test_weight_follows_distinctness() -> None:
         cosine=np.ones(2, np.float32),
     )
     found = dense_cells.agreement(pairs, np.array([0.25, 0.75], np.float32), (1, 2), 2)
-    np.testing.assert_allclose(found.scores, [0.25, 0.75])
+    np.testing.assert_allclose(found.scores, np.sqrt([0.25, 0.75]), atol=1e-6)
 
 
 def test_a_picture_is_entirely_like_itself() -> None:
@@ -121,7 +121,7 @@ def test_a_picture_is_entirely_like_itself() -> None:
     scores, shifts = dense_cells.similarity(own, np.stack([own, cells(6)]))
     assert scores[0] == pytest.approx(1, abs=1e-5)
     assert shifts[0].tolist() == [0, 0]
-    assert scores[1] < 0.5
+    assert scores[1] < 0.6
 
 
 def test_a_step_forward_is_found_as_a_zoom() -> None:
@@ -140,7 +140,7 @@ def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> N
     pairs = dense_cells.correspondences(query, moved[None])
     found = dense_cells.agreement(pairs, np.ones(96, np.float32), (8, 12), 1, tolerance=0)
     assert found.shifts.tolist() == [[down, across]]
-    assert found.scores[0] >= (8 - abs(down)) * (12 - abs(across)) / 96 - 0.02
+    assert found.scores[0] ** 2 >= (8 - abs(down)) * (12 - abs(across)) / 96 - 0.1
 
 
 @given(st.integers(0, 2**16), st.integers(0, 3))

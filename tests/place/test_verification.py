@@ -103,9 +103,9 @@ def test_verification_draws_nothing_at_random(seed: int) -> None:
 
 
 def test_only_what_stands_out_counts() -> None:
-    # The median is 6: 10 is within 4 of it; 30 stands out by 20, softened by 6 + 8.
-    bonus = verification.gated_bonus([6, 6, 10, 30, 2])
-    np.testing.assert_allclose(bonus, [0, 0, 0, 20 / 34, 0])
+    # The median is 6: 14 is within 8 of it; 34 stands out by 20, softened by 6 + 20.
+    bonus = verification.gated_bonus([6, 6, 14, 34, 2])
+    np.testing.assert_allclose(bonus, [0, 0, 0, 20 / 46, 0])
     assert verification.gated_bonus([]).shape == (0,)
 
 

@@ -61,8 +61,8 @@ class Agreement:
     Parameters
     ----------
     scores : float32 of shape (candidates,)
-        Share of what the query's cells could weigh, 0..1; 1 for a picture against itself when no two of its cells are
-        equal.
+        Root of the share of what the query's cells could weigh, 0..1; 1 for a picture against itself when no two of
+        its cells are equal.
     shifts : intp of shape (candidates, 2)
         (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells.
     zooms : float32 of shape (candidates,)
@@ -235,7 +235,8 @@ def agreement(
     A correspondence of cosine c weighs c^2 times the distinctness of its cell: one that fits half counts a quarter.
     Displacements of more than half the picture are left out: too little of it would be common. With zoom z a query
     cell p (from the picture's centre) belongs at z p + t; both sides are divided by sqrt(z) so
-    that the tolerance is the same in either direction.
+    that the tolerance is the same in either direction. The root brings channels together whose shares differ in size:
+    without it the one with larger shares decides alone.
     """
     reach = np.array(shape) // 2
     weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
@@ -252,7 +253,7 @@ def agreement(
         score[better], chosen[better] = height[better], zoom
         shift[better] = (np.stack(moved, axis=1) / np.maximum(height, 1e-9)[:, None] * root)[better]
     return Agreement(
-        np.minimum(score / max(float(distinct.sum()), 1e-6), 1).astype(np.float32),
+        np.sqrt(np.minimum(score / max(float(distinct.sum()), 1e-6), 1)).astype(np.float32),
         np.rint(shift).astype(np.intp),
         chosen.astype(np.float32),
     )

@@ -35,10 +35,10 @@ LARGEST_ZOOM = 3.0
 LARGEST_TURN = np.radians(35)
 """Cameras are held upright."""
 
-UNREMARKABLE = 4
+UNREMARKABLE = 8
 """By how many inliers a candidate must beat the median of the verified ones before they count."""
 
-SOFTENING = 8
+SOFTENING = 20
 """Inliers added to that median, so that small numbers over a median of none stay small evidence."""
 
 
@@ -169,7 +169,7 @@ def gated_bonus(inliers: npt.ArrayLike) -> Floats:
     Returns
     -------
     float32 of shape (candidates,)
-        max(0, n - m - 4) / (n + 4) with m the median: 0 for a candidate that does not stand out, towards 1 for one
+        max(0, n - m - 8) / (n + 12) with m the median: 0 for a candidate that does not stand out, towards 1 for one
         that does by far, never falling as its inliers grow. Where keypoints find nothing (night, snow) all
         candidates are near the median and the others' evidence decides.
     """

@@ -1,5 +1,6 @@
 """A shrunken LSeg: the same code paths in thousandths of the time."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +41,15 @@ SMALL = Config(
 TOKENIZER_FILE_MERGES = "\n".join(" ".join(pair) for pair in MERGES)
 
 
-def state(seed: int = 1, config: Config = SMALL) -> dict[str, Tensor]:
+def state() -> dict[str, Tensor]:
     """Random weights by name, without ``net.``, unused ones included; as much of each constant's effect as can be."""
-    generator = torch.Generator().manual_seed(seed)
-    layout = Layout.of(config)
+    return {name: tensor.clone() for name, tensor in _state().items()}
+
+
+@functools.cache
+def _state() -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    layout = Layout.of(SMALL)
     tensors = {}
     for name, shape in {**layout.unused, **layout.used}.items():
         if name.endswith("num_batches_tracked"):
@@ -66,10 +72,11 @@ def state(seed: int = 1, config: Config = SMALL) -> dict[str, Tensor]:
     return tensors
 
 
-def network(tensors: dict[str, Tensor], config: Config = SMALL) -> Network:
+def network(tensors: dict[str, Tensor]) -> Network:
     """The real network with these weights."""
-    made = Network(config)
-    made.load_state_dict({name: tensors[name].clone() for name in made.state_dict()})
+    with torch.device("meta"):
+        made = Network(SMALL)
+    made.load_state_dict({name: tensors[name].clone() for name in made.state_dict()}, assign=True)
     return made.eval().requires_grad_(False)
 
 

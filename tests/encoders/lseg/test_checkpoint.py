@@ -186,7 +186,11 @@ def test_what_is_no_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("whole", "seen"),
-    [({"model": {}}, r"saw \['model'\]"), ([1, 2], "saw list"), ({"state_dict": {"net.a": 3}}, "no tensors: net.a")],
+    [
+        ({"model": {}}, r"saw \['model'\]"),
+        ([1, 2], "saw list"),
+        ({"state_dict": {"net.a": 3, 7: 8}}, "no tensors: net.a, 7"),
+    ],
 )
 def test_a_checkpoint_of_another_kind_is_refused(tmp_path: Path, whole: object, seen: str) -> None:
     torch.save(whole, tmp_path / "lseg.ckpt")

@@ -104,24 +104,32 @@ def _read_checkpoint(path: Path) -> Contents:
         with torch.serialization.safe_globals([argparse.Namespace]):
             whole = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
     except pickle.UnpicklingError as error:
-        reason = str(error).strip().splitlines()[0]
         raise SetupError(
-            f"weights {path}: holds pickled objects other than tensors and plain values, which are never run: {reason}"
+            f"weights {path}: holds pickled objects other than tensors and plain values, which are never run: "
+            f"{_first_line(error)}"
         ) from None
     except (RuntimeError, OSError, EOFError, ValueError, LookupError, AttributeError, TypeError) as error:
         # All of these come out of an archive or a pickle that is damaged.
-        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
-        raise SetupError(f"weights {path}: not a whole PyTorch file ({path.stat().st_size} bytes): {reason}") from None
+        raise SetupError(
+            f"weights {path}: not a whole PyTorch file ({path.stat().st_size} bytes): {_first_line(error)}"
+        ) from None
     state = whole.get("state_dict") if isinstance(whole, dict) else None
     if not isinstance(state, dict):
         seen = sorted(map(str, whole))[:SHOWN] if isinstance(whole, dict) else type(whole).__name__
         raise SetupError(f"weights {path}: expected a checkpoint with a 'state_dict', saw {seen}")
-    strangers = [str(name) for name, tensor in state.items() if not isinstance(tensor, Tensor)]
+    strangers = [
+        str(name) for name, tensor in state.items() if not (isinstance(name, str) and isinstance(tensor, Tensor))
+    ]
     if strangers:
         raise SetupError(f"weights {path}: entries of 'state_dict' that are no tensors: {', '.join(strangers[:SHOWN])}")
     beside = sorted(str(key) for key in whole if key != "state_dict")
     notes = (f"{len(state)} tensors; beside them: {', '.join(beside) or 'nothing'}",)
     return Contents("lseg-checkpoint", {name.removeprefix(PREFIX): tensor for name, tensor in state.items()}, notes)
+
+
+def _first_line(error: Exception) -> str:
+    """The gist of an error of PyTorch's, which may go on for pages."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
 def _read_converted(path: Path) -> Contents:

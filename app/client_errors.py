@@ -1,0 +1,96 @@
+"""What can go wrong between a client and the service, as exceptions."""
+
+import email.utils
+from datetime import UTC, datetime
+
+import httpx
+from pydantic import ValidationError
+
+from schemas import wire
+
+
+class ClientError(Exception):
+    """Something asked of the service did not work."""
+
+
+class Unreachable(ClientError):
+    """No service answers at this address, or it stopped answering."""
+
+    def __init__(self, url: str, reason: str) -> None:
+        super().__init__(
+            f"no service answers at {url} ({reason}); start one with `./revisit serve`, "
+            "or set REVISIT_URL to where it runs"
+        )
+        self.url = url
+
+
+class RevisitProblem(ClientError):
+    """The service refused, and says why (RFC 9457).
+
+    Attributes
+    ----------
+    type : str
+        Stable URN; `code` is its last part, such as ``picture-too-large``.
+    errors : list of ProblemParameter
+        Every parameter that cannot be used.
+    """
+
+    def __init__(self, problem: wire.Problem, retry_after_s: float | None = None) -> None:
+        lines = [f"{problem.title}: {problem.detail}" if problem.detail else problem.title]
+        lines += [f"  {error.parameter}: {error.detail}" for error in problem.errors]
+        super().__init__("\n".join(lines))
+        self.type = problem.type
+        self.code = problem.type.rpartition(":")[2]
+        self.title = problem.title
+        self.status = problem.status
+        self.detail = problem.detail
+        self.errors = problem.errors
+        self.request_id = problem.request_id
+        self.retry_after_s = retry_after_s
+
+
+class JobFailed(ClientError):
+    """A job that was waited for ended without success."""
+
+    def __init__(self, job: wire.Job) -> None:
+        reason = f"{job.failure.code}: {job.failure.detail}" if job.failure else "no reason given"
+        super().__init__(f"job {job.id} {job.state}: {reason}")
+        self.job = job
+
+
+def reason(error: httpx.TransportError) -> str:
+    """Why nobody answered, in words."""
+    if isinstance(error, httpx.ConnectError):
+        return "connection refused" if "refused" in str(error).lower() else str(error) or "cannot connect"
+    if isinstance(error, httpx.TimeoutException):
+        return "no answer in time"
+    return str(error) or type(error).__name__
+
+
+def retry_after(answer: httpx.Response) -> float | None:
+    """Seconds that the service asks to wait: a number, or (from a proxy) a date."""
+    text = answer.headers.get("retry-after")
+    if text is None:
+        return None
+    try:
+        return max(0.0, float(text))
+    except ValueError:
+        pass
+    try:
+        return max(0.0, (email.utils.parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
+    except (TypeError, ValueError):
+        return None
+
+
+def problem_of(answer: httpx.Response) -> wire.Problem:
+    """The refusal as the service wrote it, or made up from the status when something else (a proxy) wrote it."""
+    try:
+        return wire.Problem.model_validate(answer.json(), extra="ignore")
+    except (ValidationError, ValueError):
+        return wire.Problem(
+            type="about:blank",
+            title=f"HTTP {answer.status_code} {answer.reason_phrase}".strip(),
+            status=answer.status_code,
+            detail=answer.text.strip()[:200],
+            request_id=answer.headers.get("x-request-id", ""),
+        )

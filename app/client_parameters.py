@@ -1,0 +1,68 @@
+"""A client's arguments, as they travel."""
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from schemas import wire
+
+Time = datetime | str
+
+
+def utc(moment: datetime) -> datetime:
+    """A time in UTC; one without a zone is taken as local time."""
+    return moment.astimezone(UTC)
+
+
+def texts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Parameters as they travel; those that are None do not."""
+    travelling: dict[str, str] = {}
+    for name, value in values.items():
+        if value is None:
+            continue
+        if isinstance(value, bool):
+            travelling[name] = "true" if value else "false"
+        elif isinstance(value, datetime):
+            travelling[name] = wire.rfc3339(utc(value))
+        elif isinstance(value, Mapping):
+            travelling[name] = json.dumps(value)
+        else:
+            travelling[name] = str(value)
+    return travelling
+
+
+def filters(
+    near: tuple[float, float, float] | None,
+    geographic: bool,
+    after: Time | None,
+    before: Time | None,
+    place: str | None,
+    metadata: Mapping[str, str] | None,
+    exclude_last: int | str | timedelta | None,
+    exclude: Sequence[str],
+) -> dict[str, Any]:
+    """Filters as parameters; None where nothing was asked for."""
+    if isinstance(exclude_last, timedelta):
+        exclude_last = f"{exclude_last.total_seconds():g}s"
+    chosen: dict[str, Any] = {
+        "near": None if near is None else ",".join(map(str, near)),
+        "frame": "geo" if geographic else None,
+        "after": after,
+        "before": before,
+        "place": place,
+        "exclude_last": exclude_last,
+        "exclude": ",".join(exclude) or None,
+    }
+    return chosen | {f"metadata.{key}": value for key, value in (metadata or {}).items()}
+
+
+def wanted(
+    labels: Sequence[str] | None,
+    dynamic: Sequence[str] | None,
+    preset: str | None,
+    parameters: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """What a map is to be made with; what is None is the service\'s choice."""
+    said = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
+    return {name: value for name, value in said.items() if value is not None}
