@@ -1,4 +1,4 @@
-"""A running service as something to be measured: what `worker.evaluate` asks for, over HTTP."""
+"""A service behind a URL as something to be measured: what `worker.evaluation` cannot know, since it knows no HTTP."""
 
 import uuid
 from collections.abc import Iterator
@@ -9,42 +9,44 @@ from pathlib import Path
 from app.client import Revisit, RevisitProblem
 from schemas.errors import RevisitError
 from schemas.records import Where
+from schemas.wire import MapFacts
 from worker.datasets.dataset import Dataset
-from worker.evaluation.asking import Answer, Retriever
+from worker.evaluation.asking import Answer
 from worker.evaluation.contender import Contender
 
 
-class RemoteRetriever:
+class ServedRetriever:
     """A map of its own in a running service.
 
     Parameters
     ----------
     revisit : Revisit
-    preset : str
-    map_name : str
-        New.
+    facts : MapFacts
+        Of the map, which is empty.
+    name : str
+        In tables.
     """
 
-    def __init__(self, revisit: Revisit, preset: str, map_name: str) -> None:
-        self._revisit, self._map, self.name = revisit, map_name, preset
-        # What the service would answer depends on its version too: an answer kept from another one is no answer of it.
-        version = revisit.version()
-        self.recipe = f"{revisit.put_map(map_name, preset=preset).recipe['id']} {version.version} {revisit.url}"
+    def __init__(self, revisit: Revisit, facts: MapFacts, name: str) -> None:
+        self._revisit, self._map, self.name = revisit, facts.name, name
+        self.recipe = f"{facts.recipe['id']} {revisit.version().version}"
 
     def enroll(self, picture: Path, where: Where) -> str:
-        """Enrol a picture and wait until it is searchable; raises RevisitError when it is refused."""
+        """Enrol and wait until it is searchable; raises RevisitError as the service refused."""
         try:
-            return self._revisit.enroll(picture, map=self._map, x=where.x, y=where.y).view.id
-        except RevisitProblem as refusal:
-            raise _refused(refusal) from refusal
+            return self._revisit.enroll(
+                picture, map=self._map, x=where.x, y=where.y, z=where.z, lat=where.lat, lon=where.lon, alt=where.alt
+            ).view.id
+        except RevisitProblem as problem:
+            raise _refusal(problem) from problem
 
     def query(self, picture: Path, top: int) -> Answer:
-        """Ask twice: as users do, and by the histograms alone."""
+        """Ask twice: as usual, and for the histograms alone."""
         try:
             answer = self._revisit.query(picture, map=self._map, top=top)
             plain = self._revisit.query(picture, map=self._map, top=top, candidates=0)
-        except RevisitProblem as refusal:
-            raise _refused(refusal) from refusal
+        except RevisitProblem as problem:
+            raise _refusal(problem) from problem
         return Answer(
             views=tuple(match.view.id for match in answer.matches),
             before=tuple(match.view.id for match in plain.matches),
@@ -55,23 +57,23 @@ class RemoteRetriever:
         )
 
 
-def contender(url: str, preset: str) -> Contender:
-    """A preset of the service at a URL."""
+def connect(url: str, preset: str) -> Contender:
+    """A preset of a running service as something to be measured."""
     return Contender(partial(_map_of_its_own, url, preset))
 
 
 @contextmanager
-def _map_of_its_own(url: str, preset: str, dataset: Dataset) -> Iterator[Retriever]:
-    """A retriever on a new map, which is deleted afterwards."""
-    map_name = f"evaluation-{uuid.uuid4().hex[:12]}"
+def _map_of_its_own(url: str, preset: str, dataset: Dataset) -> Iterator[ServedRetriever]:
+    """A map that nobody else uses, removed afterwards."""
     with Revisit(url) as revisit:
+        facts = revisit.put_map(f"evaluation-{uuid.uuid4().hex[:12]}", preset=preset)
         try:
-            yield RemoteRetriever(revisit, preset, map_name)
+            yield ServedRetriever(revisit, facts, preset)
         finally:
-            revisit.delete_map(map_name)
+            revisit.delete_map(facts.name)
 
 
-def _refused(problem: RevisitProblem) -> RevisitError:
-    refusal = RevisitError(str(problem))
+def _refusal(problem: RevisitProblem) -> RevisitError:
+    refusal = RevisitError(problem.detail)
     refusal.code = problem.code
     return refusal

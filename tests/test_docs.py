@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from app.cli import study
 from app.cli.__main__ import parser
 from app.client import Revisit
 from app.version import VERSION
@@ -51,6 +52,8 @@ def test_every_command_that_a_page_shows_exists_with_its_options(page: Path) -> 
             continue
         assert words[0].rstrip(",.;:)") in known, f"./revisit {line}"
         text = known[words[0].rstrip(",.;:)")].format_help()
+        if words[0] in study.PASSED_ON:
+            continue  # their options are their modules' own
         for option in (word for word in words[1:] if word.startswith("--")):
             assert option.rstrip(",.;:)") in text or "..." in text, f"./revisit {line}"
 

@@ -1,50 +1,72 @@
-"""A running service is measured through its own HTTP interface."""
+"""A service behind a URL is measured like one in this process."""
 
-from collections.abc import Iterator
+import json
 from pathlib import Path
+from typing import Any, cast
 
-import numpy as np
 import pytest
-from starlette.testclient import TestClient
 
-from app import measured
-from app.client import Revisit
-from app.main import create_app
-from schemas.settings import Settings
-from tests.pictures import drawn, encoded
-from worker.bootstrap import build
+from app.measured import connect
+from schemas.errors import RevisitError
+from schemas.records import Where
+from tests import answers
+from tests.cli.fake_service import FakeService, fake_service
 from worker.datasets.dataset import Dataset
-from worker.evaluate import run
+
+VERSION = {
+    "version": "1", "encoder": "compact", "weights": "w", "preset": "default", "schema_version": "1",
+    "python": "3", "libraries": {},
+}  # fmt: skip
 
 
-@pytest.fixture
-def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
-    house = build(Settings(data=tmp_path / "data", encoder="color", threads=1))
-    with TestClient(create_app(house)) as running:
-        monkeypatch.setattr(measured, "Revisit", lambda url: Revisit(url, transport=running._transport))
-        yield running
+def replies(service: FakeService) -> None:
+    """Let the fake answer; whatever map is asked for, it makes one named m."""
+
+    class AnyMap(dict[str, Any]):
+        def get(self, key: str, default: Any = None) -> Any:
+            if key.startswith("PUT /maps/evaluation-"):
+                return 200, answers.map_facts("m")
+            return super().get(key, default)
+
+    service.replies = AnyMap(
+        {
+            "GET /version": (200, VERSION),
+            "DELETE /maps/m": (200, {"views": 1, "pictures": 1, "revision": None}),
+            "POST /enroll": (201, answers.enrolled()),
+            "POST /query": (200, answers.query_answer(answers.match())),
+        }
+    )
 
 
-def pictures(folder: Path, kind: str, count: int) -> tuple[Path, ...]:
-    folder.mkdir()
-    paths = tuple(folder / f"{i}.{kind}" for i in range(count))
-    for i, path in enumerate(paths):
-        path.write_bytes(encoded(drawn(160, 120, i), kind))
-    return paths
+def test_a_map_of_its_own_is_used_and_removed(tmp_path: Path) -> None:
+    picture = tmp_path / "a.jpg"
+    picture.write_bytes(b"picture")
+    with fake_service() as service:
+        replies(service)
+        with connect(service.url, "paper").open(cast(Dataset, None)) as retriever:
+            assert retriever.name == "paper"
+            assert retriever.enroll(picture, Where(x=1, y=2)) == answers.ID
+            answer = retriever.query(picture, 3)
+
+    assert answer.views == answer.before == (answers.ID,)
+    assert answer.status == "matched"
+    asked = [path for path, _ in service.asked]
+    assert json.loads(service.asked[0][1]) == {"preset": "paper"}
+    assert asked[-1] == "DELETE /maps/m"
+    plain = [body for path, body in service.asked if path == "POST /query"][1]
+    assert b'name="candidates"' in plain
 
 
-def test_the_same_pictures_in_another_format_are_known_again(service: TestClient, tmp_path: Path) -> None:
-    database, queries = pictures(tmp_path / "d", "png", 8), list(pictures(tmp_path / "q", "jpeg", 8))
-    queries[7].write_bytes(b"no picture")
-    where = np.column_stack([np.arange(8.0), np.zeros(8)])
-    positives = tuple(np.array([i], np.int64) for i in range(8))
-    dataset = Dataset("formats", database, tuple(queries), positives, "the same picture", database_positions=where)
+def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
+    picture = tmp_path / "a.jpg"
+    picture.write_bytes(b"picture")
+    with fake_service() as service:
+        replies(service)
+        service.replies["POST /enroll"] = 422, answers.problem("nothing-static", 422)
+        with (
+            connect(service.url, "default").open(cast(Dataset, None)) as retriever,
+            pytest.raises(RevisitError) as caught,
+        ):
+            retriever.enroll(picture, Where())
 
-    outcome = run(dataset, [measured.contender("http://test", "default")], examples=0)
-
-    after, before = outcome.evaluation.methods
-    assert (after.method, before.method) == ("default", "default, histograms alone")
-    assert after.recall[0].value == 7 / 8
-    assert after.refused == {"not-a-picture": 1}
-    assert "encode" in after.timing_ms
-    assert service.get("/maps").json() == {"maps": []}
+    assert caught.value.code == "nothing-static"

@@ -1,27 +1,33 @@
 """``revisit evaluate | benchmark``: how well it recognises, and how fast. Their own arguments are their modules'."""
 
 import argparse
-import importlib
 
 from app.cli.console import Verbs
+
+PASSED_ON = {
+    "evaluate": "measure recognition on pictures with ground truth",
+    "benchmark": "measure the stages of enrolling and asking",
+}
 
 
 def add(verbs: Verbs) -> None:
     """Declare the commands; everything after them is passed on, `--help` too."""
-    for name, text in (
-        ("evaluate", "measure recognition on pictures with ground truth"),
-        ("benchmark", "measure the stages of enrolling and asking"),
-    ):
+    for name, text in PASSED_ON.items():
         parser = verbs.add_parser(name, help=text, add_help=False)
-        parser.add_argument("rest", nargs=argparse.REMAINDER)
-        parser.set_defaults(run=run, module={"evaluate": "worker.evaluate", "benchmark": "benchmarks.__main__"}[name])
+        # What this parser does not know, which is everything, arrives as `rest`.
+        parser.set_defaults(run={"evaluate": run_evaluate, "benchmark": run_benchmark}[name], rest=[])
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run_evaluate(arguments: argparse.Namespace) -> int:
+    """Hand over, with a way to services behind a URL."""
+    from app.measured import connect
+    from worker import evaluate
+
+    return evaluate.main(arguments.rest, connect)
+
+
+def run_benchmark(arguments: argparse.Namespace) -> int:
     """Hand over."""
-    module = importlib.import_module(arguments.module)
-    if arguments.module == "worker.evaluate":
-        from app.measured import contender
+    from benchmarks import __main__ as benchmarks
 
-        return int(module.main(arguments.rest, contender))
-    return int(module.main(arguments.rest))
+    return benchmarks.main(arguments.rest)
