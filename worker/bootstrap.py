@@ -102,6 +102,9 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
         return ColorEncoder()
     import torch
 
+    from worker.encoders.memory import keep_freed_memory
+
+    keep_freed_memory()
     torch.set_num_threads(threads)
     if settings.device != "cpu" and not torch.cuda.is_available():
         raise SetupError(f"REVISIT_DEVICE={settings.device}, but this torch sees no GPU; set it to cpu")
