@@ -207,3 +207,20 @@ def test_the_similarity_is_symmetric_and_within_bounds(one: ContextGraph, other:
 def test_a_graph_is_like_itself(graph: ContextGraph) -> None:
     if len(graph) >= 2:
         assert context_graph.compare(graph, [graph], 0.95, 0.3).similarity[0] == 1.0
+
+
+def test_thousands_of_specks_are_compared_in_portions_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(0)
+
+    def specks(count: int) -> ContextGraph:
+        vectors = random.normal(size=(count, 3)).tolist()
+        return hand_graph(sorted(random.integers(0, 3, count).tolist()), random.random((count, 2)).tolist(), vectors)
+
+    query, views = specks(40), [specks(30) for _ in range(7)]
+    at_once = context_graph.compare(query, views, 0.5, 0.3)
+    monkeypatch.setattr(context_graph, "TOGETHER", 2 * 40 * 30)
+    in_portions = context_graph.compare(query, views, 0.5, 0.3)
+
+    np.testing.assert_array_equal(at_once.similarity, in_portions.similarity)
+    np.testing.assert_array_equal(at_once.matched, in_portions.matched)
+    np.testing.assert_array_equal(at_once.edges_agreeing, in_portions.edges_agreeing)

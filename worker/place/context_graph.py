@@ -81,6 +81,10 @@ def _first_of_each(numbers: npt.NDArray[np.int64], order: npt.NDArray[np.intp], 
     return order[starts]
 
 
+TOGETHER = 4_000_000
+"""Pairs of nodes whose cosines are held at once."""
+
+
 @dataclass(frozen=True, eq=False)
 class GraphComparison:
     """How one graph compares with several.
@@ -125,6 +129,22 @@ def compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: flo
     tau : float
         In fractions of the longer side.
     """
+    most = max((len(c) for c in candidates), default=0)
+    # A preset that keeps every speck makes thousands of nodes: memory is bounded by comparing fewer graphs at a time.
+    together = max(1, TOGETHER // max(1, len(query) * most))
+    portions = [
+        _compare(query, candidates[start : start + together], cosine, tau)
+        for start in range(0, max(1, len(candidates)), together)
+    ]
+    return GraphComparison(
+        similarity=np.concatenate([p.similarity for p in portions]),
+        matched=np.concatenate([p.matched for p in portions]),
+        cosines=np.concatenate([p.cosines for p in portions]),
+        edges_agreeing=np.concatenate([p.edges_agreeing for p in portions]),
+    )
+
+
+def _compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: float, tau: float) -> GraphComparison:
     n_query, count = len(query), len(candidates)
     most = max((len(c) for c in candidates), default=0)
     if n_query == 0 or most == 0:
@@ -152,9 +172,10 @@ def compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: flo
     matched = np.where(paired, best_in_candidate.T, -1)
 
     pairs = paired.sum(axis=1)
-    both = np.triu(paired[:, :, None] & paired[:, None, :], k=1)
-    seen = np.take_along_axis(positions, np.maximum(matched, 0)[..., None], axis=1)  # (count, n_query, 2)
-    near_query = _distances(query.positions[None]) <= tau
+    used = np.flatnonzero(paired.any(axis=0))  # only matched nodes can have edges
+    both = np.triu(paired[:, used, None] & paired[:, None, used], k=1)
+    seen = np.take_along_axis(positions, np.maximum(matched[:, used], 0)[..., None], axis=1)  # (count, used, 2)
+    near_query = _distances(query.positions[None, used]) <= tau
     near_candidate = _distances(seen) <= tau
     common = (both & near_query & near_candidate).sum(axis=(1, 2))
     either = (both & (near_query | near_candidate)).sum(axis=(1, 2))
