@@ -54,24 +54,29 @@ class Changes:
     def switch(self, name: str, wanted: wire.PutMap) -> wire.Job:
         """Describe a map's views by another recipe; the old one answers until the last view is done.
 
-        What `wanted` leaves out stays as the map has it, unless it names another preset.
+        What `wanted` leaves out stays as the map has it, unless it names another preset or the map was made with
+        another encoder.
 
         Raises
         ------
         NotFound, Conflict, InvalidParameters
         """
         present = self._house.store.map(name).recipe
-        same = wanted.preset in (None, present.preset)
+        encoder = self._house.encoder
+        own = (present.encoder, present.weights) == (encoder.name, encoder.digest)
+        same = own and wanted.preset in (None, present.preset)
         labels = list(present.labels) if wanted.labels is None and same else wanted.labels
         dynamic = wanted.dynamic
         if dynamic is None and same:
             dynamic = [word for word in present.dynamic if labels is None or word in labels]
         recipe = make_recipe(
-            self._house.encoder,
+            encoder,
             wanted.preset or present.preset,
             labels=labels,
             dynamic=dynamic,
             parameters=wanted.parameters,
+            vocabulary=self._house.describers.of(present).vocabulary if same else None,
+            present=present.parameters if same else None,
         )
         change = self._record("recipe", name)
         self._begin(change, recipe)

@@ -85,10 +85,7 @@ class Recogniser:
             decoded = time.perf_counter()
             waiting = await asyncio.to_thread(self._store.waiting)
             if waiting >= self._house.settings.queue:
-                seconds = max(1, -int(-waiting * self._house.desk.pace_s // 1))
-                raise Busy(
-                    f"{waiting} pictures wait to be described, as many as are let in; try in {seconds} s", seconds
-                )
+                raise Busy.queue(waiting, self._house.desk.pace_s, "enrolments")
             facts = PictureFacts(picture.width, picture.height, picture.byte_count, picture.format, picture.digest)
             recipe = self._house.default_recipe
             kept = await asyncio.to_thread(self._store.submit, map_name, data, facts, said, recipe, _now())
@@ -109,7 +106,8 @@ class Recogniser:
                 code, detail = record.failure
                 if code == NothingStatic.code:
                     return NothingStatic(f"{detail} (kept as view {record.id}, which no search will return)")
-                await asyncio.to_thread(self._store.delete_view, record.id)
+                if kept.created:  # a view that an earlier call acknowledged stays, whatever becomes of this one
+                    await asyncio.to_thread(self._store.delete_view, record.id)
                 return RevisitError(detail)
         owner = await asyncio.to_thread(self._store.map, record.map)
         accepted.timing["total"] = _since(accepted.began)

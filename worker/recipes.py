@@ -161,6 +161,7 @@ def make_recipe(
     dynamic: Sequence[str] | None = None,
     parameters: Mapping[str, Any] | None = None,
     vocabulary: Vocabulary | None = None,
+    present: Parameters | None = None,
 ) -> Recipe:
     """A recipe from a preset and what the user changed of it.
 
@@ -174,6 +175,8 @@ def make_recipe(
         Merged into the preset's, key by key at every depth.
     vocabulary : Vocabulary, optional
         Instead of the general one.
+    present : Parameters, optional
+        What `parameters` is merged into, instead of the preset's.
 
     Raises
     ------
@@ -184,9 +187,9 @@ def make_recipe(
     words = tuple(preset.labels if labels is None else (word.strip() for word in labels))
     moving = tuple(w for w in preset.dynamic if w in words) if dynamic is None else tuple(w.strip() for w in dynamic)
     errors = _label_errors(words, moving)
-    numbers = preset.parameters
+    numbers = present or preset.parameters
     if parameters:
-        merged = _merge(preset.parameters.model_dump(mode="json"), parameters)
+        merged = _merge(numbers.model_dump(mode="json"), parameters)
         try:
             numbers = Parameters.model_validate(merged)
         except ValidationError as error:

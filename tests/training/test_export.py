@@ -2,7 +2,6 @@ import hashlib
 import json
 from pathlib import Path
 
-import pytest
 import torch
 from safetensors.torch import load_file
 
@@ -77,7 +76,6 @@ def test_the_words_file_says_where_each_word_comes_from(data_folder: Path, tmp_p
     assert not words["ceiling"]["trained"]
 
 
-@pytest.mark.skipif(not WEIGHTS.exists(), reason="no weights are shipped")
 class TestShippedWeights:
     def test_the_sum_is_right(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())

@@ -1,0 +1,78 @@
+"""What was acknowledged stays when describing fails, and a map keeps what a change of recipe does not name."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.main import create_app
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.pictures import drawn, encoded
+from worker.bootstrap import build
+from worker.describe import Describer
+
+JPEG = {"content-type": "image/jpeg"}
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[CheckedClient]:
+    house = build(Settings(data=tmp_path, encoder="color", threads=1))
+    with CheckedClient(create_app(house)) as client:
+        yield client
+
+
+def enroll(client: CheckedClient, seed: int, wait: str = "true") -> Any:
+    return client.post(f"/enroll?wait={wait}", content=encoded(drawn(320, 240, seed), "jpeg"), headers=JPEG)
+
+
+def until(client: CheckedClient, path: str, *states: str) -> Any:
+    for _ in range(600):
+        answer = client.get(path).json()
+        if answer["state"] in states:
+            return answer
+        time.sleep(0.05)
+    raise AssertionError(f"{path} is still {answer['state']}")
+
+
+def test_a_view_that_was_acknowledged_stays_when_describing_it_fails_again(
+    client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any) -> Any:
+        raise RuntimeError("describing is broken")
+
+    monkeypatch.setattr(Describer, "describe", fail)
+    view = enroll(client, 0, wait="false").json()["view"]
+    assert until(client, f"/views/{view['id']}", "failed")["failure"]["code"] == "internal"
+
+    assert enroll(client, 0).status_code == 500
+    assert client.get(f"/views/{view['id']}").status_code == 200
+
+    assert enroll(client, 1).status_code == 500
+    assert [kept["id"] for kept in client.get("/views").json()["views"]] == [view["id"]]
+
+
+def test_other_labels_leave_the_parameters_and_the_views_of_a_map(client: CheckedClient) -> None:
+    client.put("/maps/default", json={"parameters": {"candidates": 7}})
+    view = enroll(client, 0).json()["view"]
+
+    begun = client.post("/maps/default/recipe", json={"labels": ["road", "sky", "building"], "dynamic": []})
+
+    assert begun.status_code == 202
+    assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
+    facts = client.get("/maps/default").json()
+    assert [label["word"] for label in facts["labels"]] == ["road", "sky", "building"]
+    assert facts["recipe"]["parameters"]["candidates"] == 7
+    asked = client.post("/query?explain=true", content=client.get(view["links"]["image"]).content, headers=JPEG).json()
+    assert asked["matches"][0]["view"]["id"] == view["id"]
+    assert client.get(asked["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
+
+
+def test_too_few_views_for_a_vocabulary_are_said_to_be_too_few(client: CheckedClient) -> None:
+    enroll(client, 0)
+    begun = client.post("/maps/default/vocabulary")
+    assert begun.status_code == 202
+    failure = until(client, begun.headers["location"], "done", "failed")["failure"]
+    assert failure["code"] == "too-few-pictures"
