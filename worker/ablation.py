@@ -52,6 +52,8 @@ class Variant:
     own_vocabulary : bool
         Whether the vocabulary is trained on the set's database pictures instead of being the general one. Where
         sizes change it must be; compare such variants with the one that changes nothing but the source.
+    vocabulary : Path, optional
+        A vocabulary of the preset's sizes to take instead of the one that ships: trained from another seed, say.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Variant:
     preset: str = "default"
     static_only: bool = True
     own_vocabulary: bool = False
+    vocabulary: Path | None = None
 
 
 def _same(p: Parameters) -> Parameters:
@@ -216,6 +219,11 @@ def recipe_of(variant: Variant, house: House, dataset: Dataset) -> Recipe:
     plain = make_recipe(house.encoder, variant.preset, dynamic=None if variant.static_only else ())
     parameters = variant.change(plain.parameters)
     general = general_vocabulary(house.encoder, variant.preset)
+    if variant.vocabulary is not None:
+        other = vocabularies.Vocabulary.read(variant.vocabulary.read_bytes(), variant.vocabulary.name)
+        other.check(parameters, house.encoder.layers)
+        house.store.keep_vocabulary(other.digest, other.tensors)
+        return plain.model_copy(update={"parameters": parameters, "vocabulary": other.digest})
     if not variant.own_vocabulary:
         general.check(parameters, house.encoder.layers)
         return plain.model_copy(update={"parameters": parameters})
@@ -294,11 +302,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     evaluate.add_arguments(parser)
     parser.add_argument("--write", type=Path, help="Markdown file to write the table to")
     parser.add_argument("--variants", help="comma-separated names or parts of names; default: all")
+    parser.add_argument(
+        "--vocabulary", type=Path, action="append", default=[], help="also measure the default with this vocabulary"
+    )
     options = parser.parse_args(argv)
     from worker.bootstrap import build
 
     wanted = options.variants.split(",") if options.variants else [""]
     chosen = [v for v in VARIANTS if any(part in v.name for part in wanted)]
+    chosen += [
+        Variant(f"vocabulary {path.parent.name}/{path.name}", _same, vocabulary=path) for path in options.vocabulary
+    ]
     try:
         datasets = evaluate.read(options.dataset, options)
         with tempfile.TemporaryDirectory() as folder:

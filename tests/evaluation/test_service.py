@@ -1,6 +1,7 @@
 """The house itself, measured through its own enrol and query path: encoder without weights, real SQLite file."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from schemas.errors import RevisitError
 from schemas.records import Where
 from schemas.settings import Settings
-from worker.ablation import VARIANTS, ablate, as_markdown, remembering
+from worker.ablation import VARIANTS, ablate, as_markdown, recipe_of, remembering
 from worker.bootstrap import build
 from worker.calibrate import evidence
 from worker.datasets.dataset import Dataset
@@ -18,6 +19,8 @@ from worker.evaluate import run
 from worker.evaluation.asking import ask
 from worker.evaluation.in_process import contender, house_for_measuring
 from worker.house import House
+from worker.recipes import general_vocabulary
+from worker.vocabularies import Vocabulary
 
 
 def street(path: Path, seed: int, light: float) -> Path:
@@ -97,3 +100,19 @@ def test_variants_are_measured_on_a_house_that_encodes_once(walk: Dataset, tmp_p
         house.stop()
     assert "default" in {m.variant for m in measured}
     assert as_markdown(measured).count("|") > 10
+
+
+def test_a_variant_takes_another_vocabulary(walk: Dataset, tmp_path: Path) -> None:
+    house, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
+    house.start()
+    try:
+        shipped = general_vocabulary(encoder, "default")
+        mirrored = Vocabulary({n: replace(c, words=c.words[::-1].copy()) for n, c in shipped.channels.items()})
+        path = tmp_path / "other.safetensors"
+        path.write_bytes(mirrored.tensors)
+        assert recipe_of(VARIANTS[0], house, walk).vocabulary == shipped.digest
+        recipe = recipe_of(replace(VARIANTS[0], vocabulary=path), house, walk)
+        assert recipe.vocabulary == mirrored.digest != shipped.digest
+        assert house.store.vocabulary(recipe.vocabulary) == mirrored.tensors
+    finally:
+        house.stop()
