@@ -108,8 +108,8 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         put(f"close.{name}", first, dense_cells.similarity(cells, theirs)[0])
     yield "cells in full", int(best(1)[0])
     first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
-    inliers = [verification.verify(query.keypoints, database[int(row)].keypoints).inliers for row in first]
-    put("verification", first, verification.gated_bonus(inliers))
+    verified = verification.verify(query.keypoints, [database[int(row)].keypoints for row in first])
+    put("verification", first, verification.gated_bonus([view.inliers for view in verified]))
     yield "and keypoints verified", int(best(1)[0])
 
 

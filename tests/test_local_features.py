@@ -47,7 +47,7 @@ def test_descriptors_are_unit_length_in_bytes() -> None:
 def test_a_part_of_a_picture_lies_where_it_was_cut() -> None:
     whole = textured(320, 480)
     part = np.ascontiguousarray(whole[40:280, 80:400])
-    found = verification.verify(local_features(part, 300), local_features(whole, 300))
+    [found] = verification.verify(local_features(part, 300), [local_features(whole, 300)])
     assert found.inliers >= 20
     assert found.transform is not None
     # x in fractions of 320 becomes (320 x + 80) / 480; y likewise with 40.

@@ -223,8 +223,8 @@ class Searcher:
         kept = self._store.local_features([int(found.seqs[row]) for row in first], recipe.id)
         if len(kept) < len(first):
             return None
-        for row in first:
-            evidence.verified[row] = verification.verify(description.keypoints, kept[int(found.seqs[row])])
+        views = [kept[int(found.seqs[row])] for row in first]
+        evidence.verified.update(zip(first, verification.verify(description.keypoints, views), strict=True))
         bonus = verification.gated_bonus(np.array([evidence.verified[row].inliers for row in first]))
         evidence.put("verification", np.array(first, np.intp), bonus)
         return evidence

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from schemas.description import Floats
 from schemas.errors import DescriptorMismatch
-from worker.place import dense_cells
+from worker.place import dense_cells, hough
 
 
 def cells(seed: int, rows: int = 8, columns: int = 12, channels: int = 16) -> Floats:
@@ -85,13 +85,13 @@ def test_correspondences_are_mutual_and_the_first_of_equals_wins() -> None:
 
 
 def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
-    pairs = dense_cells.Correspondences(
+    pairs = hough.Correspondences(
         candidate=np.array([0, 0, 0]),
         query_cell=np.array([0, 1, 2]),  # row 0, columns 0, 1, 2
         candidate_cell=np.array([1, 2, 19]),  # columns 1 and 2; row 1, column 9
         cosine=np.array([1.0, 0.5, 1.0], np.float32),
     )
-    found = dense_cells.agreement(pairs, np.ones(20, np.float32), (2, 10), 1, zooms=(1.0,), tolerance=0)
+    found = hough.agreement(pairs, np.ones(20, np.float32), (2, 10), 1, zooms=(1.0,), tolerance=0)
     # The first two move one column to the right: (1 + .25) / 20 cells; the third moves elsewhere.
     np.testing.assert_allclose(found.scores, [np.sqrt(1.25 / 20)])
     assert found.shifts.tolist() == [[0, 1]]
@@ -106,13 +106,13 @@ def test_a_cell_that_is_seen_again_far_away_says_nothing() -> None:
 
 
 def test_weight_follows_distinctness() -> None:
-    pairs = dense_cells.Correspondences(
+    pairs = hough.Correspondences(
         candidate=np.array([0, 1]),
         query_cell=np.array([0, 1]),
         candidate_cell=np.array([0, 1]),
         cosine=np.ones(2, np.float32),
     )
-    found = dense_cells.agreement(pairs, np.array([0.25, 0.75], np.float32), (1, 2), 2)
+    found = hough.agreement(pairs, np.array([0.25, 0.75], np.float32), (1, 2), 2)
     np.testing.assert_allclose(found.scores, np.sqrt([0.25, 0.75]), atol=1e-6)
 
 
@@ -130,7 +130,7 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     columns = np.rint((np.arange(20) - 9.5) / 1.25 + 9.5).astype(int)
     near = wide[rows][:, columns]
     pairs = dense_cells.correspondences(wide, near[None])
-    assert dense_cells.agreement(pairs, np.ones(320, np.float32), (16, 20), 1, tolerance=0).zooms.tolist() == [1.25]
+    assert hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 1, tolerance=0).zooms.tolist() == [1.25]
 
 
 @settings(deadline=None)  # a crowded machine is no failure
@@ -139,7 +139,7 @@ def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> N
     large = cells(seed, rows=20, columns=24, channels=24)
     query, moved = large[6:14, 6:18], large[6 - down : 14 - down, 6 - across : 18 - across]
     pairs = dense_cells.correspondences(query, moved[None])
-    found = dense_cells.agreement(pairs, np.ones(96, np.float32), (8, 12), 1, tolerance=0)
+    found = hough.agreement(pairs, np.ones(96, np.float32), (8, 12), 1, tolerance=0)
     assert found.shifts.tolist() == [[down, across]]
     assert found.scores[0] ** 2 >= (8 - abs(down)) * (12 - abs(across)) / 96 - 0.1
 

@@ -30,22 +30,29 @@ def moved(positions: Floats, zoom: float, turn: float, by: tuple[float, float]) 
 def test_a_match_is_mutual_and_clearly_better_than_the_second_best() -> None:
     query = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 2]], np.float32)
     view = np.array([[0, 1, 0.5], [0, 1, -0.5], [1, 0, 0], [0, 0, 1]], np.float32)
-    pairs, cosines = verification.match(query, view)
+    [pairs] = verification.match(query, [view])
     # Row 1 has two equally good partners and is dropped; row 0 is exact and comes first.
     assert pairs.tolist() == [[0, 2], [2, 3]]
-    np.testing.assert_allclose(cosines, [1, 1])
+
+
+def test_of_equal_descriptors_the_first_has_the_match() -> None:
+    twice = np.array([[1, 0], [1, 0]], np.float32)
+    [pairs] = verification.match(twice, [np.array([[1, 0], [0, 1]], np.float32)])
+    assert pairs.tolist() == [[0, 0]]
 
 
 def test_nothing_matches_nothing() -> None:
     none = features(scattered(0, 0), 0)
-    found = verification.verify(none, features(scattered(0, 9), 0))
+    [found] = verification.verify(none, [features(scattered(0, 9), 0)])
     assert (found.inliers, found.matches, found.transform) == (0, 0, None)
     assert found.pairs.shape == (0, 4)
+    assert [view.matches for view in verification.verify(features(scattered(0, 9), 0), [none, none])] == [0, 0]
+    assert verification.verify(none, []) == []
 
 
 def test_descriptors_of_other_lengths_are_refused() -> None:
     with pytest.raises(DescriptorMismatch):
-        verification.match(np.ones((2, 3), np.float32), np.ones((2, 4), np.float32))
+        verification.match(np.ones((2, 3), np.float32), [np.ones((2, 4), np.float32)])
 
 
 def test_a_known_transform_is_found_among_wrong_matches() -> None:
@@ -77,6 +84,11 @@ def test_a_picture_on_its_side_or_far_larger_is_an_accident(zoom: float, turn: f
     assert not inliers.any()
 
 
+def test_keypoints_on_one_line_fix_no_transform() -> None:
+    line = np.linspace(0.1, 0.7, 20, dtype=np.float32)[:, None] * np.ones((1, 2), np.float32)
+    assert verification.consensus(line, line)[0] is None
+
+
 def test_positions_that_coincide_propose_nothing() -> None:
     same = np.full((12, 2), 0.3, np.float32)
     assert verification.consensus(same, same)[0] is None
@@ -87,7 +99,7 @@ def test_positions_that_coincide_propose_nothing() -> None:
 def test_a_moved_picture_keeps_its_keypoints(seed: int, zoom: float, turn: float, by: float) -> None:
     positions = scattered(seed, 30)
     query, view = features(positions, seed), features(moved(positions, zoom, turn, (by, -by)), seed)
-    found = verification.verify(query, view)
+    [found] = verification.verify(query, [view])
     assert found.matches == 30
     assert found.inliers == 30
     assert found.transform is not None
@@ -97,11 +109,13 @@ def test_a_moved_picture_keeps_its_keypoints(seed: int, zoom: float, turn: float
 
 @settings(deadline=None)  # a crowded machine is no failure
 @given(st.integers(0, 2**16))
-def test_verification_draws_nothing_at_random(seed: int) -> None:
+def test_neither_chance_nor_the_other_views_change_a_verification(seed: int) -> None:
     query, view = features(scattered(seed, 25), seed), features(scattered(seed + 1, 25), seed)
-    first, second = verification.verify(query, view), verification.verify(query, view)
+    first, second = verification.verify(query, [view, view])
     assert (first.inliers, first.matches) == (second.inliers, second.matches)
     np.testing.assert_array_equal(first.pairs, second.pairs)
+    [alone] = verification.verify(query, [view])
+    np.testing.assert_array_equal(first.pairs, alone.pairs)
 
 
 def test_only_what_stands_out_counts() -> None:

@@ -5,18 +5,16 @@ correspondences. A picture of the same place gives correspondences that agree on
 a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Booleans, Floats, Int8s
+from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
+from worker.place.hough import Correspondences, agreement
 
 Indices = npt.NDArray[np.intp]
-Doubles = npt.NDArray[np.float64]
 
 BLOCK = 200_000
 """Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
@@ -24,54 +22,8 @@ BLOCK = 200_000
 FULL_SCALE = 127
 """What a component of 1 becomes in storage."""
 
-ZOOMS = (1.0, 0.8, 1.25)
-"""How much larger the candidate may show what the query shows; the earlier wins a tie."""
-
-TOLERANCE = 2
-"""How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
-
-
 APART = 2
 """Cells further from one another than this, in rows or columns, show different things."""
-
-
-@dataclass(frozen=True, eq=False)
-class Correspondences:
-    """Mutually best cells of a query and of several candidates, one row per pair.
-
-    Rows are ordered by candidate, then by query cell. Cells are numbered row by row.
-
-    Parameters
-    ----------
-    candidate, query_cell, candidate_cell : intp of shape (pairs,)
-    cosine : float32 of shape (pairs,)
-        Greater than 0, at most 1.
-    """
-
-    candidate: Indices
-    query_cell: Indices
-    candidate_cell: Indices
-    cosine: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Agreement:
-    """How well the cells of several candidates agree with those of a query.
-
-    Parameters
-    ----------
-    scores : float32 of shape (candidates,)
-        Root of the share of what the query's cells could weigh, 0..1; 1 for a picture against itself when no two of
-        its cells are equal.
-    shifts : intp of shape (candidates, 2)
-        (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells.
-    zooms : float32 of shape (candidates,)
-        The zoom that fits best; 1 where nothing corresponds.
-    """
-
-    scores: Floats
-    shifts: Indices
-    zooms: Floats
 
 
 def grid(field: Floats, rows: int, columns: int) -> Floats:
@@ -162,10 +114,11 @@ def distinctness(cells: Int8s | Floats, apart: int = APART) -> Floats:
     once in a picture says more (burstiness: Jegou et al. 2009).
     """
     rows, columns = cells.shape[:2]
-    flat = _as_unit(cells).reshape(rows * columns, cells.shape[2])
-    cosines = flat @ flat.T
-    cosines[_near(rows, columns, apart)] = 0
-    unlike: Floats = 1 - np.clip(cosines.max(axis=1), 0, 1)
+    flat = cells.reshape(rows * columns, cells.shape[2]).astype(np.float32, copy=False)
+    products = flat @ flat.T
+    products *= _far(rows, columns, apart)
+    # Along columns, which is quicker: the matrix is symmetric.
+    unlike: Floats = 1 - np.clip(products.max(axis=0) * np.float32(_scale(cells) ** 2), 0, 1)
     return unlike
 
 
@@ -195,68 +148,19 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
     if query.shape[:2] != candidates.shape[1:3]:
         raise ValueError(f"a grid of {query.shape[:2]} cells cannot be compared with one of {candidates.shape[1:3]}")
     cells = query.shape[0] * query.shape[1]
-    ours = _as_unit(query).reshape(cells, query.shape[-1])
-    theirs = _as_unit(candidates).reshape(len(candidates), cells, query.shape[-1])
-    block = max(1, BLOCK // max(1, cells**2))
-    found = [_mutual(ours, theirs[at : at + block], at) for at in range(0, max(1, len(candidates)), block)]
-    return Correspondences(*(np.concatenate(column) for column in zip(*found, strict=True)))
-
-
-def agreement(
-    pairs: Correspondences,
-    distinct: Floats,
-    shape: tuple[int, int],
-    candidates: int,
-    zooms: Sequence[float] = ZOOMS,
-    tolerance: int = TOLERANCE,
-) -> Agreement:
-    """The largest weight of correspondences that agree on one displacement (a Hough transform).
-
-    Parameters
-    ----------
-    pairs : Correspondences
-    distinct : float32 of shape (rows * columns,)
-        What each of the query's cells counts for, at least 0.
-    shape : (int, int)
-        Rows and columns of the grids.
-    candidates : int
-        How many candidates there are, those without a correspondence included.
-    zooms : sequence of float
-        Greater than 0.
-    tolerance : int
-        In cells, at least 0.
-
-    Returns
-    -------
-    Agreement
-
-    Notes
-    -----
-    A correspondence of cosine c weighs c^2 times the distinctness of its cell: one that fits half counts a quarter.
-    Displacements of more than half the picture are left out: too little of it would be common. With zoom z a query
-    cell p (from the picture's centre) belongs at z p + t; both sides are divided by sqrt(z) so
-    that the tolerance is the same in either direction. The root brings channels together whose shares differ in size:
-    without it the one with larger shares decides alone.
-    """
-    reach = np.array(shape) // 2
-    weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
-    ours, theirs = _centred(pairs.query_cell, shape), _centred(pairs.candidate_cell, shape)
-    score, shift, chosen = np.zeros(candidates), np.zeros((candidates, 2)), np.ones(candidates)
-    for zoom in zooms:
-        root = np.sqrt(zoom)
-        displacement = theirs / root - ours * root
-        bins = np.rint(displacement).astype(np.intp)
-        height, peak = _peaks(pairs.candidate, bins, weight, candidates, reach, tolerance)
-        agree = (np.abs(bins - peak[pairs.candidate]) <= tolerance).all(axis=1) * weight
-        moved = [np.bincount(pairs.candidate, agree * displacement[:, axis], candidates) for axis in (0, 1)]
-        better = height > score + 1e-9
-        score[better], chosen[better] = height[better], zoom
-        shift[better] = (np.stack(moved, axis=1) / np.maximum(height, 1e-9)[:, None] * root)[better]
-    return Agreement(
-        np.sqrt(np.minimum(score / max(float(distinct.sum()), 1e-6), 1)).astype(np.float32),
-        np.rint(shift).astype(np.intp),
-        chosen.astype(np.float32),
-    )
+    ours = query.reshape(cells, query.shape[-1]).astype(np.float32, copy=False)
+    theirs = candidates.reshape(len(candidates), cells, query.shape[-1]).astype(np.float32, copy=False)
+    best, product, highest = _best(ours, theirs)
+    which, cell = np.nonzero((product == np.take_along_axis(highest, best, axis=1)) & (product > 0))
+    counterpart = best[which, cell]
+    # Of equal cells of the query that share a best counterpart, the first has it: it is written last.
+    taken = which * cells + counterpart
+    owner = np.empty(len(candidates) * cells, np.intp)
+    owner[taken[::-1]] = cell[::-1]
+    first = owner[taken] == cell
+    which, cell, counterpart = which[first], cell[first], counterpart[first]
+    cosine = product[which, cell] * np.float32(_scale(query) * _scale(candidates))
+    return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
 
 
 def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Floats, Indices]:
@@ -270,9 +174,9 @@ def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Float
     Returns
     -------
     scores : float32 of shape (candidates,)
-        0..1, as in `Agreement`.
+        0..1, as in `worker.place.hough.Agreement`.
     shifts : intp of shape (candidates, 2)
-        (rows, columns), as in `Agreement`.
+        (rows, columns), likewise.
 
     Raises
     ------
@@ -291,11 +195,9 @@ def _unit(vectors: Floats) -> Floats:
     return unit
 
 
-def _as_unit(cells: Int8s | Floats) -> Floats:
-    """Stored cells as float32; of unit length up to the rounding of storage."""
-    if cells.dtype == np.int8:
-        return cells.astype(np.float32) * np.float32(1 / FULL_SCALE)
-    return cells.astype(np.float32, copy=False)
+def _scale(cells: Int8s | Floats) -> float:
+    """What a component of 1 in the cells stands for: stored ones are multiplied as they are, which is exact."""
+    return 1 / FULL_SCALE if cells.dtype == np.int8 else 1.0
 
 
 @lru_cache(maxsize=64)
@@ -309,53 +211,36 @@ def _coverage(pixels: int, cells: int) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _near(rows: int, columns: int, apart: int) -> Booleans:
-    """Which cells lie within `apart` rows and columns of one another, bool (cells, cells)."""
+def _far(rows: int, columns: int, apart: int) -> Floats:
+    """1 where cells lie more than `apart` rows or columns from one another, 0 elsewhere, float32 (cells, cells)."""
     row, column = np.divmod(np.arange(rows * columns), columns)
-    near: Booleans = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column)) <= apart
-    return near
+    distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
+    far: Floats = (distance > apart).astype(np.float32)
+    return far
 
 
-def _mutual(ours: Floats, theirs: Floats, at: int) -> tuple[Indices, Indices, Indices, Floats]:
-    """Columns of `Correspondences` for candidates numbered from `at`: (cells, d) against (candidates, cells, d)."""
-    cosines = np.matmul(ours, theirs.transpose(0, 2, 1))
-    best = cosines.argmax(axis=2)
-    cosine = np.take_along_axis(cosines, best[..., None], axis=2)[..., 0]
-    highest = np.take_along_axis(cosines.max(axis=1), best, axis=1)
-    which, cell = np.nonzero((cosine == highest) & (cosine > 0))
-    # Of equal cells of the query that share a best counterpart, the first has it.
-    counterpart = best[which, cell]
-    kept = np.sort(np.unique(which * theirs.shape[1] + counterpart, return_index=True)[1])
-    which, cell, counterpart = which[kept], cell[kept], counterpart[kept]
-    return which + at, cell, counterpart, np.minimum(cosine[which, cell], 1)
-
-
-def _centred(cell: Indices, shape: tuple[int, int]) -> Doubles:
-    """(row, column) of cells from the grid's centre, float64 (n, 2)."""
-    return np.stack(np.divmod(cell, shape[1]), axis=1) - (np.array(shape) - 1) / 2
-
-
-def _peaks(
-    candidate: Indices, bins: Indices, weight: Doubles, candidates: int, reach: Indices, tolerance: int
-) -> tuple[Doubles, Indices]:
-    """Largest weight within `tolerance` of one displacement of at most `reach`, and where; of equals the first.
+def _best(ours: Floats, theirs: Floats) -> tuple[Indices, Floats, Floats]:
+    """Each cell's best counterpart: (cells, d) against (candidates, cells, d).
 
     Returns
     -------
-    height : float64 of shape (candidates,)
-    peak : intp of shape (candidates, 2)
-        (rows, columns) of the displacement.
+    best : intp of shape (candidates, cells)
+        For each query cell the candidate's cell with the largest product; of equals the first.
+    product : float32 of shape (candidates, cells)
+        That product.
+    highest : float32 of shape (candidates, cells)
+        For each candidate cell its largest product with any query cell.
     """
-    rows, columns = (2 * (reach + tolerance) + 1).tolist()
-    within = (np.abs(bins) <= reach + tolerance).all(axis=1)
-    down, across = (bins[within] + reach + tolerance).T
-    index = (candidate[within] * rows + down) * columns + across
-    counted = np.asarray(np.bincount(index, weight[within], candidates * rows * columns), np.float64)
-    votes = counted.reshape(candidates, rows, columns)
-    window = 2 * tolerance + 1
-    rows, columns = rows - window + 1, columns - window + 1
-    votes = np.sum([votes[:, i : i + rows] for i in range(window)], axis=0)
-    votes = np.sum([votes[:, :, i : i + columns] for i in range(window)], axis=0)
-    flat = votes.reshape(candidates, rows * columns)
-    peak = flat.argmax(axis=1)
-    return flat[np.arange(candidates), peak], np.stack(np.divmod(peak, columns), axis=1) - reach
+    count, cells = theirs.shape[:2]
+    best, product = np.empty((count, cells), np.intp), np.empty((count, cells), np.float32)
+    highest = np.empty((count, cells), np.float32)
+    block = max(1, BLOCK // max(1, cells**2))
+    for at in range(0, count, block):
+        some = theirs[at : at + block]
+        products = ours @ some.reshape(-1, some.shape[2]).T
+        highest[at : at + block] = products.max(axis=0).reshape(len(some), cells)
+        found = products.reshape(cells, len(some), cells).argmax(axis=2)
+        starts = np.arange(0, products.size, cells).reshape(found.shape)
+        best[at : at + block] = found.T
+        product[at : at + block] = products.ravel()[starts + found].T
+    return best, product, highest

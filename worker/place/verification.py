@@ -5,7 +5,9 @@ any two of the strongest matches and supported by most of the others is refined 
 follow it are the inliers. Everything is computed at once over all proposals, and nothing is drawn at random.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +36,9 @@ LARGEST_ZOOM = 3.0
 
 LARGEST_TURN = np.radians(35)
 """Cameras are held upright."""
+
+SLIM = 1e-10
+"""Points spread this little across their line, squared and against the whole, fix no affine transform."""
 
 UNREMARKABLE = 8
 """By how many inliers a candidate must beat the median of the verified ones before they count."""
@@ -64,43 +69,40 @@ class Verified:
     pairs: Floats
 
 
-def match(query: Int8s | Floats, view: Int8s | Floats, ratio: float = RATIO) -> tuple[Pairs, Floats]:
-    """Descriptors that are each other's best and pass the ratio test.
+def match(query: Int8s | Floats, views: Sequence[Int8s | Floats], ratio: float = RATIO) -> list[Pairs]:
+    """Descriptors that are each other's best and pass the ratio test, for each view.
 
     Parameters
     ----------
     query : int8 or float32 of shape (n, channels)
         Near equal lengths, none zero.
-    view : int8 or float32 of shape (m, channels)
+    views : sequence of int8 or float32 of shape (m, channels)
     ratio : float
         Of Euclidean distances between descriptors of unit length, 0..1.
 
     Returns
     -------
-    pairs : intp of shape (matches, 2)
-        Rows of `query` and `view`, the strongest first; ties by the query's row.
-    cosines : float32 of shape (matches,)
+    list of intp of shape (matches, 2)
+        Rows of `query` and of the view, the strongest first; ties by the query's row.
 
     Raises
     ------
     DescriptorMismatch
-        The two have different channels.
+        Query and a view have different channels.
     """
-    if query.shape[1] != view.shape[1]:
-        raise DescriptorMismatch(got=query.shape[1], want=view.shape[1])
-    if len(query) == 0 or len(view) == 0:
-        return np.zeros((0, 2), np.intp), np.zeros(0, np.float32)
-    cosines = unit(query.astype(np.float32)) @ unit(view.astype(np.float32)).T
-    rows = np.arange(len(query))
-    best = cosines.argmax(axis=1)
-    strength = cosines[rows, best]
-    mutual = cosines.argmax(axis=0)[best] == rows
-    cosines[rows, best] = -1
-    second = cosines.max(axis=1)
-    # |a - b|^2 = 2 - 2 cos for unit vectors.
-    kept = np.flatnonzero(mutual & (1 - strength < ratio**2 * (1 - second)))
-    kept = kept[np.argsort(-strength[kept], kind="stable")]
-    return np.stack([kept, best[kept]], axis=1), strength[kept]
+    for view in views:
+        if query.shape[1] != view.shape[1]:
+            raise DescriptorMismatch(got=query.shape[1], want=view.shape[1])
+    ends = np.cumsum([len(view) for view in views]).tolist()
+    if len(query) == 0 or not ends or ends[-1] == 0:
+        return [np.zeros((0, 2), np.intp) for _ in views]
+    # The views side by side: one matrix product for all.
+    cosines = unit(query.astype(np.float32)) @ unit(np.concatenate(views).astype(np.float32)).T
+    highest = cosines.max(axis=0)
+    return [
+        _mutual(cosines[:, end - len(view) : end], highest[end - len(view) : end], ratio)
+        for view, end in zip(views, ends, strict=True)
+    ]
 
 
 def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> tuple[Doubles | None, Booleans]:
@@ -139,23 +141,28 @@ def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> t
     return transform, followers
 
 
-def verify(query: LocalFeatures, view: LocalFeatures) -> Verified:
-    """Match the keypoints of a query and a view, and count those in the same arrangement.
+def verify(query: LocalFeatures, views: Sequence[LocalFeatures]) -> list[Verified]:
+    """Match the keypoints of a query with those of each view, and count those in the same arrangement.
 
     Raises
     ------
     DescriptorMismatch
         Their descriptors have different lengths.
     """
-    pairs, _ = match(query.descriptors, view.descriptors)
-    source, target = query.positions[pairs[:, 0]], view.positions[pairs[:, 1]]
-    transform, inliers = consensus(source, target)
-    return Verified(
-        inliers=int(inliers.sum()),
-        matches=len(pairs),
-        transform=None if transform is None else transform.astype(np.float32),
-        pairs=np.concatenate([source[inliers], target[inliers]], axis=1).astype(np.float32),
-    )
+    found = []
+    matched = match(query.descriptors, [view.descriptors for view in views])
+    for view, pairs in zip(views, matched, strict=True):
+        source, target = query.positions[pairs[:, 0]], view.positions[pairs[:, 1]]
+        transform, inliers = consensus(source, target)
+        found.append(
+            Verified(
+                inliers=int(inliers.sum()),
+                matches=len(pairs),
+                transform=None if transform is None else transform.astype(np.float32),
+                pairs=np.concatenate([source[inliers], target[inliers]], axis=1).astype(np.float32),
+            )
+        )
+    return found
 
 
 def gated_bonus(inliers: npt.ArrayLike) -> Floats:
@@ -182,12 +189,36 @@ def gated_bonus(inliers: npt.ArrayLike) -> Floats:
     return bonus
 
 
+def _mutual(cosines: Floats, highest: Floats, ratio: float) -> Pairs:
+    """Matches with one view, intp (matches, 2), from cosines (n, m), which it spoils, and their maxima (m,)."""
+    if cosines.shape[1] == 0:
+        return np.zeros((0, 2), np.intp)
+    rows = np.arange(len(cosines))
+    best = cosines.argmax(axis=1)
+    strength = cosines[rows, best]
+    cosines[rows, best] = -1
+    second = cosines.max(axis=1)
+    # |a - b|^2 = 2 - 2 cos for unit vectors.
+    kept = np.flatnonzero((strength == highest[best]) & (1 - strength < ratio**2 * (1 - second)))
+    # Of equal rows that share a best counterpart, the first has it.
+    kept = kept[np.unique(best[kept], return_index=True)[1]]
+    kept = kept[np.lexsort((kept, -strength[kept]))]
+    return np.stack([kept, best[kept]], axis=1)
+
+
+@lru_cache(maxsize=PROPOSERS + 1)
+def _couples(count: int) -> tuple[Pairs, Pairs]:
+    """All pairs of different numbers below `count`, the smaller first."""
+    first, second = np.triu_indices(count, k=1)
+    return first, second
+
+
 def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Booleans:
     """Followers of the similarity transform with most of them, bool (matches,); of equals the first proposed."""
     # As complex numbers a similarity is w = a z + b, and two points fix it.
     z = source[:, 0].astype(np.complex64) + 1j * source[:, 1]
     w = target[:, 0].astype(np.complex64) + 1j * target[:, 1]
-    first, second = np.triu_indices(min(len(z), PROPOSERS), k=1)
+    first, second = _couples(min(len(z), PROPOSERS))
     apart = z[second] - z[first]
     far = np.abs(apart) > 2 * tolerance
     first, second, apart = first[far], second[far], apart[far]
@@ -197,22 +228,31 @@ def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Boolea
     if len(a) == 0:
         return np.zeros(len(z), np.bool_)
     b = w[first] - a * z[first]
-    follows = np.abs(a[:, None] * z + b[:, None] - w) < 1.5 * tolerance
-    return np.asarray(follows[follows.sum(axis=1).argmax()], np.bool_)
+    # The parts of a z + b - w, for all proposals and matches, as matrix products.
+    ours = np.stack([z.real, z.imag, np.ones(len(z), np.float32)])
+    across = np.stack([a.real, -a.imag, b.real], axis=1) @ ours - w.real
+    down = np.stack([a.imag, a.real, b.imag], axis=1) @ ours - w.imag
+    follows = across * across + down * down < (1.5 * tolerance) ** 2
+    return np.asarray(follows[np.count_nonzero(follows, axis=1).argmax()], np.bool_)
 
 
 def _affine(source: Floats, target: Floats, chosen: Booleans) -> Doubles:
-    """Least-squares affine transform, float64 (2, 3)."""
-    points = np.column_stack([source[chosen], np.ones(int(chosen.sum()))]).astype(np.float64)
-    solution = np.linalg.lstsq(points, target[chosen].astype(np.float64), rcond=1e-6)[0]
-    transform: Doubles = solution.T.astype(np.float64)
-    return transform
+    """Least-squares affine transform, float64 (2, 3); a linear part of zeros for points on one line."""
+    here, there = source[chosen].astype(np.float64), target[chosen].astype(np.float64)
+    middle, aim = here.mean(axis=0), there.mean(axis=0)
+    here -= middle
+    (xx, xy), (_, yy) = (here.T @ here).tolist()
+    determinant = xx * yy - xy * xy
+    linear = np.zeros((2, 2))
+    if determinant > SLIM * (xx + yy) ** 2:
+        linear = (there - aim).T @ here @ np.array([[yy, -xy], [-xy, xx]]) / determinant
+    return np.column_stack([linear, aim - linear @ middle])
 
 
 def _follow(transform: Doubles, source: Floats, target: Floats) -> Doubles:
     """Distance of each target from where the transform puts its source, float64 (matches,)."""
-    moved = source @ transform[:, :2].T + transform[:, 2]
-    distance: Doubles = np.linalg.norm(moved - target, axis=1)
+    apart = source @ transform[:, :2].T + transform[:, 2] - target
+    distance: Doubles = np.sqrt(np.einsum("ij,ij->i", apart, apart))
     return distance
 
 
