@@ -11,7 +11,7 @@ from uuid6 import uuid7
 from schemas.description import Description
 from schemas.recipe import Recipe
 from worker.stores import packing
-from worker.stores.tables import APPEARANCES, CLOCK, DESCRIPTIONS, KEYPOINTS, MAPS, VECTORS, VIEWS
+from worker.stores.tables import APPEARANCES, CELLS, CLOCK, DESCRIPTIONS, KEYPOINTS, MAPS, VECTORS, VIEWS
 
 NOISE = 0.5
 """Length of the random vector added to each unit-length histogram vector: different places, not copies."""
@@ -39,6 +39,7 @@ def fill(url: str, name: str, recipe: Recipe, descriptions: Sequence[Description
     parts = [
         {
             APPEARANCES: packing.pack_appearance(d.appearance),
+            CELLS: packing.pack_cells(d.cells),
             KEYPOINTS: b"" if d.keypoints is None else packing.pack_keypoints(d.keypoints),
             "shares": packing.pack_floats(d.label_shares),
         }
@@ -68,6 +69,7 @@ def fill(url: str, name: str, recipe: Recipe, descriptions: Sequence[Description
             bodies: dict[sa.Table, list[bytes]] = {
                 VECTORS: [_vectors(descriptions[pick], recipe, random) for pick in picks],
                 APPEARANCES: [parts[pick][APPEARANCES] for pick in picks],
+                CELLS: [parts[pick][CELLS] for pick in picks],
             }
             if recipe.parameters.verification is not None:
                 bodies[KEYPOINTS] = [parts[pick][KEYPOINTS] for pick in picks]

@@ -37,7 +37,7 @@ class Described:
     """What re-ranking reads of a picture."""
 
     vectors: Mapping[str, Floats]
-    cells: Mapping[str, Int8s]
+    cells: Int8s
     keypoints: LocalFeatures
 
 
@@ -65,13 +65,14 @@ class Describer:
         return next(iter(self._encoder.encode([_picture(path)])))
 
     def _describe(self, path: Path) -> Described:
-        field, vectors, cells = self._field(path), {}, {}
+        field, vectors, parts = self._field(path), {}, {}
         for name, channel in PARAMETERS.channels.items():
             layer, learned = field.layers[channel.layer], self._vocabulary.channels[name]
             vectors[name] = vocabulary.vector(layer.reshape(-1, layer.shape[2]), learned, channel)
             if PARAMETERS.dense is not None and learned.cells is not None:
                 grid = dense_cells.grid(layer, PARAMETERS.dense.rows, PARAMETERS.dense.columns)
-                cells[name] = dense_cells.reduce(grid, learned.cells)
+                parts[name] = dense_cells.reduce(grid, learned.cells)
+        cells = dense_cells.quantise(dense_cells.join(parts, PARAMETERS.dense.shares if PARAMETERS.dense else {}))
         wanted = PARAMETERS.verification.keypoints if PARAMETERS.verification else 0
         return Described(vectors, cells, local_features(_picture(path).pixels, wanted))
 
@@ -98,14 +99,11 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         terms[term] = np.zeros(len(database), np.float32)
         terms[term][where] = values
 
-    for name, cells in query.cells.items():
-        theirs = dense_cells.halve(np.stack([database[int(row)].cells[name] for row in rows]))
-        put(f"dense.{name}", rows, dense_cells.similarity(dense_cells.halve(cells), theirs)[0])
+    ours, *theirs = (dense_cells.quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
+    put("dense", rows, dense_cells.similarity(ours, np.stack(theirs))[0])
     yield "cells at half size", int(best(1)[0])
     first = best(PARAMETERS.dense.closely if PARAMETERS.dense else 0)
-    for name, cells in query.cells.items():
-        theirs = np.stack([database[int(row)].cells[name] for row in first])
-        put(f"close.{name}", first, dense_cells.similarity(cells, theirs)[0])
+    put("close", first, dense_cells.similarity(query.cells, np.stack([database[int(row)].cells for row in first]))[0])
     yield "cells in full", int(best(1)[0])
     first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
     verified = verification.verify(query.keypoints, [database[int(row)].keypoints for row in first])

@@ -110,16 +110,16 @@ class LocalFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The part of a description that re-ranking reads: dense cells and the context graph.
+    """The part of a description that re-ranking reads of every candidate.
 
     Parameters
     ----------
-    cells : mapping of channel to int8 of shape (rows, columns, channels)
-        The coarse grid of embeddings, reduced.
+    coarse : int8 of shape (rows, columns, dimensions)
+        Dense cells at half size; without rows and columns when the recipe has none.
     graph : ContextGraph
     """
 
-    cells: Mapping[str, Int8s]
+    coarse: Int8s
     graph: ContextGraph
 
 
@@ -132,6 +132,8 @@ class Description:
     vectors : mapping of channel to float32 of shape (dimensions,)
         One histogram vector per channel of the recipe.
     appearance : Appearance
+    cells : int8 of shape (rows, columns, dimensions)
+        Dense cells in full: the channels' embeddings joined; without rows and columns when the recipe has none.
     keypoints : LocalFeatures or None
         None when the recipe does not verify.
     label_shares : float32 of shape (labels,)
@@ -144,6 +146,7 @@ class Description:
 
     vectors: Mapping[str, Floats]
     appearance: Appearance
+    cells: Int8s
     keypoints: LocalFeatures | None
     label_shares: Floats
     static_share: float

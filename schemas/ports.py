@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Protocol
 
-from schemas.description import Appearance, Description, Floats, LocalFeatures, PixelField
+from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures, PixelField
 from schemas.picture import Picture, PictureFacts
 from schemas.recipe import Recipe
 from schemas.records import (
@@ -216,7 +216,11 @@ class Store(Protocol):
         ...
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
-        """Cells and graphs of these views; those deleted meanwhile are absent."""
+        """Cells at half size and graphs of these views; those deleted meanwhile are absent."""
+        ...
+
+    def cells(self, seqs: Sequence[int], recipe: str) -> dict[int, Int8s]:
+        """Cells in full of these views, (rows, columns, dimensions); those deleted meanwhile are absent."""
         ...
 
     def local_features(self, seqs: Sequence[int], recipe: str) -> dict[int, LocalFeatures]:

@@ -2,9 +2,10 @@
 
 import hashlib
 import json
-from typing import Annotated, Literal
+from collections.abc import Collection
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class Frozen(BaseModel):
@@ -56,8 +57,17 @@ class DenseCells(Frozen):
 
     rows: Annotated[int, Field(ge=2, le=64)] = 16
     columns: Annotated[int, Field(ge=2, le=64)] = 28
-    dimensions: Annotated[int, Field(ge=1, le=512)] = 32
+    dimensions: Annotated[int, Field(ge=1, le=512)] = Field(32, description="Numbers of a cell, for each channel.")
+    shares: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
+        default_factory=dict,
+        description="How much each channel counts in a cell, scaled to sum to 1; all the same when none is named.",
+    )
     closely: Annotated[int, Field(ge=0, le=100)] = Field(10, description="How many of the best are compared in full.")
+
+    def among(self, channels: Collection[str]) -> "DenseCells":
+        """The same for a recipe that has these channels only."""
+        shares = {name: share for name, share in self.shares.items() if name in channels}
+        return self.model_copy(update={"shares": shares})
 
 
 class Graph(Frozen):
@@ -90,8 +100,15 @@ class Parameters(Frozen):
     )
     weights: dict[str, float] = Field(
         default_factory=dict,
-        description="Weight of each term: dense.CHANNEL, close.CHANNEL, histogram.CHANNEL, graph, verification.",
+        description="Weight of each term: dense (half size), close (in full), histogram.CHANNEL, graph, verification.",
     )
+
+    @model_validator(mode="after")
+    def _shares_are_of_channels(self) -> Self:
+        stray = [] if self.dense is None else sorted(self.dense.shares.keys() - self.channels.keys())
+        if stray:
+            raise ValueError(f"dense.shares: {', '.join(stray)} are not among the channels {', '.join(self.channels)}")
+        return self
 
 
 class Recipe(Frozen):

@@ -148,8 +148,7 @@ class ChannelMatch(Answer):
 class DenseMatch(Answer):
     """Comparison of the coarse grids of embeddings."""
 
-    similarity: float = Field(description="Mean over the channels of the best mean cosine over shifts.")
-    channels: dict[str, float]
+    similarity: float = Field(description="Root of the share of the query's cells that agree on one shift, 0..1.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
 
 

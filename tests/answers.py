@@ -37,7 +37,7 @@ def match(rank: int = 1, score: float = 0.8, **changes: Any) -> dict[str, Any]:
         "view": view(**changes),
         "score": score,
         "confidence": 0.93,
-        "parts": {"dense.words": score},
+        "parts": {"dense": score},
         "channels": {"words": {"distance": 0.4, "rank": rank}},
         "dense": None,
         "graph": None,

@@ -98,7 +98,8 @@ def _only(channel: str) -> Change:
     def change(p: Parameters) -> Parameters:
         channels: dict[str, Channel] = {name: c for name, c in p.channels.items() if name == channel}
         weights = {t: w for t, w in p.weights.items() if "." not in t or t.endswith(f".{channel}")}
-        return p.model_copy(update={"channels": channels or p.channels, "weights": weights})
+        dense = None if p.dense is None else p.dense.among(channels)
+        return p.model_copy(update={"channels": channels or p.channels, "weights": weights, "dense": dense})
 
     return change
 
@@ -114,7 +115,7 @@ VARIANTS = (
     Variant("channel detail alone", _only("detail")),
     Variant("histograms alone", _with(candidates=0)),
     Variant("50 candidates", _with(candidates=50)),
-    Variant("re-ranking without dense cells", _without("dense")),
+    Variant("re-ranking without dense cells", _without("dense", "close")),
     Variant("re-ranking without the graph", _without("graph")),
     Variant("re-ranking without verification", _both(_without("verification"), _with(verification=None))),
     Variant("the graph alone decides", _with(ranking="graph")),

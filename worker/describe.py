@@ -74,7 +74,7 @@ class Describer:
             raise NothingStatic(f"every part of the picture is something that moves ({shown}); show more of the place")
         random = keypoints.generator(parameters.seed, picture.digest)
         vectors: dict[str, Floats] = {}
-        cells = {}
+        parts: dict[str, Floats] = {}
         count = 0
         for name, channel in parameters.channels.items():
             layer = field.layers[channel.layer]
@@ -85,11 +85,13 @@ class Describer:
             vectors[name] = vocabulary.vector(descriptors, learned, channel)
             if parameters.dense is not None and learned.cells is not None:
                 grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
-                cells[name] = dense_cells.reduce(grid, learned.cells)
+                parts[name] = dense_cells.reduce(grid, learned.cells)
+        cells = dense_cells.quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
         verification = parameters.verification
         return Description(
             vectors=vectors,
-            appearance=Appearance(cells, self.graph(field, seen)),
+            appearance=Appearance(dense_cells.quantise(dense_cells.halve(cells)), self.graph(field, seen)),
+            cells=cells,
             keypoints=local_features(picture.pixels, verification.keypoints) if verification else None,
             label_shares=labels.shares(seen.labels, len(self.recipe.labels)),
             static_share=float(seen.static.mean()),

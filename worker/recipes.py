@@ -74,14 +74,12 @@ _DEFAULT = Parameters(
     },
     dynamic=Dynamic(margin=0.1, most=0.5),
     candidates=25,
-    dense=DenseCells(rows=16, columns=28, dimensions=32, closely=10),
+    dense=DenseCells(rows=16, columns=28, dimensions=32, shares={SEMANTIC: 0.25, "detail": 0.75}, closely=10),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),
     weights={
-        "close.words": 0.7,
-        "close.detail": 1.0,
-        "dense.words": 0.1,
-        "dense.detail": 0.15,
+        "close": 1.7,
+        "dense": 0.25,
         "histogram.words": 0.08,
         "histogram.detail": 0.08,
         "graph": 0.05,
@@ -134,13 +132,13 @@ def preset_for(name: str, encoder: Encoder) -> Preset:
 
 def _with_channels(preset: Preset, channels: Mapping[str, Channel], **changes: Any) -> Preset:
     """A preset with these channels only, and with weights of the terms that they can give."""
+    dense = preset.parameters.dense
+    changes = {"dense": None if dense is None else dense.among(channels), **changes}
     parameters = preset.parameters.model_copy(update={"channels": dict(channels), **changes})
-    weights = {
-        term: weight
-        for term, weight in preset.parameters.weights.items()
-        if "." not in term
-        or (term.partition(".")[2] in channels and (parameters.dense or term.startswith("histogram")))
-    }
+    missing = {f"histogram.{name}" for name in preset.parameters.channels.keys() - channels.keys()}
+    if parameters.dense is None:
+        missing |= {"dense", "close"}
+    weights = {term: weight for term, weight in preset.parameters.weights.items() if term not in missing}
     return Preset(preset.labels, preset.dynamic, parameters.model_copy(update={"weights": weights}))
 
 

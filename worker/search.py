@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import ContextGraph, Description, Floats, Int8s
+from schemas.description import ContextGraph, Description, Floats
 from schemas.errors import Unavailable
 from schemas.ports import Store
 from schemas.recipe import Recipe
@@ -31,13 +31,13 @@ class Dense:
 
     Parameters
     ----------
-    channels : mapping of channel to float
-        Similarity at half the grid's size, 0..1.
+    similarity : float
+        Of the cells at half size, 0..1.
     shift : (int, int)
-        (rows, columns) by which the view's grid of the best channel moved, in cells of the whole grid.
+        (rows, columns) by which the view's grid moved, in cells of the whole grid.
     """
 
-    channels: Mapping[str, float]
+    similarity: float
     shift: tuple[int, int]
 
 
@@ -159,7 +159,7 @@ class Searcher:
             searched = time.perf_counter()
             evidence = self._compare(recipe, description, found, reranked)
             if evidence is not None:
-                _look_closely(recipe, description, found, evidence)
+                evidence = self._look_closely(recipe, description, found, evidence)
             compared = time.perf_counter()
             verified = None if evidence is None else self._verify(recipe, description, found, evidence)
             ranked = None if verified is None else self._best(recipe, found, verified, top)
@@ -198,18 +198,33 @@ class Searcher:
         if len(kept) < len(rows):
             return None
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
-        for name, cells in description.appearance.cells.items():
-            evidence.cells[name] = np.stack([a.cells[name] for a in appearances])
-            similarity, shifts = dense_cells.similarity(
-                dense_cells.halve(cells), dense_cells.halve(evidence.cells[name])
-            )
-            evidence.put(f"dense.{name}", rows, similarity)
-            evidence.shifts[name] = shifts * 2
+        if description.appearance.coarse.size:
+            coarse = np.stack([a.coarse for a in appearances])
+            similarity, shifts = dense_cells.similarity(description.appearance.coarse, coarse)
+            evidence.put("dense", rows, similarity)
+            evidence.shifts = shifts * 2
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
             description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
         )
         evidence.put("graph", rows, evidence.graph.similarity)
+        return evidence
+
+    def _look_closely(
+        self, recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence"
+    ) -> "_Evidence | None":
+        """Full-size comparison of the dense cells of the best candidates so far."""
+        dense = recipe.parameters.dense
+        if dense is None or dense.closely == 0 or evidence.shifts is None:
+            return evidence
+        first = evidence.best(recipe, found, dense.closely)
+        seqs = found.seqs[first].tolist()
+        kept = self._store.cells(seqs, recipe.id)
+        if len(kept) < len(first):
+            return None
+        similarity, shifts = dense_cells.similarity(description.cells, np.stack([kept[seq] for seq in seqs]))
+        evidence.put("close", first, similarity)
+        evidence.shifts[[evidence.place[int(row)] for row in first]] = shifts
         return evidence
 
     def _verify(
@@ -251,19 +266,6 @@ class Searcher:
         )
 
 
-def _look_closely(recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence") -> None:
-    """Full-size comparison of the dense cells of the best candidates so far."""
-    dense = recipe.parameters.dense
-    if dense is None or dense.closely == 0 or not evidence.cells:
-        return
-    first = evidence.best(recipe, found, dense.closely)
-    places = np.array([evidence.place[int(row)] for row in first], np.intp)
-    for name, cells in description.appearance.cells.items():
-        similarity, shifts = dense_cells.similarity(cells, evidence.cells[name][places])
-        evidence.put(f"close.{name}", first, similarity)
-        evidence.shifts[name][places] = shifts
-
-
 class _Evidence:
     """What is known about the candidates of one question.
 
@@ -279,8 +281,7 @@ class _Evidence:
         self.terms = terms
         self.rows = rows
         self.place = {int(row): place for place, row in enumerate(rows)}
-        self.cells: dict[str, Int8s] = {}
-        self.shifts: dict[str, npt.NDArray[np.intp]] = {}
+        self.shifts: npt.NDArray[np.intp] | None = None
         self.graphs: list[ContextGraph] = []
         self.graph: GraphComparison | None = None
         self.verified: dict[int, Verified] = {}
@@ -303,12 +304,10 @@ class _Evidence:
 
     def dense_of(self, row: int) -> Dense | None:
         """The comparison of one candidate's dense cells, if it was made."""
-        if row not in self.place or not self.shifts:
+        if row not in self.place or self.shifts is None:
             return None
-        channels = {name: float(self.terms[f"dense.{name}"][row]) for name in self.shifts}
-        best = max(channels, key=lambda name: channels[name])
-        down, across = self.shifts[best][self.place[row]]
-        return Dense(channels, (int(down), int(across)))
+        down, across = self.shifts[self.place[row]]
+        return Dense(float(self.terms["dense"][row]), (int(down), int(across)))
 
     def graph_of(self, row: int) -> GraphEvidence | None:
         """The comparison of one candidate's graph, if it was made."""

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from schemas.picture import Picture
-from schemas.recipe import Channel, Parameters, Verification
+from schemas.recipe import Channel, DenseCells, Parameters, Verification
 from worker.ablation import VARIANTS, Measured, RememberingEncoder, as_markdown
 from worker.encoders.color import ColorEncoder
 
 PARAMETERS = Parameters(
     channels={"words": Channel(layer="words", words=64), "detail": Channel(layer="detail", words=64)},
     verification=Verification(),
-    weights={"dense.words": 0.4, "dense.detail": 0.4, "histogram.words": 0.2, "graph": 0.1, "verification": 0.3},
+    dense=DenseCells(shares={"words": 0.3, "detail": 0.7}),
+    weights={"dense": 0.2, "close": 0.6, "histogram.words": 0.2, "graph": 0.1, "verification": 0.3},
 )
 
 
@@ -20,11 +21,15 @@ def test_each_variant_switches_one_part() -> None:
     changed = {v.name: v.change(PARAMETERS) for v in VARIANTS}
     assert changed["default"] == PARAMETERS
     assert changed["hard assignment"].channels["detail"].assignments == 1
-    assert changed["re-ranking without dense cells"].weights["dense.words"] == 0
+    assert changed["re-ranking without dense cells"].weights["dense"] == 0
+    assert changed["re-ranking without dense cells"].weights["close"] == 0
     assert changed["re-ranking without dense cells"].weights["graph"] == 0.1
     assert changed["re-ranking without verification"].verification is None
     assert list(changed["channel words alone"].channels) == ["words"]
-    assert "dense.detail" not in changed["channel words alone"].weights
+    alone = changed["channel detail alone"]
+    assert "histogram.words" not in alone.weights
+    assert alone.dense is not None
+    assert alone.dense.shares == {"detail": 0.7}
     assert changed["histograms alone"].candidates == 0
 
 

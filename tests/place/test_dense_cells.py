@@ -49,9 +49,29 @@ def test_a_picture_of_one_colour_has_no_direction_and_matches_nothing() -> None:
 
 
 def test_storage_is_one_byte_a_component() -> None:
-    stored = dense_cells.reduce(np.array([[[3.0, 4.0, 0.0]]], np.float32), np.eye(3, 2, dtype=np.float32))
+    reduced = dense_cells.reduce(np.array([[[3.0, 4.0, 0.0]]], np.float32), np.eye(3, 2, dtype=np.float32))
+    np.testing.assert_allclose(reduced, [[[0.6, 0.8]]], atol=1e-6)
+    stored = dense_cells.quantise(reduced)
     assert stored.dtype == np.int8
     assert stored.tolist() == [[[76, 102]]]  # 127 x (.6, .8)
+
+
+def test_the_cosine_of_joined_cells_is_the_mean_of_the_channels() -> None:
+    one = {"words": cells(0, channels=8), "detail": cells(1, channels=16), "heat": cells(4, channels=4)}
+    other = {"words": cells(2, channels=8), "detail": cells(3, channels=16), "heat": cells(5, channels=4)}
+    cosine = {name: (one[name] * other[name]).sum(axis=2) for name in one}
+    joined = [dense_cells.join(each, {"words": 0.1, "detail": 0.3}) for each in (one, other)]
+    expected = 0.25 * cosine["words"] + 0.75 * cosine["detail"]
+    np.testing.assert_allclose((joined[0] * joined[1]).sum(axis=2), expected, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(joined[0], axis=2), 1, atol=1e-6)
+    alike = [dense_cells.join(each, {}) for each in (one, other)]
+    np.testing.assert_allclose((alike[0] * alike[1]).sum(axis=2), sum(cosine.values()) / 3, atol=1e-6)
+
+
+def test_a_channel_that_is_missing_leaves_the_others_scaled_up() -> None:
+    words = cells(0)
+    np.testing.assert_allclose(dense_cells.join({"words": words}, {"words": 0.25, "detail": 0.75}), words)
+    assert dense_cells.join({}, {"words": 1.0}).size == 0
 
 
 def test_another_number_of_channels_is_refused() -> None:

@@ -118,3 +118,19 @@ def test_what_is_no_database_and_no_folder_is_refused_in_words(data: Path) -> No
         open_store(sqlite_url(data), data)
     with pytest.raises(SetupError, match="the data folder"):
         open_store(sqlite_url(data), data / "revisit.db")
+
+
+def test_maps_of_a_build_before_the_first_release_are_refused(reopen: Open, database_url: str, data: Path) -> None:
+    store = reopen()
+    enroll(store, "gate")
+    store.close()
+    database = Database(database_url)
+    with database.writing() as connection:
+        connection.execute(sa.text("DROP TABLE cells"))
+    set_revision(database, "0001")
+    with pytest.raises(SetupError, match="enrol the pictures again"):
+        migrate(database_url, data)
+    with database.writing() as connection:
+        connection.execute(sa.text("DELETE FROM maps"))
+    database.close()
+    reopen().close()

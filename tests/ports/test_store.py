@@ -163,11 +163,12 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     seqs = cast("list[int]", list(np.array([claim.view.seq, 999])))  # as an index hands them over
 
     [appearance] = store.appearances(seqs, RECIPE.id).values()
+    [cells] = store.cells(seqs, RECIPE.id).values()
     [features] = store.local_features(seqs, RECIPE.id).values()
 
     assert store.since("campus", 0).vectors.tolist() == [vector(claim.view, RECIPE.id)]
-    for name, cells in given.appearance.cells.items():
-        np.testing.assert_array_equal(appearance.cells[name], cells, strict=True)
+    np.testing.assert_array_equal(appearance.coarse, given.appearance.coarse, strict=True)
+    np.testing.assert_array_equal(cells, given.cells, strict=True)
     for field in ("labels", "positions", "embeddings", "shares"):
         np.testing.assert_array_equal(
             getattr(appearance.graph, field), getattr(given.appearance.graph, field), strict=True
@@ -176,7 +177,7 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     np.testing.assert_array_equal(features.positions, given.keypoints.positions, strict=True)
     np.testing.assert_array_equal(features.descriptors, given.keypoints.descriptors, strict=True)
     assert list(store.views_at(seqs)) == [claim.view.seq]
-    assert store.appearances(seqs, recipe("paper").id) == {}
+    assert store.appearances(seqs, recipe("paper").id) == store.cells(seqs, recipe("paper").id) == {}
 
 
 def test_a_recipe_without_verification_has_no_keypoints(store: SqlStore) -> None:
@@ -281,6 +282,7 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, dat
     assert view.seq not in follower.vectors
     assert store.views_at([view.seq]) == {}
     assert store.appearances([view.seq], RECIPE.id) == {}
+    assert store.cells([view.seq], RECIPE.id) == {}
     assert not list((data / "pictures").rglob(view.picture.sha256))
     assert enroll(store, "gate").view.seq > view.seq + 1
 

@@ -1,10 +1,13 @@
 """Dense cells: a coarse grid of embeddings, compared by mutually best cells that agree on one displacement.
 
+A cell joins the embeddings of all channels, so that one comparison weighs them where they disagree: cell by cell.
+
 Each cell of the query looks for its best counterpart anywhere in the candidate; pairs that are each other's best are
 correspondences. A picture of the same place gives correspondences that agree on how the picture moved (a shift, and
 a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -51,8 +54,8 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
     return _unit(cells - cells.mean(axis=(0, 1)))
 
 
-def reduce(cells: Floats, projection: Floats) -> Int8s:
-    """Cells as they are stored: projected, unit length, one byte a component.
+def reduce(cells: Floats, projection: Floats) -> Floats:
+    """Cells in fewer dimensions.
 
     Parameters
     ----------
@@ -62,8 +65,8 @@ def reduce(cells: Floats, projection: Floats) -> Int8s:
 
     Returns
     -------
-    int8 of shape (rows, columns, dimensions)
-        -127..127.
+    float32 of shape (rows, columns, dimensions)
+        Unit length.
 
     Raises
     ------
@@ -72,7 +75,38 @@ def reduce(cells: Floats, projection: Floats) -> Int8s:
     """
     if cells.shape[-1] != projection.shape[0]:
         raise DescriptorMismatch(got=cells.shape[-1], want=projection.shape[0])
-    return np.rint(_unit(cells @ projection) * FULL_SCALE).astype(np.int8)
+    return _unit(cells @ projection)
+
+
+def join(cells: Mapping[str, Floats], shares: Mapping[str, float]) -> Floats:
+    """One vector per cell from those of all channels, whose cosine is the mean of the channels' cosines.
+
+    Parameters
+    ----------
+    cells : mapping of channel to float32 of shape (rows, columns, dimensions)
+        Unit length, as `reduce` gives them.
+    shares : mapping of channel to float
+        Weight of each channel in the mean, greater than 0, scaled to sum to 1 over the channels that `cells` has; a
+        channel that is not named is left out. When none is named all count the same.
+
+    Returns
+    -------
+    float32 of shape (rows, columns, sum of dimensions)
+        Unit length, channels by name; of shape (0, 0, 0) when there are none.
+    """
+    named = sorted(name for name in cells if name in shares or not shares)
+    if not named:
+        return np.zeros((0, 0, 0), np.float32)
+    total = sum(shares.get(name, 1.0) for name in named)
+    joined: Floats = np.concatenate(
+        [cells[name] * np.float32(np.sqrt(shares.get(name, 1.0) / total)) for name in named], axis=-1
+    )
+    return joined
+
+
+def quantise(cells: Floats) -> Int8s:
+    """Cells of unit length as they are stored, one byte a component, -127..127."""
+    return np.rint(cells * FULL_SCALE).astype(np.int8)
 
 
 def halve(cells: Int8s | Floats) -> Floats:
@@ -99,7 +133,7 @@ def distinctness(cells: Int8s | Floats, apart: int = APART) -> Floats:
     Parameters
     ----------
     cells : int8 or float32 of shape (rows, columns, dimensions)
-        As `reduce` or `halve` gives them.
+        Of unit length, or as `quantise` stores them.
     apart : int
         Cells up to so many rows and columns away are no rest: neighbours share what they show.
 
@@ -128,7 +162,7 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
     Parameters
     ----------
     query : int8 or float32 of shape (rows, columns, dimensions)
-        As `reduce` or `halve` gives them.
+        Of unit length, or as `quantise` stores them.
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
 
     Returns

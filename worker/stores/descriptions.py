@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from schemas.description import Appearance, Description, Floats, LocalFeatures
+from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import Recipe
 from schemas.records import Changes, Sequence64
 from worker.stores import packing
 from worker.stores.part import Part
 from worker.stores.rows import batches, find_map
-from worker.stores.tables import APPEARANCES, DESCRIPTIONS, KEYPOINTS, TOMBSTONES, VECTORS
+from worker.stores.tables import APPEARANCES, CELLS, DESCRIPTIONS, KEYPOINTS, TOMBSTONES, VECTORS
 
 ROWS = 4096
 """Descriptions read at a time."""
@@ -37,6 +37,7 @@ def keep_description(
     parts = {
         VECTORS: packing.pack_vectors(description, recipe),
         APPEARANCES: packing.pack_appearance(description.appearance),
+        CELLS: packing.pack_cells(description.cells),
     }
     if description.keypoints is not None:
         parts[KEYPOINTS] = packing.pack_keypoints(description.keypoints)
@@ -75,8 +76,12 @@ class Descriptions(Part):
         return Changes(row.revision, row.recipe, numbers, rows, np.array(gone, np.int64))
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
-        """Cells and graphs of these views; those deleted meanwhile are absent."""
+        """Cells at half size and graphs of these views; those deleted meanwhile are absent."""
         return {seq: packing.unpack_appearance(body) for seq, body in self._bodies(APPEARANCES, seqs, recipe).items()}
+
+    def cells(self, seqs: Sequence[int], recipe: str) -> dict[int, Int8s]:
+        """Cells in full of these views; those deleted meanwhile are absent."""
+        return {seq: packing.unpack_cells(body) for seq, body in self._bodies(CELLS, seqs, recipe).items()}
 
     def local_features(self, seqs: Sequence[int], recipe: str) -> dict[int, LocalFeatures]:
         """Keypoints of these views; those deleted meanwhile are absent."""

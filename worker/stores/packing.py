@@ -1,26 +1,37 @@
-"""Descriptions as bytes: float32 vectors side by side, safetensors for what has several tensors."""
+"""Descriptions as bytes: arrays side by side, which are read without a copy."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from math import prod
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from safetensors import numpy as safetensors
 
-from schemas.description import Appearance, ContextGraph, Description, Floats, LocalFeatures
+from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import Recipe
 
-LITTLE = np.dtype("<f4")
-CELLS = "cells."
+FLOAT, SHORT, BYTE, SIZE = np.dtype("<f4"), np.dtype("<i2"), np.dtype("i1"), np.dtype("<u4")
+
+Layout = Sequence[tuple[np.dtype[Any], int]]
+"""Type and number of dimensions of each array; wide types first, so that every array is aligned."""
+
+APPEARANCE: Layout = ((FLOAT, 2), (FLOAT, 2), (FLOAT, 1), (SHORT, 1), (BYTE, 3))
+"""Positions, embeddings, shares and labels of the graph's nodes; cells at half size."""
+
+CELLS: Layout = ((BYTE, 3),)
+
+KEYPOINTS: Layout = ((FLOAT, 2), (BYTE, 2))
+"""Positions, descriptors."""
 
 
 def pack_floats(values: Floats) -> bytes:
     """Bytes of float32, little-endian."""
-    return np.ascontiguousarray(values, LITTLE).tobytes()
+    return np.ascontiguousarray(values, FLOAT).tobytes()
 
 
 def unpack_floats(body: bytes | bytearray) -> Floats:
     """The float32 of `pack_floats`, without a copy."""
-    return np.frombuffer(body, LITTLE)
+    return np.frombuffer(body, FLOAT)
 
 
 def pack_vectors(description: Description, recipe: Recipe) -> bytes:
@@ -38,42 +49,57 @@ def pack_vectors(description: Description, recipe: Recipe) -> bytes:
 
 
 def pack_appearance(appearance: Appearance) -> bytes:
-    """Cells and graph as safetensors."""
+    """Cells at half size and graph."""
     graph = appearance.graph
-    tensors: dict[str, npt.NDArray[np.generic]] = {
-        CELLS + name: np.ascontiguousarray(cells) for name, cells in appearance.cells.items()
-    }
-    tensors["labels"] = np.ascontiguousarray(graph.labels)
-    tensors["positions"] = np.ascontiguousarray(graph.positions)
-    tensors["embeddings"] = np.ascontiguousarray(graph.embeddings)
-    tensors["shares"] = np.ascontiguousarray(graph.shares)
-    return _save(tensors)
+    return _pack(APPEARANCE, graph.positions, graph.embeddings, graph.shares, graph.labels, appearance.coarse)
 
 
 def unpack_appearance(body: bytes) -> Appearance:
     """The appearance of `pack_appearance`."""
-    tensors = safetensors.load(body)
-    # safetensors writes its tensors in an order of its own; the names put the channels into theirs.
-    cells = {name.removeprefix(CELLS): tensors[name] for name in sorted(tensors) if name.startswith(CELLS)}
-    graph = ContextGraph(tensors["labels"], tensors["positions"], tensors["embeddings"], tensors["shares"])
-    return Appearance(cells, graph)
+    positions, embeddings, shares, labels, coarse = _unpack(APPEARANCE, body)
+    return Appearance(coarse, ContextGraph(labels, positions, embeddings, shares))
+
+
+def pack_cells(cells: Int8s) -> bytes:
+    """Cells in full."""
+    return _pack(CELLS, cells)
+
+
+def unpack_cells(body: bytes) -> Int8s:
+    """The cells of `pack_cells`."""
+    [cells] = _unpack(CELLS, body)
+    return cells
 
 
 def pack_keypoints(features: LocalFeatures) -> bytes:
-    """Keypoints as safetensors."""
-    return _save(
-        {
-            "positions": np.ascontiguousarray(features.positions),
-            "descriptors": np.ascontiguousarray(features.descriptors),
-        }
-    )
+    """Keypoints."""
+    return _pack(KEYPOINTS, features.positions, features.descriptors)
 
 
 def unpack_keypoints(body: bytes) -> LocalFeatures:
     """The keypoints of `pack_keypoints`."""
-    tensors = safetensors.load(body)
-    return LocalFeatures(tensors["positions"], tensors["descriptors"])
+    positions, descriptors = _unpack(KEYPOINTS, body)
+    return LocalFeatures(positions, descriptors)
 
 
-def _save(tensors: Mapping[str, npt.NDArray[np.generic]]) -> bytes:
-    return bytes(safetensors.save(dict(tensors)))
+def _pack(layout: Layout, *arrays: npt.NDArray[Any]) -> bytes:
+    """The shapes of all arrays as uint32, little-endian, and then the arrays."""
+    for (dtype, dimensions), array in zip(layout, arrays, strict=True):
+        if array.ndim != dimensions or not np.can_cast(array.dtype, dtype, "equiv"):
+            raise ValueError(f"{dimensions} dimensions of {dtype} are kept here, not {array.shape} of {array.dtype}")
+    shapes = np.array([size for array in arrays for size in array.shape], SIZE)
+    bodies = [np.ascontiguousarray(a, dtype).tobytes() for (dtype, _), a in zip(layout, arrays, strict=True)]
+    return b"".join([shapes.tobytes(), *bodies])
+
+
+def _unpack(layout: Layout, body: bytes) -> list[npt.NDArray[Any]]:
+    """The arrays of `_pack`, views of `body`."""
+    sizes = np.frombuffer(body, SIZE, sum(dimensions for _, dimensions in layout)).tolist()
+    offset = len(sizes) * SIZE.itemsize
+    arrays = []
+    for dtype, dimensions in layout:
+        shape, sizes = sizes[:dimensions], sizes[dimensions:]
+        count = prod(shape)
+        arrays.append(np.frombuffer(body, dtype, count, offset).reshape(shape))
+        offset += count * dtype.itemsize
+    return arrays

@@ -4,7 +4,7 @@
 
     clock                      the last revision given out
     recipes                    what decided a description, by id
-    maps                       ── views ── descriptions ── vectors, appearances, keypoints
+    maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints
                                     ├───── metadata_pairs
                                     └───── jobs
                                ── tombstones
@@ -123,8 +123,9 @@ def _part_of_a_description(name: str) -> sa.Table:
 
 
 VECTORS = _part_of_a_description("vectors")  # float32, little-endian, channels side by side
-APPEARANCES = _part_of_a_description("appearances")  # safetensors
-KEYPOINTS = _part_of_a_description("keypoints")  # safetensors
+APPEARANCES = _part_of_a_description("appearances")  # see packing.py, as the following
+CELLS = _part_of_a_description("cells")
+KEYPOINTS = _part_of_a_description("keypoints")
 
 JOBS = sa.Table(
     "jobs",
