@@ -160,7 +160,7 @@ def match(
         },
         dense=None
         if found.dense is None
-        else wire.DenseMatch(similarity=found.dense.similarity, shift=found.dense.shift),
+        else wire.DenseMatch(similarity=found.dense.similarity, typical=found.dense.typical, shift=found.dense.shift),
         graph=None if found.graph is None else _graph(found.graph, recipe, query_graph, explained is not None),
         verification=None if found.verified is None else _verification(found.verified, explained is not None),
         links=wire.MatchLinks(image=f"{base}/image", thumbnail=f"{base}/thumbnail", explanation=explanation),

@@ -149,6 +149,7 @@ class DenseMatch(Answer):
     """Comparison of the coarse grids of embeddings."""
 
     similarity: float = Field(description="Root of the share of the query's cells that agree on one shift, 0..1.")
+    typical: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
 
 

@@ -40,14 +40,16 @@ class Decision:
 def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
     """What a calibration may read of each match, float64 (matches,) each.
 
-    ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``inliers``,
-    log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
+    ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``standing``, by
+    how much its dense cells beat those of the median candidate, which tells a place from places that merely look like
+    it; ``inliers``, log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
     """
     scores = np.array([f.score for f in found], np.float64)
     best, second = [*np.sort(scores)[::-1].tolist(), 0.0][:2]
     read = {
         "score": scores,
         "lead": np.where(scores == best, best - second, scores - best),
+        "standing": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.typical for f in found]),
         "inliers": np.log1p([0 if f.verified is None else f.verified.inliers for f in found]),
     }
     for term in sorted({term for f in found for term in f.parts}):

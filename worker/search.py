@@ -33,11 +33,14 @@ class Dense:
     ----------
     similarity : float
         Of the cells at half size, 0..1.
+    typical : float
+        Median similarity of all candidates that were compared: what a wrong one gets for this question.
     shift : (int, int)
         (rows, columns) by which the view's grid moved, in cells of the whole grid.
     """
 
     similarity: float
+    typical: float
     shift: tuple[int, int]
 
 
@@ -307,7 +310,8 @@ class _Evidence:
         if row not in self.place or self.shifts is None:
             return None
         down, across = self.shifts[self.place[row]]
-        return Dense(float(self.terms["dense"][row]), (int(down), int(across)))
+        typical = float(np.median(self.terms["dense"][self.rows]))
+        return Dense(float(self.terms["dense"][row]), typical, (int(down), int(across)))
 
     def graph_of(self, row: int) -> GraphEvidence | None:
         """The comparison of one candidate's graph, if it was made."""
