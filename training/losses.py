@@ -43,14 +43,36 @@ class WordLoss(torch.nn.Module):
         self.register_buffer("weights", weights)
         self.temperature = temperature
 
-    def forward(self, embeddings: Tensor, meanings: Tensor, sets: Tensor) -> Tensor:
-        """Compare embeddings with labels.
+    def cosines(self, joined: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        """Give the cosines of the words head's embeddings with all words, without making the embeddings.
+
+        The embedding is e = [W b] [y; 1], so its length is the root of [y; 1]' G [y; 1] with G = [W b]' [W b], and
+        its products with the words need only ``vectors`` [W b]: 97 channels instead of 512.
 
         Parameters
         ----------
-        embeddings : float of shape (n, channels, h, w)
-            Unit length, at stride 8.
-        meanings : int of shape (n, 2 h, 2 w)
+        joined : float of shape (n, inputs, h, w)
+            What the words head reads: y.
+        weight, bias : float of shapes (channels, inputs, 1, 1) and (channels,)
+            The words head's: W and b.
+
+        Returns
+        -------
+        float of shape (n, n_words, h, w)
+        """
+        whole = torch.cat([weight.flatten(1), bias[:, None]], dim=1)
+        y = torch.cat([joined, torch.ones_like(joined[:, :1])], dim=1)
+        squares = (y * torch.einsum("nchw,dc->ndhw", y, whole.T @ whole)).sum(dim=1, keepdim=True)
+        return torch.einsum("nchw,kc->nkhw", y, self.vectors @ whole) / squares.clamp_min(1e-12).sqrt()
+
+    def forward(self, cosines: Tensor, meanings: Tensor, sets: Tensor) -> Tensor:
+        """Compare cosines with labels.
+
+        Parameters
+        ----------
+        cosines : float of shape (n, n_words, h, w)
+            At stride 8 or 4.
+        meanings : int of shape (n, 2 h, 2 w) or (n, h, w)
             At stride 4; -1 where nothing is known.
         sets : int64 of shape (n,)
             -1 for pictures without labels.
@@ -62,11 +84,11 @@ class WordLoss(torch.nn.Module):
         """
         labelled = sets >= 0
         if not bool(labelled.any()):
-            return embeddings.sum() * 0
-        embeddings, meanings, sets = embeddings[labelled], meanings[labelled].long(), sets[labelled]
-        cosines = torch.einsum("nchw,kc->nkhw", embeddings, self.vectors)
+            return cosines.sum() * 0
+        cosines, meanings, sets = cosines[labelled], meanings[labelled].long(), sets[labelled]
         scores = (cosines / self.temperature).masked_fill(~self.known[sets][:, :, None, None], _NEVER)
-        scores = F.interpolate(scores, scale_factor=2, mode="bilinear", align_corners=False)
+        if scores.shape[-2:] != meanings.shape[-2:]:
+            scores = F.interpolate(scores, size=meanings.shape[-2:], mode="bilinear", align_corners=False)
         allowed = torch.einsum("nkhw,mk->nmhw", scores.softmax(dim=1), self.members)
         taught = meanings >= 0
         target = meanings.clamp_min(0)
