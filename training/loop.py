@@ -4,7 +4,7 @@ import copy
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -137,30 +137,26 @@ class Run:
             clear_at4, clear_at8 = self.network.shallow(clear)
             sharp = self.network.refine(clear_at4, self.network.fused(clear_at4, clear_at8))
         joined, head = joined.float(), self.network.words
-        words = F.normalize(head(joined), dim=1)
         detail = F.normalize(detail.float(), dim=1)
-        columns = words.shape[-1]
+        columns = joined.shape[-1]
 
         strong = batch["matched"] & ~batch["mild"]
         pairs = strong[~batch["mild"]].repeat(2)
         cells, positions = batch["cells"][strong], batch["positions"][strong]
-        here, there = matched_cells(words[pairs], cells, positions)
+        here, there = _unit_points(
+            tuple(F.linear(at, head.weight.flatten(1), head.bias) for at in matched_cells(joined[pairs], cells, positions))
+        )
         words_loss, words_found = two_view_loss(here, there, cells, columns, self.plan.words_temperature, margin=2)
         gentle = batch["matched"] & batch["mild"]
         pairs = gentle[batch["mild"]].repeat(2)
         cells, positions = batch["cells"][gentle], batch["positions"][gentle]
-        here, there = matched_cells(detail[pairs], cells, positions)
+        here, there = _unit_points(matched_cells(detail[pairs], cells, positions))
         detail_loss, detail_found = two_view_loss(here, there, cells, columns, self.plan.detail_temperature, margin=1)
-        likeness = likeness_loss(here, there, *matched_cells(before.float()[pairs], cells, positions))
+        earlier = _unit_points(matched_cells(before.float()[pairs], cells, positions))
+        likeness = likeness_loss(here, there, *earlier)
         return {
-            "clear_word": self.word_loss(
-                self.word_loss.cosines(sharp.float(), head.weight, head.bias),
-                batch["clear_meanings"],
-                batch["clear_sets"],
-            ),
-            "word": self.word_loss(
-                self.word_loss.cosines(joined, head.weight, head.bias), batch["meanings"][~mild], batch["sets"][~mild]
-            ),
+            "clear_word": self.word_loss(sharp.float(), head, batch["clear_meanings"], batch["clear_sets"]),
+            "word": self.word_loss(joined, head, batch["meanings"][~mild], batch["sets"][~mild]),
             "words_two_view": words_loss,
             "detail_two_view": detail_loss,
             "likeness": likeness,
@@ -223,3 +219,8 @@ class Run:
         self._optimizer.load_state_dict(content["optimizer"])
         self._sums, self.step, self.seconds = content["sums"], content["step"], content["seconds"]
         torch.set_rng_state(content["random"].cpu())
+
+
+def _unit_points(points: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    here, there = points
+    return F.normalize(here, dim=2), F.normalize(there, dim=2)
