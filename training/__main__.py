@@ -73,9 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     described |= {"torch": torch.__version__, "machine": platform.machine(), "from step": str(run.step)}
     with (options.out / "runs.jsonl").open("a") as log:
         log.write(json.dumps(described) + "\n")
-    mix = data.Mix(
-        strong=options.strong, mild=options.mild, clear=options.clear, size=(options.height, options.width)
-    )
+    mix = data.Mix(strong=options.strong, mild=options.mild, clear=options.clear, size=(options.height, options.width))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: run.stop())
     batches = data.Batches(found, lexicon, mix, options.seed)

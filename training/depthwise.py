@@ -46,9 +46,8 @@ class QuickDepthwise(nn.Conv2d):
         """Convolve as `Conv2d` does, in autocast's type where it is on."""
         assert self.bias is not None
         kind = torch.get_autocast_dtype(maps.device.type) if torch.is_autocast_enabled(maps.device.type) else maps.dtype
-        convolved: Tensor = _Depthwise.apply(
-            maps.to(kind), self.weight.to(kind), self.bias.to(kind), int(self.dilation[0])
-        )
+        given = (maps.to(kind), self.weight.to(kind), self.bias.to(kind))
+        convolved: Tensor = _Depthwise.apply(*given, int(self.dilation[0]))  # type: ignore[no-untyped-call]
         return convolved
 
 
@@ -58,9 +57,9 @@ def quicken(network: nn.Module) -> None:
     Only those of stride 1 that are dilated or larger than 3 x 3: torch is quick enough with the others.
     """
     for module in network.modules():
-        depthwise = isinstance(module, nn.Conv2d) and module.groups == module.in_channels > 1
-        slow = module.kernel_size > (3, 3) or module.dilation > (1, 1) if depthwise else False
-        if slow and module.stride == (1, 1):
+        if not isinstance(module, nn.Conv2d) or module.groups == 1 or module.groups != module.in_channels:
+            continue
+        if module.stride == (1, 1) and (module.kernel_size > (3, 3) or module.dilation > (1, 1)):
             module.__class__ = QuickDepthwise
 
 

@@ -143,9 +143,8 @@ class Run:
         strong = batch["matched"] & ~batch["mild"]
         pairs = strong[~batch["mild"]].repeat(2)
         cells, positions = batch["cells"][strong], batch["positions"][strong]
-        here, there = _unit_points(
-            tuple(F.linear(at, head.weight.flatten(1), head.bias) for at in matched_cells(joined[pairs], cells, positions))
-        )
+        matched = matched_cells(joined[pairs], cells, positions)
+        here, there = _unit_points([F.linear(at, head.weight.flatten(1), head.bias) for at in matched])
         words_loss, words_found = two_view_loss(here, there, cells, columns, self.plan.words_temperature, margin=2)
         gentle = batch["matched"] & batch["mild"]
         pairs = gentle[batch["mild"]].repeat(2)

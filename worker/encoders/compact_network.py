@@ -171,8 +171,8 @@ class Refinement(nn.Module):
         self.below = nn.Conv2d(joined, middle, 1)
         self.mix = nn.Conv2d(2 * middle, 2 * middle, 3, padding=1)
         self.out = nn.Conv2d(2 * middle, joined, 1)
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
+        for parameter in self.out.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, at4: Tensor, joined: Tensor) -> Tensor:
         """Map (n, near, h, w) and (n, joined, ceil(h / 2), ceil(w / 2)) to (n, joined, h, w)."""
