@@ -16,8 +16,10 @@ What ships lies in ``weights/``, written by ``training/export.py``:
     The cosine of a cell's words embedding z with word i is ``text.vectors[i] @ z``: do not scale the rows, whose
     lengths below 1 belong to it. ``text.basis @ z`` is the embedding in CLIP's own 512 dimensions, and any other unit
     vector t of CLIP ViT-B/16 becomes a row as ``unit(t - text.centre) @ text.basis``.
+``compact.onnx``, ``compact-fine.onnx``
+    The same network for ONNX Runtime, without weights: it reads them in that file. See ``training/export_onnx.py``.
 ``compact.json``
-    SHA-256 of that file; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance.
+    SHA-256 of these files; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance.
 """
 
 from collections.abc import Mapping
