@@ -14,6 +14,8 @@ import torch
 from schemas.description import Floats
 from schemas.errors import SetupError
 from schemas.picture import Picture
+from schemas.settings import Settings
+from worker.bootstrap import make_encoder
 from worker.encoders.compact import LONGEST, MULTIPLE, WEIGHTS, CompactEncoder, network_size, resized
 from worker.encoders.compact_onnx import OnnxEngine
 from worker.encoders.compact_torch import TorchEngine
@@ -193,6 +195,11 @@ class TestFiles:
 
         with pytest.raises(SetupError, match=r"cannot load compact\.onnx"):
             CompactEncoder(weights=copied)
+
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+    def test_a_gpu_that_is_not_there_is_told(self) -> None:
+        with pytest.raises(SetupError, match="sees no GPU"):
+            make_encoder(Settings(device="cuda"), 1)
 
     def test_without_onnx_runtime_it_says_so_and_does_not_fall_back(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "onnxruntime", None)

@@ -12,7 +12,7 @@ _ONLY_ERRORS = 3
 
 
 class OnnxEngine:
-    """Runs the exported graphs. Every result is the same for any number of threads and any neighbours in a batch.
+    """Runs the exported graphs. No result depends on the number of threads or on neighbours in a batch.
 
     There are two graphs because ONNX Runtime computes all outputs of a graph, also those that nobody asks for.
 
