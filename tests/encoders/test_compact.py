@@ -96,6 +96,15 @@ class TestParity:
             assert certain.mean() > 0.98
             assert np.array_equal((mine @ text.T).argmax(-1)[certain], (other @ text.T).argmax(-1)[certain])
 
+    def test_on_another_device_runs_of_one_size_go_together_and_keep_their_order(self, encoder: CompactEncoder) -> None:
+        pictures = [drawn(*size) for size in ((640, 480), (320, 240), (300, 300), (640, 480))]
+        in_torch = CompactEncoder("cpu:0")  # anything but "cpu" means torch, and batches
+
+        for mine, other in zip(encoder.encode(pictures), in_torch.encode(pictures), strict=True):
+            assert cosines(mine.semantic, other.semantic).min() > 0.9999
+        for picture in pictures[:2]:
+            assert cosines(encoder.fine(picture).semantic, in_torch.fine(picture).semantic).min() > 0.9999
+
 
 class TestIndependence:
     def test_a_picture_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
