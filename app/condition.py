@@ -10,7 +10,7 @@ from schemas import wire
 from schemas.errors import RevisitError
 from worker.house import House
 
-LIBRARIES = ("torch", "faiss-cpu", "numpy", "opencv-python-headless", "fastapi", "sqlalchemy")
+LIBRARIES = ("onnxruntime", "torch", "faiss-cpu", "numpy", "opencv-python-headless", "fastapi", "sqlalchemy")
 
 
 class Condition:

@@ -98,7 +98,7 @@ class Curator:
         return await asyncio.to_thread(self._house.thumbnail, data, longest)
 
     async def segmentation(self, view_id: str, overlay: bool) -> bytes:
-        """The label map as an indexed PNG, or blended over the photo."""
+        """The label map as an indexed PNG, or blended over the photo; as fine as the encoder has it."""
 
         def draw(picture: Picture, field: PixelField, describer: Describer) -> bytes:
             seen = describer.see(field)
@@ -107,7 +107,7 @@ class Curator:
                 return drawing.overlay_png(picture.pixels, seen.labels, recipe.labels, seen.static)
             return drawing.segmentation_png(seen.labels, (picture.width, picture.height), recipe.labels)
 
-        return await self._draw(view_id, draw)
+        return await self._draw(view_id, draw, fine=True)
 
     async def graph(self, view_id: str) -> bytes:
         """The context graph, drawn over the photo."""
@@ -119,11 +119,13 @@ class Curator:
 
         return await self._draw(view_id, draw)
 
-    async def _draw(self, view_id: str, draw: Callable[[Picture, PixelField, Describer], bytes]) -> bytes:
+    async def _draw(
+        self, view_id: str, draw: Callable[[Picture, PixelField, Describer], bytes], *, fine: bool = False
+    ) -> bytes:
         owner, data = await asyncio.to_thread(self._source, view_id)
         picture = await asyncio.to_thread(self._house.decode, data)
         describer = await asyncio.to_thread(self._house.describers.of, owner.recipe)
-        future = self._house.desk.hand_in(picture, lambda p, f: draw(p, f, describer), urgent=True)
+        future = self._house.desk.hand_in(picture, lambda p, f: draw(p, f, describer), urgent=True, fine=fine)
         return (await asyncio.wrap_future(future)).value
 
     def _source(self, view_id: str) -> tuple[MapRecord, bytes]:

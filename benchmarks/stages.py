@@ -197,6 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "matrix product ms": round(yardstick, 2),
         "peak memory MB": round(memory),
         "disk MB": round(disk / 1e6),
+        "onnxruntime": version("onnxruntime"),
         "torch": version("torch"),
         "faiss-cpu": version("faiss-cpu"),
         "numpy": version("numpy"),

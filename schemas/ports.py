@@ -48,6 +48,13 @@ class Encoder(Protocol):
         """One field per picture, in order, each independent of the others in the batch."""
         ...
 
+    def fine(self, picture: Picture) -> PixelField:
+        """The picture at the finest grid that the encoder has, for people to look at; the layer ``words`` is enough.
+
+        In the same space as the fields of `encode`, of which everything that is stored is made.
+        """
+        ...
+
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """Vectors of words, float32 (words, channels of the layer ``words``): a cell's inner product with one is their
         cosine. Not longer than 1; shorter by what lies outside the space that cells can reach.

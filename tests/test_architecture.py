@@ -14,7 +14,7 @@ ROOMS = ("app", "worker", "schemas", "training", "benchmarks", "tests")
 MOST_LINES = 400
 BANNED = ("util", "utils", "helper", "helpers", "common", "misc")
 
-HEAVY = ("torch", "faiss", "sqlalchemy", "alembic")
+HEAVY = ("torch", "onnxruntime", "faiss", "sqlalchemy", "alembic")
 """What takes long to load, and what the application must not depend on: it is loaded by worker.bootstrap, late."""
 
 
@@ -58,10 +58,13 @@ def imported(path: Path) -> set[str]:
 @pytest.mark.parametrize(
     ("room", "never"),
     [
-        ("app", {"torch", "cv2", "faiss", "sqlalchemy", "alembic", "sqlite3"}),
+        ("app", {"torch", "onnxruntime", "cv2", "faiss", "sqlalchemy", "alembic", "sqlite3"}),
         ("worker", {"fastapi", "starlette", "uvicorn", "app"}),
-        ("worker/place", {"torch", "cv2", "faiss", "PIL", "time", "datetime", "random", "os", "io", "pathlib"}),
-        ("schemas", {"torch", "cv2", "faiss", "fastapi", "sqlalchemy", "worker", "app"}),
+        (
+            "worker/place",
+            {"torch", "onnxruntime", "cv2", "faiss", "PIL", "time", "datetime", "random", "os", "io", "pathlib"},
+        ),
+        ("schemas", {"torch", "onnxruntime", "cv2", "faiss", "fastapi", "sqlalchemy", "worker", "app"}),
     ],
 )
 def test_no_file_of_a_room_imports_what_does_not_belong_there(room: str, never: set[str]) -> None:

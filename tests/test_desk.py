@@ -35,6 +35,9 @@ class GatedEncoder:
             self.seen.append(number)
             yield PixelField({SEMANTIC: np.ones((1, 1, 1), np.float32)}, picture.extent)
 
+    def fine(self, picture: Picture) -> PixelField:
+        return PixelField({SEMANTIC: np.ones((2, 2, 1), np.float32)}, picture.extent)
+
     def text_vectors(self, words: Sequence[str]) -> Floats:
         raise AssertionError("not asked here")
 
@@ -116,4 +119,20 @@ def test_an_error_of_the_finish_belongs_to_the_one_who_asked() -> None:
     with pytest.raises(ValueError, match="nothing static"):
         desk.hand_in(picture(1), refuse, urgent=True).result(5)
     assert desk.hand_in(picture(2), number_of, urgent=True).result(5).value == 2
+    desk.stop()
+
+
+def test_pictures_to_be_drawn_get_the_fine_field_among_others_that_do_not() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    desk = Desk(encoder, batch=4, questions=5)
+    wanted = [(1, False), (2, True), (3, False), (4, False)]
+
+    def number_and_rows(shown: Picture, field: PixelField) -> tuple[int, int]:
+        return number_of(shown, field), field.shape[0]
+
+    futures = [desk.hand_in(picture(n), number_and_rows, urgent=True, fine=fine) for n, fine in wanted]
+    desk.start()
+
+    assert [future.result(5).value for future in futures] == [(1, 1), (2, 2), (3, 1), (4, 1)]
     desk.stop()

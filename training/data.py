@@ -19,7 +19,7 @@ from training import light
 from training.lexicon import STREET_WORDS, Lexicon, class_words
 from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import label_name
-from training.viewpoint import FOR_DETAIL, FOR_WORDS, Freedom, draw_views, shared_cells
+from training.viewpoint import FOR_DETAIL, FOR_LABELS, FOR_WORDS, Freedom, View, draw_views, shared_cells
 from worker.encoders.compact_network import STRIDE
 
 LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor")
@@ -28,6 +28,9 @@ STREET = "street words of the trunk"
 CLIP_FILE = Path("text") / "words_ViT-B-16.npz"
 POINTS = 128
 """Cells drawn from each pair of views."""
+
+MILDLY_LIT = 0.8
+"""Share of the single labelled views whose light is changed at all."""
 
 _SHORT_SIDE = 360
 _LEAST_SIDE = 150
@@ -101,6 +104,7 @@ def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
 
 
 # How often each source is drawn, relative to the others.
+CLEAR_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,
@@ -131,15 +135,22 @@ class Mix:
         Pairs of views under strongly and under mildly changed light.
     strong_shares, mild_shares
         How often each source is drawn for either, relative to the others.
-    size
+    clear
+        Single labelled views, larger than the others and in mildly changed light, for their labels alone.
+    clear_shares
+        How often each labelled set is drawn for them, relative to the others.
+    size, clear_size
         Height and width of a view in pixels, multiples of 32.
     """
 
     strong: int = 4
     mild: int = 4
+    clear: int = 4
     strong_shares: Mapping[str, float] = field(default_factory=lambda: STRONG_SHARES)
     mild_shares: Mapping[str, float] = field(default_factory=lambda: MILD_SHARES)
+    clear_shares: Mapping[str, float] = field(default_factory=lambda: CLEAR_SHARES)
     size: tuple[int, int] = (192, 256)
+    clear_size: tuple[int, int] = (288, 384)
 
 
 class Batches(Dataset[dict[str, Tensor]]):
@@ -152,7 +163,8 @@ class Batches(Dataset[dict[str, Tensor]]):
     - ``sets``: int64 (2n,), index into the lexicon's sets, -1 for pictures without labels;
     - ``cells``: int64 (n, POINTS) and ``positions``: float32 (n, POINTS, 2), see `shared_cells`;
     - ``matched``: bool (n,), whether those can be used;
-    - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel.
+    - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
+    - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views.
     """
 
     def __init__(self, found: Mapping[str, Source], lexicon: Lexicon, mix: Mix, seed: int) -> None:
@@ -172,11 +184,14 @@ class Batches(Dataset[dict[str, Tensor]]):
             *(self._pair(rng, mix.mild_shares, FOR_DETAIL, mild=True) for _ in range(mix.mild)),
         ]
         views = [pair.first for pair in pairs] + [pair.second for pair in pairs]
-        stacked = np.stack([picture for picture, _ in views])
         owners = [self._set_index.get(pair.data_set or "", -1) for pair in pairs]
+        clear = [self._clear(rng) for _ in range(mix.clear)]
         return {
-            "pictures": torch.from_numpy(stacked).permute(0, 3, 1, 2),
+            "pictures": _stacked([picture for picture, _ in views]),
             "meanings": torch.from_numpy(np.stack([meanings for _, meanings in views])),
+            "clear_pictures": _stacked([picture for picture, _, _ in clear]),
+            "clear_meanings": torch.from_numpy(np.stack([meanings for _, meanings, _ in clear])),
+            "clear_sets": torch.tensor([self._set_index.get(data_set, -1) for _, _, data_set in clear]),
             "sets": torch.tensor(owners * 2),
             "cells": torch.from_numpy(np.stack([pair.cells for pair in pairs])),
             "positions": torch.from_numpy(np.stack([pair.positions for pair in pairs])),
@@ -184,11 +199,30 @@ class Batches(Dataset[dict[str, Tensor]]):
             "mild": torch.tensor([False] * mix.strong + [True] * mix.mild),
         }
 
-    def _pair(self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool) -> "_Pair":
+    def _source(self, rng: np.random.Generator, shares: Mapping[str, float]) -> Source:
         names = [name for name in shares if name in self._found]
         odds = np.array([shares[name] for name in names])
-        source = self._found[names[rng.choice(len(names), p=odds / odds.sum())]]
-        shots = source.draw(rng)
+        return self._found[names[rng.choice(len(names), p=odds / odds.sum())]]
+
+    def _clear(self, rng: np.random.Generator) -> tuple[Picture, npt.NDArray[np.int16], str]:
+        source = self._source(rng, self._mix.clear_shares)
+        shot, _ = source.draw(rng)
+        picture = training_picture(shot.picture)
+        view, _ = draw_views(picture.shape[:2], self._mix.clear_size, FOR_LABELS, rng)
+        seen = view.cut(picture, self._mix.clear_size, labels=False)
+        if rng.random() < MILDLY_LIT:
+            seen = light.mild(seen, rng)
+        return seen, self._meanings(shot, picture, view, self._mix.clear_size), source.name
+
+    def _meanings(self, shot: Shot, picture: Picture, view: View, size: tuple[int, int]) -> npt.NDArray[np.int16]:
+        height, width = size
+        if shot.labels is None or shot.data_set is None:
+            return np.full((height // 4, width // 4), -1, np.int16)
+        labels = view.cut(training_labels(shot.labels, picture.shape[:2]), size, labels=True)
+        return self._tables[shot.data_set][labels[2::4, 2::4]]
+
+    def _pair(self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool) -> "_Pair":
+        shots = self._source(rng, shares).draw(rng)
         pictures = [training_picture(shot.picture) for shot in shots]
         height, width = self._mix.size
         views = draw_views(pictures[0].shape[:2], (height, width), freedom, rng)
@@ -197,11 +231,7 @@ class Batches(Dataset[dict[str, Tensor]]):
         for shot, picture, view in zip(shots, pictures, views, strict=True):
             seen = view.cut(picture, (height, width), labels=False)
             seen = light.mild(seen, rng) if mild else light.strong(seen, rng)
-            meanings = np.full((height // 4, width // 4), -1, np.int16)
-            if shot.labels is not None and shot.data_set is not None:
-                labels = view.cut(training_labels(shot.labels, picture.shape[:2]), (height, width), labels=True)
-                meanings = self._tables[shot.data_set][labels[2::4, 2::4]]
-            ready.append((seen, meanings))
+            ready.append((seen, self._meanings(shot, picture, view, (height, width))))
         return _Pair(ready[0], ready[1], shots[0].data_set, cells, positions, matched)
 
 
@@ -213,6 +243,10 @@ class _Pair:
     cells: npt.NDArray[np.int64]
     positions: npt.NDArray[np.float32]
     matched: bool
+
+
+def _stacked(pictures: Sequence[Picture]) -> Tensor:
+    return torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2)
 
 
 def stream(batches: Batches, start: int, workers: int) -> Iterator[dict[str, Tensor]]:

@@ -3,12 +3,17 @@
 As LSeg is judged: the words of a set's own classes are put to the network, a class scoring as its best word, and each
 pixel takes the best class. CamVid has 11 classes, LabelMeFacade 8; of NYUv2's 37 the 13 with most labelled pixels in
 its training pictures are taken and pixels of the others are left out.
+
+Judged are the fine words, at stride 4, which segmentations are drawn from (``--stride 8``: the field that descriptions
+are made of), on pictures at two sizes: as the service sees them, 480 on the longer side (``service``), and at their
+own, times ``--scale`` (``own``). Scores are enlarged to the labels' size before the best class is taken.
 """
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -16,16 +21,24 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import torch.nn.functional as F  # noqa: N812
-from torch import Tensor, nn
+from torch import Tensor
 
 from training import data
 from training.export import basis_of, network_of
 from training.lexicon import ClipWords, class_words
-from training.pictures import read_labels, read_rgb
+from training.pictures import Picture, read_labels, read_rgb
+from worker.encoders.compact import resized
+from worker.encoders.compact_network import STRIDE, CompactNetwork
 from worker.encoders.memory import keep_freed_memory
 
 JUDGED = {"camvid": 11, "labelmefacade": 8, "nyuv2": 13}
 """Sets, and how many of their classes are judged: the most common ones."""
+
+Embed = Callable[[Tensor], Tensor]
+"""Pictures, float (n, 3, height, width), to words embeddings, float (n, channels, rows, columns)."""
+
+Resize = Callable[[Picture], Picture]
+"""Brings a picture to the size at which it is judged."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +69,7 @@ def task(segmentation: Path, data_set: str, clip: ClipWords) -> Task:
 
 @torch.inference_mode()
 def confusion(
-    network: nn.Module, basis: Tensor, judged: Task, pictures: Sequence[Path], scale: float = 1.0
+    embed: Embed, basis: Tensor, judged: Task, pictures: Sequence[Path], resize: Resize
 ) -> npt.NDArray[np.int64]:
     """Count pixels by true class (rows) and answered class (columns)."""
     size = len(judged.values)
@@ -65,12 +78,9 @@ def confusion(
     vectors = torch.from_numpy(judged.vectors) @ basis
     counts = np.zeros((size, size), np.int64)
     for path in pictures:
-        picture = read_rgb(path)
         truth = index[read_labels(data.labels_of(path))]
-        if scale != 1:
-            picture = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale), np.uint8)
-        x = torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255
-        field = network(x.contiguous(memory_format=torch.channels_last))[0]
+        x = torch.from_numpy(resize(read_rgb(path))).permute(2, 0, 1)[None].float() / 255
+        field = embed(x.contiguous(memory_format=torch.channels_last))
         cosines = torch.einsum("nchw,kc->nkhw", field, vectors)
         best = torch.stack([cosines[:, rows].amax(dim=1) for rows in judged.rows], dim=1)
         best = F.interpolate(best, size=truth.shape, mode="bilinear", align_corners=False)
@@ -87,8 +97,20 @@ def intersections_over_unions(counts: npt.NDArray[np.int64]) -> npt.NDArray[np.f
     return np.where(counts.sum(axis=1) > 0, hits / np.maximum(unions, 1), np.nan)
 
 
+def scaled(picture: Picture, scale: float) -> Picture:
+    """Enlarge a picture `scale` times."""
+    if scale == 1:
+        return picture
+    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale), np.uint8)
+
+
+def words_at(network: CompactNetwork, stride: int) -> Embed:
+    """The network's words at stride 4, or at stride 8."""
+    return network.fine_words if stride < STRIDE else lambda pictures: network(pictures)[0]
+
+
 def evaluate(
-    network: nn.Module, basis: Tensor, data_folder: Path, *, split: str = "test", every: int = 1, scale: float = 1.0
+    embed: Embed, basis: Tensor, data_folder: Path, resize: Resize, *, split: str = "test", every: int = 1
 ) -> dict[str, dict[str, float]]:
     """Judge all sets: for each, the intersection over union of each class, and under ``mean`` their mean."""
     segmentation = data_folder / "segmentation"
@@ -97,7 +119,7 @@ def evaluate(
     for data_set in JUDGED:
         judged = task(segmentation, data_set, clip)
         pictures = sorted((segmentation / data_set / split / "images").glob("*"))[::every]
-        shares = intersections_over_unions(confusion(network, basis, judged, pictures, scale))
+        shares = intersections_over_unions(confusion(embed, basis, judged, pictures, resize))
         row = {name: round(float(share), 4) for name, share in zip(judged.names, shares, strict=True)}
         answers[data_set] = {"mean": round(float(np.nanmean(shares)), 4)} | row
     return answers
@@ -110,19 +132,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--split", choices=("val", "test"), default="test")
     parser.add_argument("--every", type=int, default=1, help="judge every n-th picture only")
-    parser.add_argument("--scale", type=float, default=1.0, help="enlarge pictures first")
+    parser.add_argument("--size", choices=("service", "own"), nargs="+", default=["service", "own"])
+    parser.add_argument("--scale", type=float, default=1.0, help="enlarge pictures of their own size first")
+    parser.add_argument("--stride", type=int, choices=(4, 8), nargs="+", default=[4])
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
     keep_freed_memory()
     torch.set_num_threads(options.threads)
-    answers = evaluate(
-        network_of(options.network),
-        basis_of(options.network),
-        options.data,
-        split=options.split,
-        every=options.every,
-        scale=options.scale,
-    )
+    network, basis = network_of(options.network), basis_of(options.network)
+    resizes: dict[str, Resize] = {"service": resized, "own": partial(scaled, scale=options.scale)}
+    answers = {}
+    for size in options.size:
+        name = f"own x {options.scale:g}" if size == "own" else size
+        for stride in options.stride:
+            embed = words_at(network, stride)
+            answers[f"{name}, stride {stride}"] = evaluate(
+                embed, basis, options.data, resizes[size], split=options.split, every=options.every
+            )
     print(json.dumps(answers, indent=1))
 
 

@@ -1,15 +1,18 @@
 """From a checkpoint to what ships: ``python -m training.export --checkpoint FILE --data DATA --to FOLDER``.
 
-Two files come out, and one command makes both, so they cannot drift apart:
+Four files come out, and one command makes all of them, so they cannot drift apart:
 
 ``compact.safetensors``
     float16. The state dict of ``CompactNetwork(word_channels=97)``; ``text.vectors`` (n_words, 97), row i belonging to
     word i of the JSON file; ``text.basis`` (512, 97), orthonormal columns: ``basis @ z`` is the 512-d embedding of a
     97-d one, and ``text @ basis`` turns a centred 512-d text vector into a row for the 97-d field; ``text.centre``
     (512,), the mean that was taken from CLIP's unit vectors before they were scaled to unit length again.
+``compact.onnx``, ``compact-fine.onnx``
+    Graphs for ONNX Runtime, whose weights are those of the first file; see `training.export_onnx`.
 ``compact.json``
-    ``sha256`` of the first file; ``words``: for each its CLIP words (`clip`: several mean their unit mean), whether
-    labelled pixels could mean it in training (`trained`) and whether some could mean only it (`alone`); ``provenance``.
+    ``sha256`` of the first file, and under ``graphs`` names and SHA-256 of the graphs; ``words``: for each its CLIP
+    words (`clip`: several mean their unit mean), whether labelled pixels could mean it in training (`trained`) and
+    whether some could mean only it (`alone`); ``provenance``.
 
 The cosine of a cell's embedding z (unit length) with word i is ``text.vectors[i] @ z``: the rows are shorter than 1
 by what of CLIP's vector lies outside the network's 97 dimensions, and must not be scaled.
@@ -27,6 +30,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from training import data
+from training.export_onnx import write_graphs
 from training.lexicon import ClipWords, Lexicon
 from worker.encoders.compact_network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
 
@@ -100,7 +104,7 @@ def shipped_words(clip: ClipWords, lexicon: Lexicon) -> list[dict[str, Any]]:
 
 
 def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compact") -> None:
-    """Write the weights and the JSON file beside them."""
+    """Write the weights, and the graphs and the JSON file beside them."""
     saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
     state, basis = reduced(saved["average"])
     clip = ClipWords(data_folder / data.CLIP_FILE)
@@ -117,7 +121,10 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
     described = {
         "format": 1,
         "weights": weights.name,
-        "sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "sha256": _sha256(weights),
+        "graphs": {
+            which: {"file": graph.name, "sha256": _sha256(graph)} for which, graph in write_graphs(weights).items()
+        },
         "stride": STRIDE,
         "channels": {"words": REDUCED_CHANNELS, "detail": DETAIL_CHANNELS, "clip": CLIP_CHANNELS},
         "provenance": ORIGIN
@@ -126,6 +133,10 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
     }
     lines = json.dumps(described, indent=1, ensure_ascii=False)
     (folder / f"{name}.json").write_text(lines + "\n")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def network_of(path: Path) -> CompactNetwork:

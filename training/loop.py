@@ -4,7 +4,7 @@ import copy
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from training.losses import WordLoss, likeness_loss, matched_cells, two_view_loss
 from worker.encoders.compact_network import CompactNetwork
 
-_HEADS = ("from16", "from8", "from4", "fuse", "words", "detail")
+_HEADS = ("from16", "from8", "from4", "fuse", "refine", "words", "detail")
 _WARM_UP = 0.03
 
 
@@ -30,8 +30,9 @@ class Plan:
         The run ends, its learning rate having sunk to nothing, at whichever comes first; 0 means no limit.
     trunk_rate, head_rate
         Greatest learning rates.
-    words_two_view, detail_two_view, likeness
-        Weights of these losses beside the word loss.
+    strong_word, words_two_view, detail_two_view, likeness
+        Weights beside the word loss of the clear views: of the word loss under strongly changed light, and of the
+        losses of two views.
     """
 
     minutes: float = 0.0
@@ -39,12 +40,13 @@ class Plan:
     trunk_rate: float = 3e-4
     head_rate: float = 1e-3
     weight_decay: float = 0.01
+    strong_word: float = 0.5
     words_two_view: float = 0.7
     detail_two_view: float = 0.5
     likeness: float = 5.0
     words_temperature: float = 0.1
     detail_temperature: float = 0.07
-    averaging: float = 0.998
+    averaging: float = 0.999
     log_every: int = 50
     checkpoint_every: int = 100
 
@@ -125,32 +127,35 @@ class Run:
         batch = {name: tensor.to(self.device) for name, tensor in batch.items()}
         pictures = batch["pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
         mild = batch["mild"].repeat(2)
-        # The words see both strong views, and the first of the mild ones, for their labels in good light.
-        firsts = torch.arange(len(mild), device=self.device) < len(mild) // 2
-        read = torch.cat([torch.nonzero(~mild)[:, 0], torch.nonzero(mild & firsts)[:, 0]])
+        clear = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self._half):
             at4, at8 = self.network.shallow(pictures)
-            joined = self.network.fused(at4[read], at8[read])
+            joined = self.network.fused(at4[~mild], at8[~mild])
             detail = self.network.appearance(at4[mild], at8[mild])
             with torch.no_grad():
                 before = self.anchor(pictures[mild])
-        words = F.normalize(self.network.words(joined.float()), dim=1)
+            clear_at4, clear_at8 = self.network.shallow(clear)
+            sharp = self.network.refine(clear_at4, self.network.fused(clear_at4, clear_at8))
+        joined, head = joined.float(), self.network.words
         detail = F.normalize(detail.float(), dim=1)
-        columns = words.shape[-1]
+        columns = joined.shape[-1]
 
         strong = batch["matched"] & ~batch["mild"]
         pairs = strong[~batch["mild"]].repeat(2)
         cells, positions = batch["cells"][strong], batch["positions"][strong]
-        here, there = matched_cells(words[: len(pairs)][pairs], cells, positions)
+        matched = matched_cells(joined[pairs], cells, positions)
+        here, there = _unit_points([F.linear(at, head.weight.flatten(1), head.bias) for at in matched])
         words_loss, words_found = two_view_loss(here, there, cells, columns, self.plan.words_temperature, margin=2)
         gentle = batch["matched"] & batch["mild"]
         pairs = gentle[batch["mild"]].repeat(2)
         cells, positions = batch["cells"][gentle], batch["positions"][gentle]
-        here, there = matched_cells(detail[pairs], cells, positions)
+        here, there = _unit_points(matched_cells(detail[pairs], cells, positions))
         detail_loss, detail_found = two_view_loss(here, there, cells, columns, self.plan.detail_temperature, margin=1)
-        likeness = likeness_loss(here, there, *matched_cells(before.float()[pairs], cells, positions))
+        earlier = _unit_points(matched_cells(before.float()[pairs], cells, positions))
+        likeness = likeness_loss(here, there, *earlier)
         return {
-            "word": self.word_loss(words, batch["meanings"][read], batch["sets"][read]),
+            "clear_word": self.word_loss(sharp.float(), head, batch["clear_meanings"], batch["clear_sets"]),
+            "word": self.word_loss(joined, head, batch["meanings"][~mild], batch["sets"][~mild]),
             "words_two_view": words_loss,
             "detail_two_view": detail_loss,
             "likeness": likeness,
@@ -163,7 +168,8 @@ class Run:
             group["lr"] = greatest * self.plan.rate(progress)
         losses = self.losses(batch)
         total = (
-            losses["word"]
+            losses["clear_word"]
+            + self.plan.strong_word * losses["word"]
             + self.plan.words_two_view * losses["words_two_view"]
             + self.plan.detail_two_view * losses["detail_two_view"]
             + self.plan.likeness * losses["likeness"]
@@ -212,3 +218,8 @@ class Run:
         self._optimizer.load_state_dict(content["optimizer"])
         self._sums, self.step, self.seconds = content["sums"], content["step"], content["seconds"]
         torch.set_rng_state(content["random"].cpu())
+
+
+def _unit_points(points: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    here, there = points
+    return F.normalize(here, dim=2), F.normalize(there, dim=2)

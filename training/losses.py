@@ -8,12 +8,12 @@
 
 import torch
 import torch.nn.functional as F  # noqa: N812
-from torch import Tensor
+from torch import Tensor, nn
 
 _NEVER = -1e4
 
 
-class WordLoss(torch.nn.Module):
+class WordLoss(nn.Module):
     """Cross-entropy over the words that a picture's data set knows.
 
     Parameters
@@ -38,20 +38,25 @@ class WordLoss(torch.nn.Module):
     def __init__(self, vectors: Tensor, members: Tensor, known: Tensor, weights: Tensor, temperature: float) -> None:
         super().__init__()
         self.register_buffer("vectors", vectors)
-        self.register_buffer("members", members.float())
+        self.register_buffer("members", members.logical_not() * _NEVER)  # added to scores
         self.register_buffer("known", known)
         self.register_buffer("weights", weights)
         self.temperature = temperature
 
-    def forward(self, embeddings: Tensor, meanings: Tensor, sets: Tensor) -> Tensor:
-        """Compare embeddings with labels.
+    def forward(self, joined: Tensor, head: nn.Conv2d, meanings: Tensor, sets: Tensor) -> Tensor:
+        """Compare the words head's embeddings with labels, without making the embeddings.
+
+        The embedding is e = [W b] [y; 1], so its length is the root of [y; 1]' G [y; 1] with G = [W b]' [W b], and
+        its products with the words need only ``vectors`` [W b]: 97 channels instead of 512.
 
         Parameters
         ----------
-        embeddings : float of shape (n, channels, h, w)
-            Unit length, at stride 8.
-        meanings : int of shape (n, 2 h, 2 w)
-            At stride 4; -1 where nothing is known.
+        joined : float of shape (n, inputs, h, w)
+            What the words head reads: y.
+        head
+            1x1 convolution from `inputs` to the channels of ``vectors``: W and b.
+        meanings : int of shape (n, k h, k w)
+            -1 where nothing is known; the middle one of every k x k counts.
         sets : int64 of shape (n,)
             -1 for pictures without labels.
 
@@ -60,23 +65,28 @@ class WordLoss(torch.nn.Module):
         float, a scalar
             Mean of -log p(one of the allowed words), weighted; 0 when no pixel has a label.
         """
-        labelled = sets >= 0
-        if not bool(labelled.any()):
-            return embeddings.sum() * 0
-        embeddings, meanings, sets = embeddings[labelled], meanings[labelled].long(), sets[labelled]
-        cosines = torch.einsum("nchw,kc->nkhw", embeddings, self.vectors)
-        scores = (cosines / self.temperature).masked_fill(~self.known[sets][:, :, None, None], _NEVER)
-        scores = F.interpolate(scores, scale_factor=2, mode="bilinear", align_corners=False)
-        allowed = torch.einsum("nkhw,mk->nmhw", scores.softmax(dim=1), self.members)
-        taught = meanings >= 0
-        target = meanings.clamp_min(0)
-        likely = allowed.gather(1, target[:, None])[:, 0]
-        weight = self.weights[target] * taught
-        return -(weight * torch.log(likely + 1e-9)).sum() / weight.sum().clamp_min(1e-9)
+        step = meanings.shape[-1] // joined.shape[-1]
+        meanings = meanings[:, step // 2 :: step, step // 2 :: step]
+        taught = (meanings >= 0) & (sets >= 0)[:, None, None]
+        if not bool(taught.any()):
+            return joined.sum() * 0
+        target = meanings[taught].long()
+        y = joined.permute(0, 2, 3, 1)[taught]
+        y = torch.cat([y, torch.ones_like(y[:, :1])], dim=1)
+        assert head.bias is not None
+        whole = torch.cat([head.weight.flatten(1), head.bias[:, None]], dim=1)
+        squares = (y * (y @ (whole.T @ whole))).sum(dim=1, keepdim=True)
+        y = y / (squares.clamp_min(1e-12).sqrt() * self.temperature)
+        scores = y @ (self.vectors @ whole).T
+        known = self.known[sets].logical_not() * _NEVER
+        owner = torch.arange(len(sets), device=sets.device)[:, None, None].expand_as(taught)[taught]
+        likely = torch.logsumexp(scores + self.members[target], dim=1) - torch.logsumexp(scores + known[owner], dim=1)
+        weight = self.weights[target]
+        return -(weight * likely).sum() / weight.sum().clamp_min(1e-9)
 
 
 def matched_cells(fields: Tensor, cells: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
-    """Read both views' embeddings of the same points.
+    """Read both views' fields at the same points.
 
     Parameters
     ----------
@@ -90,13 +100,13 @@ def matched_cells(fields: Tensor, cells: Tensor, positions: Tensor) -> tuple[Ten
     Returns
     -------
     two float of shape (n, points, channels)
-        Unit length.
+        The second interpolated between cells.
     """
     first, second = fields.chunk(2)
     channels = fields.shape[1]
     here = first.flatten(2).gather(2, cells[:, None].expand(-1, channels, -1))
     there = F.grid_sample(second, positions[:, None], align_corners=False)[:, :, 0]
-    return here.transpose(1, 2), F.normalize(there.transpose(1, 2), dim=2)
+    return here.transpose(1, 2), there.transpose(1, 2)
 
 
 def two_view_loss(

@@ -47,8 +47,15 @@ def renamed(trunk: Mapping[str, Tensor], kept_at_stride4: tuple[int, ...] = KEPT
 
 
 def earlier_state(path: Path) -> State:
-    """Read an earlier network's checkpoint (trunk under ``t.``, fusion with batch norms), folding those norms."""
-    saved = torch.load(path, map_location="cpu", weights_only=False)["net"]
+    """Read a checkpoint of this training, or of an earlier network (trunk under ``t.``, fusion with batch norms).
+
+    The batch norms are folded into the convolutions before them.
+    """
+    content = torch.load(path, map_location="cpu", weights_only=False)
+    if "average" in content:
+        averaged: State = content["average"]
+        return averaged
+    saved = content["net"]
     saved = {name: tensor.float() for name, tensor in saved.items() if tensor.is_floating_point()}
     state = renamed({name[2:]: tensor for name, tensor in saved.items() if name.startswith("t.")})
     for old, new in {"l16": "from16", "l8": "from8", "l4": "from4", "head": "words"}.items():
@@ -60,15 +67,21 @@ def earlier_state(path: Path) -> State:
     return state
 
 
-def started(pretrained: Path) -> CompactNetwork:
+def started(pretrained: Path) -> tuple[CompactNetwork, set[str]]:
     """Build the network to train, from the trunk (``.npz``) or from an earlier network (``.pt``).
 
     What the file does not hold keeps torch's own random start, so seed torch before.
+
+    Returns
+    -------
+    network
+    missing
+        Names of the parameters that the file does not hold.
     """
     network = CompactNetwork(word_channels=CLIP_CHANNELS)
     state = renamed(trunk_state(pretrained)) if pretrained.suffix == ".npz" else earlier_state(pretrained)
     state = {name: tensor for name, tensor in state.items() if not name.startswith("classes.")}
-    unknown = network.load_state_dict(state, strict=False).unexpected_keys
+    missing, unknown = network.load_state_dict(state, strict=False)
     if unknown:
         raise ValueError(f"{pretrained} holds tensors that the network has no place for: {unknown[:4]}")
-    return network
+    return network, set(missing)

@@ -37,6 +37,7 @@ class Freedom:
 
 
 FOR_WORDS = Freedom(ratio=1.7, shift=0.35, lean=0.08, turn=4.0)
+FOR_LABELS = Freedom(ratio=1.0, shift=0.0, lean=0.05, turn=3.0)
 FOR_DETAIL = Freedom(ratio=2.2, shift=0.35, lean=0.14, turn=8.0)
 
 

@@ -185,6 +185,10 @@ class RememberingEncoder:
                 [self._fields[picture.digest]] = self._encoder.encode([picture])
             yield self._fields[picture.digest]
 
+    def fine(self, picture: Picture) -> PixelField:
+        """Of the encoder; nothing is measured on it, so it is not remembered."""
+        return self._encoder.fine(picture)
+
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """Of the encoder."""
         return self._encoder.text_vectors(words)

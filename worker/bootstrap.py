@@ -100,18 +100,12 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
         from worker.encoders.color import ColorEncoder
 
         return ColorEncoder()
-    import torch
-
-    from worker.encoders.memory import keep_freed_memory
-
-    keep_freed_memory()
-    torch.set_num_threads(threads)
-    if settings.device != "cpu" and not torch.cuda.is_available():
-        raise SetupError(f"REVISIT_DEVICE={settings.device}, but this torch sees no GPU; set it to cpu")
+    if settings.encoder == "lseg" or settings.device != "cpu":
+        _ready_torch(settings.device, threads)
     if settings.encoder == "compact":
         from worker.encoders.compact import CompactEncoder
 
-        return CompactEncoder(settings.device)
+        return CompactEncoder(settings.device, threads=threads)
     from worker.encoders.lseg.encoder import LsegEncoder
 
     return LsegEncoder.open(
@@ -121,6 +115,17 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
         device=settings.device,
         batch=settings.batch,
     )
+
+
+def _ready_torch(device: str, threads: int) -> None:
+    import torch
+
+    from worker.encoders.memory import keep_freed_memory
+
+    keep_freed_memory()
+    torch.set_num_threads(threads)
+    if device != "cpu" and not torch.cuda.is_available():
+        raise SetupError(f"REVISIT_DEVICE={device}, but this torch sees no GPU; set it to cpu")
 
 
 def _empty_index(recipe: Recipe) -> FlatIndex:

@@ -4,10 +4,10 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, groupby
 from typing import Any, Generic, TypeVar
 
 from schemas.description import PixelField
@@ -49,6 +49,7 @@ class _Request:
     finish: Finish[Any] = field(compare=False)
     future: "Future[Served[Any]]" = field(compare=False)
     since: float = field(compare=False)
+    fine: bool = field(compare=False, default=False)
 
 
 class Desk:
@@ -102,8 +103,10 @@ class Desk:
         if self._thread.is_alive():
             self._thread.join()
 
-    def hand_in(self, picture: Picture, finish: Finish[T], *, urgent: bool) -> "Future[Served[T]]":
+    def hand_in(self, picture: Picture, finish: Finish[T], *, urgent: bool, fine: bool = False) -> "Future[Served[T]]":
         """Have a picture encoded, and `finish` called with it and its field (in the desk's thread).
+
+        With `fine` the field is that of `Encoder.fine`, which is for drawing.
 
         Raises
         ------
@@ -122,7 +125,7 @@ class Desk:
                 self._asked += 1
                 future.add_done_callback(self._answered)
             urgency = QUESTION if urgent else ENROLMENT
-            self._queue.put(_Request(urgency, next(self._numbers), picture, finish, future, time.perf_counter()))
+            self._queue.put(_Request(urgency, next(self._numbers), picture, finish, future, time.perf_counter(), fine))
         return future
 
     def _answered(self, _: "Future[Any]") -> None:
@@ -150,7 +153,7 @@ class Desk:
         began = time.perf_counter()
         served = 0
         try:
-            fields = self._encoder.encode([request.picture for request in batch])
+            fields = self._fields(batch)
             for request in batch:
                 encoding = time.perf_counter()
                 pixel_field = next(fields)
@@ -177,3 +180,8 @@ class Desk:
                 request.future.set_exception(error)
         if batch:
             self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
+
+    def _fields(self, batch: list[_Request]) -> Iterator[PixelField]:
+        for fine, alike in groupby(batch, key=lambda request: request.fine):
+            pictures = [request.picture for request in alike]
+            yield from map(self._encoder.fine, pictures) if fine else self._encoder.encode(pictures)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from schemas.settings import Settings
 
 LIBRARIES = (
-    "torch", "numpy", "opencv-python-headless", "faiss-cpu", "pillow", "sqlalchemy", "alembic", "fastapi",
-    "starlette", "uvicorn", "pydantic", "httpx",
+    "onnxruntime", "torch", "numpy", "opencv-python-headless", "faiss-cpu", "pillow", "sqlalchemy", "alembic",
+    "fastapi", "starlette", "uvicorn", "pydantic", "httpx",
 )  # fmt: skip
 SAMPLE = 20
 

@@ -68,7 +68,7 @@ async def segmentation(
     request: Request,
     curator: Curates,
 ) -> Response:
-    """What each pixel of the picture was taken for."""
+    """What each pixel of the picture was taken for, as finely as the encoder can tell; the method has coarser cells."""
     etag = await curator.view_etag(view_id, "overlay" if asked.overlay else "segmentation")
     if _is_fresh(request, etag):
         return _unchanged(etag)

@@ -13,7 +13,7 @@ from training.loop import Plan, Run
 from training.losses import WordLoss
 from worker.encoders.compact_network import CompactNetwork
 
-MIX = data.Mix(strong=2, mild=2, size=(64, 96))
+MIX = data.Mix(strong=2, mild=2, clear=2, size=(64, 96), clear_size=(64, 96))
 PLAN = Plan(steps=4, log_every=2, checkpoint_every=100)
 
 
@@ -61,7 +61,7 @@ def test_the_loss_sinks_on_a_batch_seen_again_and_again(data_folder: Path, tmp_p
     run.train(iter([batch] * 20))
 
     after = values(run, batch)
-    for name in ("word", "words_two_view", "detail_two_view"):
+    for name in ("clear_word", "word", "words_two_view", "detail_two_view"):
         assert after[name] < before[name]
 
 
@@ -90,7 +90,7 @@ def test_the_log_has_a_line_of_mean_losses_every_few_steps(data_folder: Path, tm
 
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [2, 4]
-    assert {"word", "words_two_view", "detail_two_view", "likeness"} <= lines[0].keys()
+    assert {"clear_word", "word", "words_two_view", "detail_two_view", "likeness"} <= lines[0].keys()
 
 
 @pytest.mark.parametrize("progress", [0.0, 0.01, 0.03, 0.5, 1.0])

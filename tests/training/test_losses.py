@@ -2,6 +2,8 @@ import math
 
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor, nn
 
 from training.losses import WordLoss, likeness_loss, matched_cells, two_view_loss
 
@@ -15,10 +17,31 @@ def loss_over_three_words(members: list[list[bool]], known: list[bool]) -> WordL
     return WordLoss(torch.eye(3), allowed, torch.tensor([known]), torch.ones(len(members)), temperature=0.5)
 
 
+def plain_head() -> nn.Conv2d:
+    """A words head that hands on what it reads."""
+    head = nn.Conv2d(3, 3, 1)
+    head.load_state_dict({"weight": torch.eye(3)[:, :, None, None], "bias": torch.zeros(3)})
+    return head.requires_grad_(False)
+
+
+def by_definition(loss: WordLoss, embeddings: Tensor, meanings: Tensor, sets: Tensor) -> Tensor:
+    """The word loss pixel by pixel, from embeddings (n, channels, h, w) and meanings (n, h, w)."""
+    total, weights = torch.zeros(()), torch.zeros(())
+    for number, row, column in (meanings >= 0).nonzero().tolist():
+        meaning, data_set = int(meanings[number, row, column]), int(sets[number])
+        if data_set < 0:
+            continue
+        scores = (loss.vectors @ F.normalize(embeddings[number, :, row, column], dim=0) / loss.temperature).exp()
+        likely = scores[loss.members[meaning] == 0].sum() / scores[loss.known[data_set]].sum()
+        total = total - loss.weights[meaning] * likely.log()
+        weights = weights + loss.weights[meaning]
+    return total / weights
+
+
 def test_the_word_loss_is_the_cross_entropy_of_cosines_over_the_temperature() -> None:
     loss = loss_over_three_words([[True, False, False]], [True, True, True])
 
-    value = loss(one_pixel(0.6, 0.8, 0.0), torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0]))
+    value = loss(one_pixel(0.6, 0.8, 0.0), plain_head(), torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0]))
 
     expected = -1.2 + math.log(math.exp(1.2) + math.exp(1.6) + 1)
     assert float(value) == pytest.approx(expected, rel=1e-5)
@@ -28,7 +51,7 @@ def test_a_word_that_the_set_does_not_know_is_not_taught_against() -> None:
     loss = loss_over_three_words([[True, False, False]], [True, False, True])
     meanings, sets = torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0])
 
-    with_unknown_word = loss(one_pixel(0.6, 0.8, 0.0), meanings, sets)
+    with_unknown_word = loss(one_pixel(0.6, 0.8, 0.0), plain_head(), meanings, sets)
 
     assert float(with_unknown_word) == pytest.approx(-1.2 + math.log(math.exp(1.2) + 1), rel=1e-5)
 
@@ -37,18 +60,41 @@ def test_a_coarse_class_is_satisfied_by_any_of_its_words() -> None:
     loss = loss_over_three_words([[True, True, False]], [True, True, True])
     meanings, sets = torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([0])
 
-    assert float(loss(one_pixel(1, 0, 0), meanings, sets)) == pytest.approx(
-        float(loss(one_pixel(0, 1, 0), meanings, sets))
+    assert float(loss(one_pixel(1, 0, 0), plain_head(), meanings, sets)) == pytest.approx(
+        float(loss(one_pixel(0, 1, 0), plain_head(), meanings, sets))
     )
-    assert float(loss(one_pixel(1, 0, 0), meanings, sets)) < float(loss(one_pixel(0, 0, 1), meanings, sets))
+    assert float(loss(one_pixel(1, 0, 0), plain_head(), meanings, sets)) < float(
+        loss(one_pixel(0, 0, 1), plain_head(), meanings, sets)
+    )
 
 
 def test_pictures_and_pixels_without_labels_teach_nothing() -> None:
     loss = loss_over_three_words([[True, False, False]], [True, True, True])
     pixel = one_pixel(0, 0, 1)
 
-    assert float(loss(pixel, torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([-1]))) == 0
-    assert float(loss(pixel, torch.full((1, 2, 2), -1, dtype=torch.int16), torch.tensor([0]))) == 0
+    assert float(loss(pixel, plain_head(), torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([-1]))) == 0
+    assert float(loss(pixel, plain_head(), torch.full((1, 2, 2), -1, dtype=torch.int16), torch.tensor([0]))) == 0
+
+
+def test_the_word_loss_without_embeddings_is_the_one_with_them() -> None:
+    torch.manual_seed(0)
+    members = torch.rand(5, 12) < 0.3
+    members[range(5), range(5)] = True
+    known = torch.rand(2, 12) < 0.7
+    known[:, :5] = True
+    vectors = F.normalize(torch.randn(12, 512), dim=1)
+    loss = WordLoss(vectors, members & known.all(dim=0), known, torch.rand(5) + 0.1, temperature=0.07)
+    head = nn.Conv2d(96, 512, 1)
+    joined = torch.randn(3, 96, 4, 6, requires_grad=True)
+    meanings, sets = torch.randint(-1, 5, (3, 8, 12), dtype=torch.int16), torch.tensor([1, -1, 0])
+    given = [joined, head.weight, head.bias]
+
+    quick = loss(joined, head, meanings, sets)
+    slow = by_definition(loss, head(joined), meanings[:, 1::2, 1::2], sets)
+
+    assert quick.item() == pytest.approx(slow.item(), rel=1e-5)
+    for one, other in zip(torch.autograd.grad(quick, given), torch.autograd.grad(slow, given), strict=True):  # type: ignore[arg-type]
+        assert torch.allclose(one, other, rtol=1e-3, atol=1e-6)
 
 
 def test_cells_that_find_themselves_again_cost_little() -> None:
@@ -88,4 +134,5 @@ def test_matched_cells_are_read_where_the_views_show_them() -> None:
 
     here, there = matched_cells(field, cells, positions)
 
-    assert torch.allclose(torch.nn.functional.normalize(here, dim=2), there, atol=1e-5)
+    assert here.tolist() == [[[5.0, 1.0], [11.0, 1.0]]]
+    assert torch.allclose(here, there, atol=1e-4)  # as they are: not scaled to unit length

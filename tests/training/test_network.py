@@ -1,5 +1,6 @@
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812
 
 from worker.encoders.compact_network import CompactNetwork
 
@@ -30,3 +31,27 @@ def test_a_network_is_loaded_from_half_precision() -> None:
     for one, other in zip(near, exact, strict=True):
         assert one.dtype == torch.float32
         assert float((one * other).sum(dim=1).min()) > 0.999
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 96), (72, 100), (33, 47)])
+def test_fine_words_have_unit_length_at_a_quarter(height: int, width: int) -> None:
+    network = CompactNetwork().eval()
+
+    with torch.inference_mode():
+        words = network.fine_words(torch.rand(2, 3, height, width))
+
+    cells = (-(-height // 4), -(-width // 4))
+    assert words.shape == (2, 97, *cells)
+    assert torch.allclose(words.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
+
+
+def test_the_refinement_adds_nothing_before_training() -> None:
+    network = CompactNetwork().eval()
+    pictures = torch.rand(1, 3, 64, 96)
+
+    with torch.inference_mode():
+        joined = network.fused(*network.shallow(pictures))
+        enlarged = F.interpolate(joined, scale_factor=2.0, mode="bilinear", align_corners=False)
+        expected = F.normalize(network.words(enlarged), dim=1)
+
+        assert torch.allclose(network.fine_words(pictures), expected, atol=1e-6)

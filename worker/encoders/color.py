@@ -52,6 +52,10 @@ class ColorEncoder:
         """One field per picture; see `Encoder.encode`."""
         return (self._encode(picture) for picture in pictures)
 
+    def fine(self, picture: Picture) -> PixelField:
+        """See `Encoder.fine`: its fields have no finer grid."""
+        return self._encode(picture)
+
     def _encode(self, picture: Picture) -> PixelField:
         width, height = picture.extent
         columns, rows = (max(4, round(side * LONGEST / CELL)) for side in (width, height))

@@ -5,17 +5,16 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
-import torch
-from safetensors.torch import load
+from safetensors.numpy import load
 
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError, SetupError
 from schemas.picture import Bytes2D, Picture
 from schemas.records import Meaning
-from worker.encoders.compact_network import CompactNetwork
 
 WEIGHTS = Path(__file__).parent / "weights" / "compact.safetensors"
 
@@ -28,41 +27,48 @@ MULTIPLE = 32
 DETAIL = "detail"
 
 
+class Engine(Protocol):
+    """Runs the network on pictures of one size, uint8 of shape (n, height, width, 3), sides multiples of MULTIPLE."""
+
+    def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
+        """Words and detail, float32 of shapes (n, height / 8, width / 8, channels), unit length."""
+        ...
+
+    def fine_words(self, pictures: Bytes2D) -> Floats:
+        """Words at twice the resolution, float32 of shape (n, height / 4, width / 4, channels), unit length."""
+        ...
+
+
 class CompactEncoder:
     """Language-aligned embeddings (layer ``words``) and appearance (layer ``detail``) at one cell per 8 x 8 pixels.
 
     Parameters
     ----------
     device : str
-        ``cpu``, ``cuda``, ...
+        ``cpu``: ONNX Runtime; ``cuda``, ...: torch.
     weights : Path
-        Beside it lies a JSON file of the same name with its SHA-256 and its words.
+        Beside it lie a JSON file of the same name with its SHA-256 and its words, and the graphs that this file names.
+    threads : int
+        Of ONNX Runtime; torch has a setting of its own for the whole process.
 
     Raises
     ------
     SetupError
-        The weights are missing, or are not the ones the JSON file describes.
+        A file is missing or is not the one the JSON file describes, or ONNX Runtime cannot be used.
     """
 
     name = "compact"
 
-    def __init__(self, device: str = "cpu", weights: Path = WEIGHTS) -> None:
+    def __init__(self, device: str = "cpu", weights: Path = WEIGHTS, *, threads: int = 1) -> None:
         described = weights.with_suffix(".json")
-        if not weights.exists() or not described.exists():
-            raise SetupError(f"the encoder's weights {weights.name} and {described.name} are not in {weights.parent}")
-        content = weights.read_bytes()
+        if not described.exists():
+            raise SetupError(f"the encoder's file {described.name} is not in {weights.parent}")
         facts = json.loads(described.read_text())
-        self.digest = hashlib.sha256(content).hexdigest()
-        if self.digest != facts["sha256"]:
-            raise SetupError(
-                f"{weights.name} has the SHA-256 {self.digest[:16]}..., but {described.name} describes "
-                f"{facts['sha256'][:16]}...; fetch the repository's own file again"
-            )
-        tensors = load(content)
-        self._device = torch.device(device)
-        network = CompactNetwork.loaded({k: v for k, v in tensors.items() if not k.startswith("text.")})
-        self._network = network.to(self._device)
-        self._vectors: Floats = tensors["text.vectors"].float().numpy()
+        content = _verified(weights, facts["sha256"], described)
+        self.digest: str = facts["sha256"]
+        self._alone = device == "cpu"
+        self._engine = _on_cpu(facts, described, threads) if self._alone else _on_gpu(content, device)
+        self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._words = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
         self.layers: Mapping[str, int] = {layer: facts["channels"][layer] for layer in (SEMANTIC, DETAIL)}
 
@@ -72,7 +78,7 @@ class CompactEncoder:
         On a CPU pictures go through one by one: that is as quick, and the arithmetic of a picture then cannot depend
         on its neighbours. On a GPU, runs of pictures of one size go together.
         """
-        if self._device.type == "cpu":
+        if self._alone:
             for picture in pictures:
                 yield from self._encode([picture])
         else:
@@ -80,13 +86,14 @@ class CompactEncoder:
                 yield from self._encode(list(run))
 
     def _encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
-        resized = np.stack([_resized(picture) for picture in pictures])
-        with torch.inference_mode():
-            batch = torch.from_numpy(resized).to(self._device).permute(0, 3, 1, 2)
-            words, detail = self._network((batch.float() / 255).contiguous(memory_format=torch.channels_last))
-            fields = [layer.permute(0, 2, 3, 1).contiguous().float().cpu().numpy() for layer in (words, detail)]
-        for picture, semantic, appearance in zip(pictures, *fields, strict=True):
-            yield PixelField({SEMANTIC: semantic, DETAIL: appearance}, picture.extent)
+        fields = self._engine.fields(np.stack([resized(picture.pixels) for picture in pictures]))
+        for picture, words, detail in zip(pictures, *fields, strict=True):
+            yield PixelField({SEMANTIC: words, DETAIL: detail}, picture.extent)
+
+    def fine(self, picture: Picture) -> PixelField:
+        """Words alone, at one cell per 4 x 4 pixels; see `Encoder.fine`."""
+        [words] = self._engine.fine_words(resized(picture.pixels)[None])
+        return PixelField({SEMANTIC: words}, picture.extent)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""
@@ -116,8 +123,40 @@ def network_size(width: int, height: int) -> tuple[int, int]:
     return across, down
 
 
-def _resized(picture: Picture) -> Bytes2D:
-    size = network_size(picture.width, picture.height)
-    shrinks = size[0] < picture.width
-    pixels: Bytes2D = cv2.resize(picture.pixels, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    return pixels
+def resized(pixels: Bytes2D) -> Bytes2D:
+    """Bring a picture, uint8 of shape (height, width, 3), to the size at which the network sees it."""
+    height, width = pixels.shape[:2]
+    size = network_size(width, height)
+    how = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(pixels, size, interpolation=how), np.uint8)
+
+
+def _on_cpu(facts: Mapping[str, Any], described: Path, threads: int) -> Engine:
+    from worker.encoders.compact_onnx import OnnxEngine
+
+    if "graphs" not in facts:
+        raise SetupError(f"{described.name} names no graphs for ONNX Runtime; fetch the repository's own file again")
+    fields, fine = (described.with_name(facts["graphs"][which]["file"]) for which in ("fields", "fine"))
+    _verified(fields, facts["graphs"]["fields"]["sha256"], described)
+    _verified(fine, facts["graphs"]["fine"]["sha256"], described)
+    return OnnxEngine(fields, fine, threads)
+
+
+def _on_gpu(content: bytes, device: str) -> Engine:
+    from worker.encoders.compact_torch import TorchEngine
+
+    return TorchEngine(content, device)
+
+
+def _verified(path: Path, sha256: str, described: Path) -> bytes:
+    """Read a file whose SHA-256 the JSON file `described` gives."""
+    if not path.exists():
+        raise SetupError(f"the encoder's file {path.name} is not in {path.parent}")
+    content = path.read_bytes()
+    found = hashlib.sha256(content).hexdigest()
+    if found != sha256:
+        raise SetupError(
+            f"{path.name} has the SHA-256 {found[:16]}..., but {described.name} describes {sha256[:16]}...; "
+            "fetch the repository's own file again"
+        )
+    return content

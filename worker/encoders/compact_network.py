@@ -16,8 +16,10 @@ What ships lies in ``weights/``, written by ``training/export.py``:
     The cosine of a cell's words embedding z with word i is ``text.vectors[i] @ z``: do not scale the rows, whose
     lengths below 1 belong to it. ``text.basis @ z`` is the embedding in CLIP's own 512 dimensions, and any other unit
     vector t of CLIP ViT-B/16 becomes a row as ``unit(t - text.centre) @ text.basis``.
+``compact.onnx``, ``compact-fine.onnx``
+    The same network for ONNX Runtime, without weights: it reads them in that file. See ``training/export_onnx.py``.
 ``compact.json``
-    SHA-256 of that file; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance.
+    SHA-256 of these files; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance.
 """
 
 from collections.abc import Mapping
@@ -31,6 +33,9 @@ CLIP_CHANNELS = 512
 
 FUSED_CHANNELS = 96
 """Channels of the layer that both the words head and its exact reduction start from."""
+
+REFINED_CHANNELS = 24
+"""Channels of either input of the layer that sharpens the words field at stride 4."""
 
 REDUCED_CHANNELS = FUSED_CHANNELS + 1
 """Channels of the words field as shipped: a 512-d embedding W y + b of a 96-d y spans 97 dimensions at most."""
@@ -73,6 +78,7 @@ class CompactNetwork(nn.Module):
             nn.ReLU(inplace=True),
             nn.Conv2d(FUSED_CHANNELS, FUSED_CHANNELS, 3, padding=1),
         )
+        self.refine = Refinement(24, FUSED_CHANNELS, REFINED_CHANNELS)
         self.words = nn.Conv2d(FUSED_CHANNELS, word_channels, 1)
         self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
 
@@ -131,12 +137,53 @@ class CompactNetwork(nn.Module):
         words = self.words(self.fused(at4, at8))
         return F.normalize(words, dim=1), F.normalize(self.appearance(at4, at8), dim=1)
 
+    def fine_words(self, pictures: Tensor) -> Tensor:
+        """Embed every 4 x 4 pixels for their words: what a segmentation is drawn from.
+
+        Parameters
+        ----------
+        pictures : float of shape (n, 3, height, width)
+            RGB in 0..1.
+
+        Returns
+        -------
+        float of shape (n, word_channels, ceil(height / 4), ceil(width / 4))
+            Unit length over the channels, in the space of the words field.
+        """
+        at4, at8 = self.shallow(pictures)
+        return F.normalize(self.words(self.refine(at4, self.fused(at4, at8))), dim=1)
+
     @classmethod
     def loaded(cls, state: Mapping[str, Tensor]) -> "CompactNetwork":
         """Build the network for inference from a state dict of any float type, channels last, in float32."""
         network = cls(word_channels=state["words.weight"].shape[0])
         network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
         return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+class Refinement(nn.Module):
+    """Enlarges the layer that the words head reads to stride 4, and sharpens it with what stride 4 still shows.
+
+    It adds to a bilinear enlargement, and adds nothing before training.
+    """
+
+    def __init__(self, near: int, joined: int, middle: int) -> None:
+        super().__init__()
+        self.near = nn.Conv2d(near, middle, 1)
+        self.below = nn.Conv2d(joined, middle, 1)
+        self.mix = nn.Conv2d(2 * middle, 2 * middle, 3, padding=1)
+        self.out = nn.Conv2d(2 * middle, joined, 1)
+        for parameter in self.out.parameters():
+            nn.init.zeros_(parameter)
+
+    def forward(self, at4: Tensor, joined: Tensor) -> Tensor:
+        """Map (n, near, h, w) and (n, joined, ceil(h / 2), ceil(w / 2)) to (n, joined, h, w)."""
+        size = at4.shape[-2:]
+        below = F.interpolate(self.below(joined), size=size, mode="bilinear", align_corners=False)
+        mixed = F.relu(self.mix(F.relu(torch.cat([self.near(at4), below], dim=1))))
+        enlarged = F.interpolate(joined, size=size, mode="bilinear", align_corners=False)
+        sharpened: Tensor = enlarged + self.out(mixed)
+        return sharpened
 
 
 class Convolution(nn.Module):

@@ -6,6 +6,8 @@ import ctypes
 def keep_freed_memory() -> None:
     """Tell glibc to keep freed memory instead of handing it back; elsewhere do nothing.
 
+    For networks in torch: ONNX Runtime has an arena of its own.
+
     A network's maps are megabytes each and live for a millisecond. By default glibc returns them to the kernel and
     fetches them again, zeroed, page by page: that took a fifth of a forward pass on one thread.
     """

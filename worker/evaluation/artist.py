@@ -62,7 +62,7 @@ class HouseArtist:
             seen = self._describer().see(field)
             return drawing.overlay_png(pixels.pixels, seen.labels, words, seen.static)
 
-        overlay = self.house.desk.hand_in(one, draw, urgent=True).result().value
+        overlay = self.house.desk.hand_in(one, draw, urgent=True, fine=True).result().value
         return [
             Shown("segmentation by words; what moves is grey", overlay),
             Shown("where the method puts its own: nodes of static regions", self._graph(one)),

@@ -140,6 +140,10 @@ class LsegEncoder:
             # No name is bound to a field here: it would keep half a gigabyte alive while the next one is made.
             yield PixelField({SEMANTIC: unit_length(next(raw))}, picture.extent)
 
+    def fine(self, picture: Picture) -> PixelField:
+        """See `Encoder.fine`: its fields have no finer grid."""
+        return next(self.encode([picture]))
+
     def raw(self, pictures: Sequence[Picture]) -> Iterator[Tensor]:
         """Embeddings as the reference returns them.
 

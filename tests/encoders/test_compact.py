@@ -1,0 +1,224 @@
+"""The built-in encoder in ONNX Runtime: it answers as torch does, whatever the size, the threads and the neighbours."""
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from schemas.description import Floats
+from schemas.errors import SetupError
+from schemas.picture import Picture
+from schemas.settings import Settings
+from worker.bootstrap import make_encoder
+from worker.encoders.compact import LONGEST, MULTIPLE, WEIGHTS, CompactEncoder, network_size, resized
+from worker.encoders.compact_onnx import OnnxEngine
+from worker.encoders.compact_torch import TorchEngine
+from worker.scenes import scene
+
+ROOT = Path(__file__).parents[2]
+SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]
+"""Width and height of pictures."""
+
+
+def drawn(width: int, height: int) -> Picture:
+    return Picture.of(scene("town", "street").sized(width, height).pixels)
+
+
+def cosines(one: Floats, other: Floats) -> Floats:
+    product: Floats = (one * other).sum(axis=-1)
+    return product
+
+
+def graphs() -> tuple[Path, Path]:
+    facts = json.loads(WEIGHTS.with_suffix(".json").read_text())["graphs"]
+    return WEIGHTS.with_name(facts["fields"]["file"]), WEIGHTS.with_name(facts["fine"]["file"])
+
+
+@pytest.fixture(scope="module")
+def encoder() -> CompactEncoder:
+    return CompactEncoder()
+
+
+@pytest.fixture(scope="module")
+def reference() -> TorchEngine:
+    torch.set_num_threads(1)
+    return TorchEngine(WEIGHTS.read_bytes(), "cpu")
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """The shipped files where they can be spoilt."""
+    for path in (WEIGHTS, WEIGHTS.with_suffix(".json"), *graphs()):
+        shutil.copy(path, tmp_path)
+    return tmp_path / WEIGHTS.name
+
+
+class TestParity:
+    @pytest.mark.parametrize(("width", "height"), SIZES)
+    def test_every_cell_is_as_torch_has_it(
+        self, encoder: CompactEncoder, reference: TorchEngine, width: int, height: int
+    ) -> None:
+        picture = drawn(width, height)
+        pixels = resized(picture.pixels)[None]
+        [field] = encoder.encode([picture])
+        words, detail = reference.fields(pixels)
+        fine = reference.fine_words(pixels)
+
+        for mine, other in (
+            (field.semantic, words[0]),
+            (field.layers["detail"], detail[0]),
+            (encoder.fine(picture).semantic, fine[0]),
+        ):
+            assert mine.shape == other.shape
+            assert cosines(mine, other).min() > 0.9999
+            assert np.abs(np.linalg.norm(mine, axis=-1) - 1).max() < 1e-5
+
+    @pytest.mark.parametrize(("width", "height"), SIZES)
+    def test_every_cell_takes_the_word_that_it_takes_in_torch(
+        self, encoder: CompactEncoder, reference: TorchEngine, width: int, height: int
+    ) -> None:
+        picture = drawn(width, height)
+        text = encoder.text_vectors(["road", "sidewalk", "building", "car", "vegetation", "sky", "person", "pole"])
+        pixels = resized(picture.pixels)[None]
+
+        for mine, other in (
+            (next(encoder.encode([picture])).semantic, reference.fields(pixels)[0][0]),
+            (encoder.fine(picture).semantic, reference.fine_words(pixels)[0]),
+        ):
+            first, second = np.sort(other @ text.T, axis=-1)[..., :-3:-1].transpose(2, 0, 1)
+            certain = first - second > 1e-4  # two words as near as that may change places by rounding
+            assert certain.mean() > 0.98
+            assert np.array_equal((mine @ text.T).argmax(-1)[certain], (other @ text.T).argmax(-1)[certain])
+
+    def test_on_another_device_runs_of_one_size_go_together_and_keep_their_order(self, encoder: CompactEncoder) -> None:
+        pictures = [drawn(*size) for size in ((640, 480), (320, 240), (300, 300), (640, 480))]
+        in_torch = CompactEncoder("cpu:0")  # anything but "cpu" means torch, and batches
+
+        for mine, other in zip(encoder.encode(pictures), in_torch.encode(pictures), strict=True):
+            assert cosines(mine.semantic, other.semantic).min() > 0.9999
+        for picture in pictures[:2]:
+            assert cosines(encoder.fine(picture).semantic, in_torch.fine(picture).semantic).min() > 0.9999
+
+
+class TestIndependence:
+    def test_a_picture_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
+        pictures = [drawn(*size) for size in SIZES]
+
+        together = [field.semantic for field in encoder.encode(pictures)]
+
+        for picture, field in zip(pictures, together, strict=True):
+            assert np.array_equal(next(encoder.encode([picture])).semantic, field)
+
+    def test_nor_on_the_number_of_threads(self, encoder: CompactEncoder) -> None:
+        picture = drawn(640, 480)
+
+        [one], [several] = encoder.encode([picture]), CompactEncoder(threads=3).encode([picture])
+
+        assert np.array_equal(one.semantic, several.semantic)
+        assert np.array_equal(one.layers["detail"], several.layers["detail"])
+
+    def test_nor_on_what_shares_its_batch(self) -> None:
+        engine = OnnxEngine(*graphs(), threads=2)
+        pixels = resized(drawn(640, 480).pixels)
+
+        alone, among = engine.fields(pixels[None]), engine.fields(np.stack([255 - pixels, pixels, pixels // 2]))
+
+        for one, several in zip(alone, among, strict=True):
+            assert np.array_equal(one[0], several[1])
+
+    def test_memory_does_not_grow_with_every_new_size(self, encoder: CompactEncoder) -> None:
+        sides = range(96, LONGEST + 1, MULTIPLE)
+        sizes = [(LONGEST, side) for side in sides] + [(side, LONGEST) for side in sides]
+
+        def resident_mb() -> float:
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            return pages * 4096 / 1e6
+
+        if not Path("/proc/self/statm").exists():
+            pytest.skip("NOT RUN: only Linux says how much memory a process has")
+        largest = Picture.of(np.zeros((LONGEST, LONGEST, 3), np.uint8))
+        list(encoder.encode([largest]))
+        before = resident_mb()
+        for width, height in sizes:
+            list(encoder.encode([Picture.of(np.zeros((height, width, 3), np.uint8))]))
+        assert resident_mb() < before + 60
+
+
+class TestFineWords:
+    def test_they_say_the_same_at_twice_the_resolution(self, encoder: CompactEncoder) -> None:
+        picture = drawn(640, 480)
+
+        coarse, fine = next(encoder.encode([picture])), encoder.fine(picture)
+
+        assert fine.extent == coarse.extent
+        assert fine.shape == (2 * coarse.shape[0], 2 * coarse.shape[1])
+        enlarged = coarse.semantic.repeat(2, axis=0).repeat(2, axis=1)
+        assert float(cosines(fine.semantic, enlarged).mean()) > 0.7
+
+
+class TestFiles:
+    def test_the_engine_on_a_cpu_does_without_torch(self) -> None:
+        asked = (
+            "import sys; from worker.bootstrap import make_encoder; from schemas.settings import Settings; "
+            "make_encoder(Settings(), 1); print('torch' in sys.modules, 'onnxruntime' in sys.modules)"
+        )
+        loaded = subprocess.run([sys.executable, "-c", asked], cwd=ROOT, capture_output=True, text=True, check=True)
+        assert loaded.stdout.split() == ["False", "True"]
+
+    @pytest.mark.parametrize("name", ["compact.safetensors", "compact.json", "compact.onnx", "compact-fine.onnx"])
+    def test_a_missing_file_is_named(self, copied: Path, name: str) -> None:
+        copied.with_name(name).unlink()
+
+        with pytest.raises(SetupError, match=name):
+            CompactEncoder(weights=copied)
+
+    @pytest.mark.parametrize("name", ["compact.safetensors", "compact.onnx", "compact-fine.onnx"])
+    def test_a_changed_file_is_refused(self, copied: Path, name: str) -> None:
+        with copied.with_name(name).open("ab") as file:
+            file.write(b"\0")
+
+        with pytest.raises(SetupError, match=f"{name} has the SHA-256"):
+            CompactEncoder(weights=copied)
+
+    def test_weights_without_graphs_are_refused(self, copied: Path) -> None:
+        described = copied.with_suffix(".json")
+        facts = json.loads(described.read_text())
+        del facts["graphs"]
+        described.write_text(json.dumps(facts))
+
+        with pytest.raises(SetupError, match="names no graphs"):
+            CompactEncoder(weights=copied)
+
+    def test_a_graph_that_cannot_be_loaded_is_told(self, copied: Path) -> None:
+        described = copied.with_suffix(".json")
+        facts = json.loads(described.read_text())
+        copied.with_suffix(".onnx").write_bytes(b"no graph")
+        facts["graphs"]["fields"]["sha256"] = hashlib.sha256(b"no graph").hexdigest()
+        described.write_text(json.dumps(facts))
+
+        with pytest.raises(SetupError, match=r"cannot load compact\.onnx"):
+            CompactEncoder(weights=copied)
+
+    @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+    def test_a_gpu_that_is_not_there_is_told(self) -> None:
+        with pytest.raises(SetupError, match="sees no GPU"):
+            make_encoder(Settings(device="cuda"), 1)
+
+    def test_without_onnx_runtime_it_says_so_and_does_not_fall_back(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "onnxruntime", None)
+
+        with pytest.raises(SetupError, match="install the package onnxruntime"):
+            CompactEncoder()
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [((640, 480), (480, 352)), ((480, 640), (352, 480)), ((4000, 90), (480, 96))]
+)
+def test_sides_become_multiples_of_the_deepest_stride(size: tuple[int, int], expected: tuple[int, int]) -> None:
+    assert network_size(*size) == expected
