@@ -115,6 +115,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--trunk-rate", type=float, default=Plan.trunk_rate)
     parser.add_argument("--head-rate", type=float, default=Plan.head_rate)
     options = parser.parse_args(arguments)
+    if min(options.strong, options.mild, options.clear) < 1:
+        parser.error("--strong, --mild and --clear are at least 1: each teaches something that the others do not")
     if not options.minutes and not options.steps:
         parser.error("say how long: --minutes or --steps")
     return options
