@@ -1,6 +1,7 @@
 """Descriptions: kept whole, read in the parts that an index and a ranking need."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -91,9 +92,17 @@ class Descriptions(Part):
         bodies: dict[int, bytes] = {}
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                rows = sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(portion), table.c.recipe == recipe)
-                bodies.update((seq, body) for seq, body in connection.execute(rows))
+                found = connection.execute(_reading(table), {"seqs": portion, "recipe": recipe})
+                bodies.update((seq, body) for seq, body in found)
         return bodies
+
+
+@cache
+def _reading(table: sa.Table) -> sa.Select[Any]:
+    """Bodies of views by a recipe; made once, since making it takes as long as the reading."""
+    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
+    return sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(seqs), table.c.recipe == recipe)
 
 
 def _in_order(seqs: Sequence64, vectors: Floats) -> tuple[Sequence64, Floats]:
