@@ -52,9 +52,9 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
     -----
     Without centring, what all cells have in common (the light, the camera) drowns what tells them apart.
     """
-    height, width = field.shape[:2]
-    down = np.einsum("rh,hwc->rwc", _coverage(height, rows), field, optimize=True)
-    cells = _unit(np.einsum("kw,rwc->rkc", _coverage(width, columns), down, optimize=True))
+    height, width, channels = field.shape
+    down = (_coverage(height, rows) @ field.reshape(height, -1)).reshape(rows, width, channels)
+    cells = _unit(_coverage(width, columns) @ down)
     return _unit(cells - cells.mean(axis=(0, 1)))
 
 

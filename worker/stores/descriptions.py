@@ -12,7 +12,7 @@ from schemas.recipe import Recipe
 from schemas.records import Changes, Sequence64
 from worker.stores import packing
 from worker.stores.part import Part
-from worker.stores.rows import batches, find_map
+from worker.stores.rows import batches, find_map, inserting
 from worker.stores.tables import APPEARANCES, CELLS, DESCRIPTIONS, KEYPOINTS, TOMBSTONES, VECTORS
 
 ROWS = 4096
@@ -25,15 +25,16 @@ def keep_description(
     """Keep what a job found out about its view, as of a revision."""
     key = {"seq": job.seq, "recipe": job.recipe}
     connection.execute(
-        sa.insert(DESCRIPTIONS).values(
+        inserting(DESCRIPTIONS),
+        {
             **key,
-            map_id=job.map_id,
-            revision=revision,
-            descriptor_count=int(description.descriptor_count),
-            static_share=float(description.static_share),
-            nodes=len(description.appearance.graph),
-            label_shares=packing.pack_floats(description.label_shares),
-        )
+            "map_id": job.map_id,
+            "revision": revision,
+            "descriptor_count": int(description.descriptor_count),
+            "static_share": float(description.static_share),
+            "nodes": len(description.appearance.graph),
+            "label_shares": packing.pack_floats(description.label_shares),
+        },
     )
     parts = {
         VECTORS: packing.pack_vectors(description, recipe),
@@ -43,7 +44,7 @@ def keep_description(
     if description.keypoints is not None:
         parts[KEYPOINTS] = packing.pack_keypoints(description.keypoints)
     for table, body in parts.items():
-        connection.execute(sa.insert(table).values(**key, body=body))
+        connection.execute(inserting(table), {**key, "body": body})
 
 
 class Descriptions(Part):

@@ -23,6 +23,12 @@ WORKER_DIED = (
 )
 
 
+_RECIPE_OF_MAP = sa.select(MAPS.c.recipe).where(MAPS.c.id == sa.bindparam("of"))
+_JOB_LOCKED = sa.select(JOBS).where(JOBS.c.id == sa.bindparam("of")).with_for_update()
+_JOB_ENDS = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of"))
+_VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
+
+
 class Jobs(Part):
     """The promises of `schemas.ports.Store` about work."""
 
@@ -82,7 +88,7 @@ class Jobs(Part):
         """Keep a description; see `Store.finish`."""
         with self._database.writing() as connection:
             job = self._held(connection, claim)
-            current = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id))
+            current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
             if job.recipe == current:
                 revision = clock.tick(connection, job.map_id)
             else:  # nobody sees it before the map changes over
@@ -98,7 +104,7 @@ class Jobs(Part):
     def _held(self, connection: sa.Connection, claim: Claim) -> sa.Row[Any]:
         """The job of a claim that is still valid; raises LeaseLost."""
         # Locked, because another worker may be claiming it at this moment.
-        job = connection.execute(sa.select(JOBS).where(JOBS.c.id == claim.job_id).with_for_update()).one_or_none()
+        job = connection.execute(_JOB_LOCKED, {"of": claim.job_id}).one_or_none()
         if job is None:
             raise LeaseLost(f"the job {claim.job_id} went with its view {claim.view.id}, which was deleted")
         if job.state != "running" or job.token != claim.token:
@@ -116,15 +122,12 @@ class Jobs(Part):
         """End a job, and let its view and map know; returns the revision if the map changed over."""
         code, detail = failure
         outcome = {"failure_code": code, "failure_detail": detail}
-        connection.execute(
-            sa.update(JOBS)
-            .where(JOBS.c.number == job.number)
-            .values(state=state, token=None, lease_until=None, finished_at=now, **outcome)
-        )
-        current = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id))
+        ended = {"state": state, "token": None, "lease_until": None, "finished_at": now, **outcome}
+        connection.execute(_JOB_ENDS, {"of": job.number, **ended})
+        current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
         if job.recipe == current:
             view_state = "ready" if state == "done" else "failed"
-            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == job.seq).values(state=view_state, **outcome))
+            connection.execute(_VIEW_SETTLES, {"of": job.seq, "state": view_state, **outcome})
         return switching.finish_if_done(connection, job.map_id)
 
     def release(self, claim: Claim) -> None:
