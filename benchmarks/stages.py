@@ -10,6 +10,7 @@ import json
 import platform
 import resource
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -140,11 +141,15 @@ def enrolling(house: House, client: TestClient, pictures: Sequence[bytes]) -> li
             list(house.encoder.encode([picture]))
             local_features(picture.pixels, keypoints)
 
+    described = threading.Semaphore(0)
+    assert house.loop is not None
+    house.loop.on_finish(lambda _: described.release())
+
     def at_once() -> None:
         for data in pictures:
             enroll(data, "/enroll?map=at-once&wait=false", 202)
-        while house.store.waiting():
-            time.sleep(0.02)
+        for _ in pictures:
+            described.acquire()
 
     def one_by_one() -> None:
         for data in pictures:
