@@ -121,6 +121,13 @@ def find_view(connection: sa.Connection, view_id: str) -> sa.Row[Any]:
 
 
 @cache
+def views_of() -> sa.Select[Any]:
+    """`view_rows` of the sequence numbers given as ``seqs``."""
+    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    return view_rows().where(VIEWS.c.seq.in_(seqs))
+
+
+@cache
 def _view_of_id() -> sa.Select[Any]:
     return view_rows().where(VIEWS.c.id == sa.bindparam("of"))
 
