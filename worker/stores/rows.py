@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Iterator
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import sqlalchemy as sa
@@ -63,8 +63,12 @@ def keep_recipe(connection: sa.Connection, recipe: Recipe) -> str:
 
 def find_recipe(connection: sa.Connection, recipe: str) -> Recipe:
     """A kept recipe by its id."""
-    body = connection.scalar(_RECIPE, {"of": recipe})
-    return Recipe.model_validate_json(str(body))
+    return _recipe_of(str(connection.scalar(_RECIPE, {"of": recipe})))
+
+
+@lru_cache(maxsize=64)
+def _recipe_of(body: str) -> Recipe:
+    return Recipe.model_validate_json(body)
 
 
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
