@@ -79,20 +79,23 @@ class Recogniser:
         return [s if isinstance(s, RevisitError) else await self._outcome(s, wait) for s in submitted]
 
     async def _submit(self, data: bytes, map_name: str, said: Said) -> _Accepted | RevisitError:
-        began = time.perf_counter()
         try:
-            picture = await asyncio.to_thread(self._house.decode, data)
-            decoded = time.perf_counter()
-            waiting = await asyncio.to_thread(self._store.waiting)
-            if waiting >= self._house.settings.queue:
-                raise Busy.queue(waiting, self._house.desk.pace_s, "enrolments")
-            facts = PictureFacts(picture.width, picture.height, picture.byte_count, picture.format, picture.digest)
-            recipe = self._house.default_recipe
-            kept = await asyncio.to_thread(self._store.submit, map_name, data, facts, said, recipe, _now())
+            accepted = await asyncio.to_thread(self._keep, data, map_name, said)
         except RevisitError as error:
             return error
-        if self._house.loop is not None and kept.job_id is not None:
+        if self._house.loop is not None and accepted.kept.job_id is not None:
             self._house.loop.wake()
+        return accepted
+
+    def _keep(self, data: bytes, map_name: str, said: Said) -> _Accepted:
+        began = time.perf_counter()
+        picture = self._house.decode(data)
+        decoded = time.perf_counter()
+        waiting = self._store.waiting()
+        if waiting >= self._house.settings.queue:
+            raise Busy.queue(waiting, self._house.desk.pace_s, "enrolments")
+        facts = PictureFacts(picture.width, picture.height, picture.byte_count, picture.format, picture.digest)
+        kept = self._store.submit(map_name, data, facts, said, self._house.default_recipe, _now())
         return _Accepted(kept, began, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
 
     async def _outcome(self, accepted: _Accepted, wait: bool) -> wire.Enrolled | RevisitError:
@@ -109,12 +112,16 @@ class Recogniser:
                 if kept.created:  # a view that an earlier call acknowledged stays, whatever becomes of this one
                     await asyncio.to_thread(self._store.delete_view, record.id)
                 return RevisitError(detail)
-        owner = await asyncio.to_thread(self._store.map, record.map)
+        revision = kept.revision
+        labels: Sequence[str] = ()  # what is not described yet shows none
+        if record.state == "ready":
+            owner = await asyncio.to_thread(self._store.map, record.map)
+            revision, labels = owner.revision, owner.recipe.labels
         accepted.timing["total"] = _since(accepted.began)
         return wire.Enrolled(
-            view=answers.view(record, owner.recipe.labels),
+            view=answers.view(record, labels),
             created=kept.created,
-            revision=owner.revision if record.state == "ready" else kept.revision,
+            revision=revision,
             job=kept.job_id if record.state == "pending" else None,
             timing_ms=accepted.timing,
         )

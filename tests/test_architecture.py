@@ -1,6 +1,7 @@
 """What is kept by machine: who may import whom, how long a file may be, and what it may not be called."""
 
 import ast
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -42,6 +43,16 @@ def test_the_application_loads_without_what_is_heavy(module: str) -> None:
     loaded = run(sys.executable, "-W", "ignore", "-c", asked)
     assert loaded.returncode == 0, loaded.stderr
     assert loaded.stdout.split() == []
+
+
+@pytest.mark.parametrize("room", ["app", "worker", "benchmarks"])
+def test_numpy_is_told_to_keep_to_one_thread_before_it_loads(room: str) -> None:
+    asked = f"import {room}, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    bare = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    told = subprocess.run(
+        [sys.executable, "-c", asked], cwd=ROOT, env=bare, capture_output=True, text=True, check=False
+    )
+    assert told.stdout.split() == ["1", "False"], told.stderr
 
 
 def imported(path: Path) -> set[str]:

@@ -68,6 +68,24 @@ def test_a_question_overtakes_every_enrolment_that_is_not_yet_under_way() -> Non
     desk.stop()
 
 
+def test_a_question_is_answered_while_an_enrolment_is_still_being_described() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    desk = Desk(encoder, batch=1, questions=5)
+    desk.start()
+    asked = threading.Event()
+
+    def slow(shown: Picture, field: PixelField) -> int:
+        assert asked.wait(5)
+        return number_of(shown, field)
+
+    enrolments = [desk.hand_in(picture(n), slow, urgent=False) for n in (1, 2)]
+    assert desk.hand_in(picture(7), number_of, urgent=True).result(5).value == 7
+    asked.set()
+    assert [future.result(5).value for future in enrolments] == [1, 2]
+    desk.stop()
+
+
 def test_one_failing_picture_does_not_take_its_batch_down() -> None:
     encoder = GatedEncoder()
     desk = Desk(encoder, batch=4, questions=5)

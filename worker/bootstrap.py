@@ -21,6 +21,7 @@ from worker.house import House
 from worker.indexes.catalogue import Catalogue
 from worker.indexes.flat import FlatIndex
 from worker.loop import Loop
+from worker.place.dense_cells import Product, float_product
 from worker.recipes import PRESETS, general_vocabulary, make_recipe
 from worker.search import Searcher
 from worker.stores.locks import lock_for_serving
@@ -81,7 +82,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
             desk=desk,
             describers=describers,
             catalogue=catalogue,
-            searcher=Searcher(store, catalogue),
+            searcher=Searcher(store, catalogue, make_product(settings)),
             loop=loop if works else None,
             default_recipe=make_recipe(encoder, settings.preset),
             calibration=lambda recipe: shipped_calibration(recipe.encoder, recipe.preset),
@@ -92,6 +93,15 @@ def build(settings: Settings, *, serving: bool = True) -> House:
     except BaseException:
         unlock()
         raise
+
+
+def make_product(settings: Settings) -> Product:
+    """How dense cells are multiplied: with what is loaded for the encoder anyway."""
+    if settings.encoder == "color":
+        return float_product
+    from worker.byte_product import fastest_product
+
+    return fastest_product()
 
 
 def make_encoder(settings: Settings, threads: int) -> Encoder:

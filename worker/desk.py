@@ -5,7 +5,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count, groupby
 from typing import Any, Generic, TypeVar
@@ -53,9 +53,10 @@ class _Request:
 
 
 class Desk:
-    """One thread that owns the encoder.
+    """One thread that owns the encoder, and one that describes what is enrolled while the next picture is encoded.
 
-    A question waits for the batch under way and for other questions, never for queued enrolments.
+    A question waits for the batch under way and for other questions, never for queued enrolments. The thread that
+    encodes it describes it too, so that it does not wait for the description of an enrolment either.
 
     Parameters
     ----------
@@ -77,6 +78,7 @@ class Desk:
         self._pace_s = 0.2  # seconds per picture, a moving average; the start is a guess that the first ones correct
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="revisit-desk", daemon=True)
+        self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
 
     @property
     def pace_s(self) -> float:
@@ -102,9 +104,10 @@ class Desk:
             self._queue.put(_Request(CLOSE, next(self._numbers), nothing, nothing, Future(), 0))
         if self._thread.is_alive():
             self._thread.join()
+        self._describing.shutdown()
 
     def hand_in(self, picture: Picture, finish: Finish[T], *, urgent: bool, fine: bool = False) -> "Future[Served[T]]":
-        """Have a picture encoded, and `finish` called with it and its field (in the desk's thread).
+        """Have a picture encoded, and `finish` called with it and its field (in a thread of the desk).
 
         With `fine` the field is that of `Encoder.fine`, which is for drawing.
 
@@ -159,16 +162,11 @@ class Desk:
                 pixel_field = next(fields)
                 encoded = time.perf_counter()
                 served += 1
-                try:
-                    value = request.finish(request.picture, pixel_field)
-                except BaseException as error:  # belongs to the one who asked, not to the desk
-                    request.future.set_exception(error)
-                    continue
-                finished = time.perf_counter()
-                waited = (began - request.since) * 1000
-                request.future.set_result(
-                    Served(value, waited, (encoded - encoding) * 1000, (finished - encoded) * 1000)
-                )
+                waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
+                if request.urgency == QUESTION:
+                    _finish(request, pixel_field, waited_ms, encode_ms)
+                else:
+                    self._describing.submit(_finish, request, pixel_field, waited_ms, encode_ms)
         except Exception as error:
             left = batch[served:]
             if len(left) > 1:  # one picture must not take others down with it
@@ -185,3 +183,13 @@ class Desk:
         for fine, alike in groupby(batch, key=lambda request: request.fine):
             pictures = [request.picture for request in alike]
             yield from map(self._encoder.fine, pictures) if fine else self._encoder.encode(pictures)
+
+
+def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:
+    began = time.perf_counter()
+    try:
+        value = request.finish(request.picture, pixel_field)
+    except BaseException as error:  # belongs to the one who asked, not to the desk
+        request.future.set_exception(error)
+        return
+    request.future.set_result(Served(value, queue_ms, encode_ms, (time.perf_counter() - began) * 1000))

@@ -114,11 +114,16 @@ class Searcher:
     ----------
     store : Store
     catalogue : Catalogue
+    product : Product
+        Multiplies dense cells; how changes the time it takes, not the answer.
     """
 
-    def __init__(self, store: Store, catalogue: Catalogue) -> None:
+    def __init__(
+        self, store: Store, catalogue: Catalogue, product: dense_cells.Product = dense_cells.float_product
+    ) -> None:
         self._store = store
         self._catalogue = catalogue
+        self._product = product
 
     def search(
         self,
@@ -203,7 +208,7 @@ class Searcher:
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         if description.appearance.coarse.size:
             coarse = np.stack([a.coarse for a in appearances])
-            similarity, shifts = dense_cells.similarity(description.appearance.coarse, coarse)
+            similarity, shifts = dense_cells.similarity(description.appearance.coarse, coarse, self._product)
             evidence.put("dense", rows, similarity)
             evidence.shifts = shifts * 2
         evidence.graphs = [a.graph for a in appearances]
@@ -225,7 +230,8 @@ class Searcher:
         kept = self._store.cells(seqs, recipe.id)
         if len(kept) < len(first):
             return None
-        similarity, shifts = dense_cells.similarity(description.cells, np.stack([kept[seq] for seq in seqs]))
+        cells = np.stack([kept[seq] for seq in seqs])
+        similarity, shifts = dense_cells.similarity(description.cells, cells, self._product)
         evidence.put("close", first, similarity)
         evidence.shifts[[evidence.place[int(row)] for row in first]] = shifts
         return evidence

@@ -7,7 +7,7 @@ correspondences. A picture of the same place gives correspondences that agree on
 a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +18,10 @@ from schemas.errors import DescriptorMismatch
 from worker.place.hough import Correspondences, agreement
 
 Indices = npt.NDArray[np.intp]
+Numbers = npt.NDArray[np.float32] | npt.NDArray[np.int32]
+
+Product = Callable[[Int8s | Floats, Int8s | Floats], Numbers]
+"""Inner products of (n, d) and (m, d) as (n, m). Those of stored cells are whole numbers: every way gives the same."""
 
 BLOCK = 200_000
 """Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
@@ -48,9 +52,9 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
     -----
     Without centring, what all cells have in common (the light, the camera) drowns what tells them apart.
     """
-    height, width = field.shape[:2]
-    down = np.einsum("rh,hwc->rwc", _coverage(height, rows), field, optimize=True)
-    cells = _unit(np.einsum("kw,rwc->rkc", _coverage(width, columns), down, optimize=True))
+    height, width, channels = field.shape
+    down = (_coverage(height, rows) @ field.reshape(height, -1)).reshape(rows, width, channels)
+    cells = _unit(_coverage(width, columns) @ down)
     return _unit(cells - cells.mean(axis=(0, 1)))
 
 
@@ -127,7 +131,23 @@ def halve(cells: Int8s | Floats) -> Floats:
     return _unit(down[..., 0::2, :] + down[..., 1::2, :])
 
 
-def distinctness(cells: Int8s | Floats, apart: int = APART) -> Floats:
+def float_product(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
+    """Inner products in float32, which holds those of stored cells exactly.
+
+    Parameters
+    ----------
+    left : int8 or float32 of shape (n, dimensions)
+    right : int8 or float32 of shape (m, dimensions)
+
+    Returns
+    -------
+    float32 of shape (n, m)
+    """
+    products: Floats = left.astype(np.float32, copy=False) @ right.astype(np.float32, copy=False).T
+    return products
+
+
+def distinctness(cells: Int8s | Floats, apart: int = APART, product: Product = float_product) -> Floats:
     """How unlike the rest of its own picture each cell is.
 
     Parameters
@@ -136,6 +156,7 @@ def distinctness(cells: Int8s | Floats, apart: int = APART) -> Floats:
         Of unit length, or as `quantise` stores them.
     apart : int
         Cells up to so many rows and columns away are no rest: neighbours share what they show.
+    product : Product
 
     Returns
     -------
@@ -148,15 +169,18 @@ def distinctness(cells: Int8s | Floats, apart: int = APART) -> Floats:
     once in a picture says more (burstiness: Jegou et al. 2009).
     """
     rows, columns = cells.shape[:2]
-    flat = cells.reshape(rows * columns, cells.shape[2]).astype(np.float32, copy=False)
-    products = flat @ flat.T
+    flat = cells.reshape(rows * columns, cells.shape[2])
+    products = product(flat, flat)
     products *= _far(rows, columns, apart)
     # Along columns, which is quicker: the matrix is symmetric.
-    unlike: Floats = 1 - np.clip(products.max(axis=0) * np.float32(_scale(cells) ** 2), 0, 1)
+    closest = products.max(axis=0).astype(np.float32) * np.float32(_scale(cells) ** 2)
+    unlike: Floats = 1 - np.clip(closest, 0, 1)
     return unlike
 
 
-def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Correspondences:
+def correspondences(
+    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product
+) -> Correspondences:
     """Pairs of cells that are each other's best, for each candidate.
 
     Parameters
@@ -164,6 +188,7 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
     query : int8 or float32 of shape (rows, columns, dimensions)
         Of unit length, or as `quantise` stores them.
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
+    product : Product
 
     Returns
     -------
@@ -182,10 +207,10 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
     if query.shape[:2] != candidates.shape[1:3]:
         raise ValueError(f"a grid of {query.shape[:2]} cells cannot be compared with one of {candidates.shape[1:3]}")
     cells = query.shape[0] * query.shape[1]
-    ours = query.reshape(cells, query.shape[-1]).astype(np.float32, copy=False)
-    theirs = candidates.reshape(len(candidates), cells, query.shape[-1]).astype(np.float32, copy=False)
-    best, product, highest = _best(ours, theirs)
-    which, cell = np.nonzero((product == np.take_along_axis(highest, best, axis=1)) & (product > 0))
+    ours = query.reshape(cells, query.shape[-1])
+    theirs = candidates.reshape(len(candidates), cells, query.shape[-1])
+    best, largest, highest = _best(ours, theirs, product)
+    which, cell = np.nonzero((largest == np.take_along_axis(highest, best, axis=1)) & (largest > 0))
     counterpart = best[which, cell]
     # Of equal cells of the query that share a best counterpart, the first has it: it is written last.
     taken = which * cells + counterpart
@@ -193,17 +218,20 @@ def correspondences(query: Int8s | Floats, candidates: Int8s | Floats) -> Corres
     owner[taken[::-1]] = cell[::-1]
     first = owner[taken] == cell
     which, cell, counterpart = which[first], cell[first], counterpart[first]
-    cosine = product[which, cell] * np.float32(_scale(query) * _scale(candidates))
+    cosine = largest[which, cell] * np.float32(_scale(query) * _scale(candidates))
     return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
 
 
-def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Floats, Indices]:
+def similarity(
+    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product
+) -> tuple[Floats, Indices]:
     """How well the cells of several candidates agree with those of a query.
 
     Parameters
     ----------
     query : int8 or float32 of shape (rows, columns, dimensions)
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
+    product : Product
 
     Returns
     -------
@@ -217,8 +245,8 @@ def similarity(query: Int8s | Floats, candidates: Int8s | Floats) -> tuple[Float
     DescriptorMismatch, ValueError
         As `correspondences`.
     """
-    pairs = correspondences(query, candidates)
-    found = agreement(pairs, distinctness(query), (query.shape[0], query.shape[1]), len(candidates))
+    pairs = correspondences(query, candidates, product)
+    found = agreement(pairs, distinctness(query, product=product), (query.shape[0], query.shape[1]), len(candidates))
     return found.scores, found.shifts
 
 
@@ -245,36 +273,36 @@ def _coverage(pixels: int, cells: int) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _far(rows: int, columns: int, apart: int) -> Floats:
-    """1 where cells lie more than `apart` rows or columns from one another, 0 elsewhere, float32 (cells, cells)."""
+def _far(rows: int, columns: int, apart: int) -> Int8s:
+    """1 where cells lie more than `apart` rows or columns from one another, 0 elsewhere, int8 (cells, cells)."""
     row, column = np.divmod(np.arange(rows * columns), columns)
     distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
-    far: Floats = (distance > apart).astype(np.float32)
+    far: Int8s = (distance > apart).astype(np.int8)
     return far
 
 
-def _best(ours: Floats, theirs: Floats) -> tuple[Indices, Floats, Floats]:
+def _best(ours: Int8s | Floats, theirs: Int8s | Floats, product: Product) -> tuple[Indices, Floats, Floats]:
     """Each cell's best counterpart: (cells, d) against (candidates, cells, d).
 
     Returns
     -------
     best : intp of shape (candidates, cells)
         For each query cell the candidate's cell with the largest product; of equals the first.
-    product : float32 of shape (candidates, cells)
+    largest : float32 of shape (candidates, cells)
         That product.
     highest : float32 of shape (candidates, cells)
         For each candidate cell its largest product with any query cell.
     """
     count, cells = theirs.shape[:2]
-    best, product = np.empty((count, cells), np.intp), np.empty((count, cells), np.float32)
-    highest = np.empty((count, cells), np.float32)
+    best = np.empty((count, cells), np.intp)
+    largest, highest = np.empty((2, count, cells), np.float32)
     block = max(1, BLOCK // max(1, cells**2))
     for at in range(0, count, block):
         some = theirs[at : at + block]
-        products = ours @ some.reshape(-1, some.shape[2]).T
+        products = product(ours, some.reshape(-1, some.shape[2]))
         highest[at : at + block] = products.max(axis=0).reshape(len(some), cells)
         found = products.reshape(cells, len(some), cells).argmax(axis=2)
         starts = np.arange(0, products.size, cells).reshape(found.shape)
         best[at : at + block] = found.T
-        product[at : at + block] = products.ravel()[starts + found].T
-    return best, product, highest
+        largest[at : at + block] = products.ravel()[starts + found].T
+    return best, largest, highest

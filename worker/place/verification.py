@@ -126,17 +126,15 @@ def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> t
     if len(source) < LEAST:
         return None, nobody
     followers = _best_similarity(source, target, tolerance)
-    if followers.sum() < LEAST:
-        return None, nobody
-    transform = _affine(source, target, followers)
-    for _ in range(2):
-        refined = _follow(transform, source, target) < tolerance
-        if refined.sum() < LEAST:
+    # Columns x, y, 1 of the source and x, y of the target.
+    matched = np.ones((len(source), 5))
+    matched[:, :2], matched[:, 3:] = source, target
+    for _ in range(3):
+        if np.count_nonzero(followers) < LEAST:
             return None, nobody
-        followers = refined
-        transform = _affine(source, target, followers)
-    followers = _follow(transform, source, target) < tolerance
-    if followers.sum() < LEAST or not _plausible(transform):
+        transform = _affine(matched[followers])
+        followers = _follow(transform, matched) < tolerance
+    if np.count_nonzero(followers) < LEAST or not _plausible(transform):
         return None, nobody
     return transform, followers
 
@@ -229,36 +227,48 @@ def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Boolea
         return np.zeros(len(z), np.bool_)
     b = w[first] - a * z[first]
     # The parts of a z + b - w, for all proposals and matches, as matrix products.
-    ours = np.stack([z.real, z.imag, np.ones(len(z), np.float32)])
-    across = np.stack([a.real, -a.imag, b.real], axis=1) @ ours - w.real
-    down = np.stack([a.imag, a.real, b.imag], axis=1) @ ours - w.imag
-    follows = across * across + down * down < (1.5 * tolerance) ** 2
+    one, minus = np.ones(len(z), np.float32), np.full(len(a), -1, np.float32)
+    across = np.stack([a.real, -a.imag, b.real, minus], axis=1) @ np.stack([z.real, z.imag, one, w.real])
+    down = np.stack([a.imag, a.real, b.imag, minus], axis=1) @ np.stack([z.real, z.imag, one, w.imag])
+    across *= across
+    down *= down
+    across += down
+    follows = across < (1.5 * tolerance) ** 2
     return np.asarray(follows[np.count_nonzero(follows, axis=1).argmax()], np.bool_)
 
 
-def _affine(source: Floats, target: Floats, chosen: Booleans) -> Doubles:
-    """Least-squares affine transform, float64 (2, 3); a linear part of zeros for points on one line."""
-    here, there = source[chosen].astype(np.float64), target[chosen].astype(np.float64)
-    middle, aim = here.mean(axis=0), there.mean(axis=0)
-    here -= middle
-    (xx, xy), (_, yy) = (here.T @ here).tolist()
+def _affine(matched: Doubles) -> Doubles:
+    """Least-squares affine transform, float64 (2, 3); a linear part of zeros for points on one line.
+
+    Of matches (n, 5): x, y, 1 of the source, x, y of the target.
+    """
+    (xx, xy, x, xu, xv), (_, yy, y, yu, yv), (_, _, n, u, v), _, _ = (matched.T @ matched).tolist()
+    xx, xy, yy = xx - x * x / n, xy - x * y / n, yy - y * y / n
     determinant = xx * yy - xy * xy
-    linear = np.zeros((2, 2))
-    if determinant > SLIM * (xx + yy) ** 2:
-        linear = (there - aim).T @ here @ np.array([[yy, -xy], [-xy, xx]]) / determinant
-    return np.column_stack([linear, aim - linear @ middle])
+    rows = []
+    for xt, yt, t in ((xu, yu, u), (xv, yv, v)):
+        xt, yt = xt - x * t / n, yt - y * t / n
+        p, q = 0.0, 0.0
+        if determinant > SLIM * (xx + yy) ** 2:
+            p, q = (xt * yy - yt * xy) / determinant, (yt * xx - xt * xy) / determinant
+        rows.append([p, q, (t - p * x - q * y) / n])
+    return np.array(rows)
 
 
-def _follow(transform: Doubles, source: Floats, target: Floats) -> Doubles:
-    """Distance of each target from where the transform puts its source, float64 (matches,)."""
-    apart = source @ transform[:, :2].T + transform[:, 2] - target
+def _follow(transform: Doubles, matched: Doubles) -> Doubles:
+    """Distance of each target from where the transform puts its source, float64 (matches,); columns of `_affine`."""
+    apart = matched[:, :3] @ transform.T - matched[:, 3:]
     distance: Doubles = np.sqrt(np.einsum("ij,ij->i", apart, apart))
     return distance
 
 
 def _plausible(transform: Doubles) -> bool:
     """Whether an affine transform keeps orientation and neither squeezes nor stretches beyond `LARGEST_ZOOM`."""
-    if np.linalg.det(transform[:, :2]) <= 0:
+    (a, b, _), (c, d, _) = transform.tolist()
+    determinant = a * d - b * c
+    if determinant <= 0:
         return False
-    squeeze = np.linalg.svd(transform[:, :2], compute_uv=False)
-    return bool(squeeze[0] < LARGEST_ZOOM and squeeze[1] > 1 / LARGEST_ZOOM)
+    # Singular values: their product is the determinant, the sum of their squares that of the squared elements.
+    squares = a * a + b * b + c * c + d * d
+    largest = np.sqrt((squares + np.sqrt(max(squares**2 - 4 * determinant**2, 0))) / 2)
+    return bool(largest < LARGEST_ZOOM and determinant / largest > 1 / LARGEST_ZOOM)

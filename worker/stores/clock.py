@@ -4,15 +4,19 @@ import sqlalchemy as sa
 
 from worker.stores.tables import CLOCK, MAPS
 
+_LAST = sa.select(CLOCK.c.revision)
+_FORWARD = sa.update(CLOCK).values(revision=CLOCK.c.revision + 1)
+_GIVE = sa.update(MAPS).where(MAPS.c.id == sa.bindparam("of")).values(revision=sa.bindparam("given"))
+
 
 def read(connection: sa.Connection) -> int:
     """The last revision given out."""
-    return int(connection.scalar(sa.select(CLOCK.c.revision)) or 0)
+    return int(connection.scalar(_LAST) or 0)
 
 
 def tick(connection: sa.Connection, map_id: int) -> int:
     """Give a map its next revision, inside a transaction that is written in turn."""
-    connection.execute(sa.update(CLOCK).values(revision=CLOCK.c.revision + 1))
+    connection.execute(_FORWARD)
     revision = read(connection)
-    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(revision=revision))
+    connection.execute(_GIVE, {"of": map_id, "given": revision})
     return revision

@@ -1,6 +1,7 @@
 """Descriptions: kept whole, read in the parts that an index and a ranking need."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from schemas.recipe import Recipe
 from schemas.records import Changes, Sequence64
 from worker.stores import packing
 from worker.stores.part import Part
-from worker.stores.rows import batches, find_map
+from worker.stores.rows import batches, find_map, inserting
 from worker.stores.tables import APPEARANCES, CELLS, DESCRIPTIONS, KEYPOINTS, TOMBSTONES, VECTORS
 
 ROWS = 4096
@@ -24,15 +25,16 @@ def keep_description(
     """Keep what a job found out about its view, as of a revision."""
     key = {"seq": job.seq, "recipe": job.recipe}
     connection.execute(
-        sa.insert(DESCRIPTIONS).values(
+        inserting(DESCRIPTIONS),
+        {
             **key,
-            map_id=job.map_id,
-            revision=revision,
-            descriptor_count=int(description.descriptor_count),
-            static_share=float(description.static_share),
-            nodes=len(description.appearance.graph),
-            label_shares=packing.pack_floats(description.label_shares),
-        )
+            "map_id": job.map_id,
+            "revision": revision,
+            "descriptor_count": int(description.descriptor_count),
+            "static_share": float(description.static_share),
+            "nodes": len(description.appearance.graph),
+            "label_shares": packing.pack_floats(description.label_shares),
+        },
     )
     parts = {
         VECTORS: packing.pack_vectors(description, recipe),
@@ -42,7 +44,7 @@ def keep_description(
     if description.keypoints is not None:
         parts[KEYPOINTS] = packing.pack_keypoints(description.keypoints)
     for table, body in parts.items():
-        connection.execute(sa.insert(table).values(**key, body=body))
+        connection.execute(inserting(table), {**key, "body": body})
 
 
 class Descriptions(Part):
@@ -91,9 +93,17 @@ class Descriptions(Part):
         bodies: dict[int, bytes] = {}
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                rows = sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(portion), table.c.recipe == recipe)
-                bodies.update((seq, body) for seq, body in connection.execute(rows))
+                found = connection.execute(_reading(table), {"seqs": portion, "recipe": recipe})
+                bodies.update((seq, body) for seq, body in found)
         return bodies
+
+
+@cache
+def _reading(table: sa.Table) -> sa.Select[Any]:
+    """Bodies of views by a recipe; made once, since making it takes as long as the reading."""
+    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
+    return sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(seqs), table.c.recipe == recipe)
 
 
 def _in_order(seqs: Sequence64, vectors: Floats) -> tuple[Sequence64, Floats]:

@@ -1,12 +1,13 @@
 """Enrolment: a picture and what was said about it, durable and queued."""
 
 from datetime import datetime
+from functools import cache
 from typing import Any
 
 import sqlalchemy as sa
 from uuid6 import uuid7
 
-from schemas.errors import Conflict
+from schemas.errors import Conflict, NotFound
 from schemas.picture import PictureFacts
 from schemas.recipe import Recipe
 from schemas.records import Said, Submitted
@@ -14,8 +15,18 @@ from worker.stores import switching
 from worker.stores.filtering import metadata_pairs
 from worker.stores.maps import make_map
 from worker.stores.part import Part
-from worker.stores.rows import COORDINATES, as_json, find_map, find_view, said_columns, said_of, view_record, view_rows
-from worker.stores.tables import MAPS, METADATA_PAIRS, VIEWS
+from worker.stores.rows import (
+    COORDINATES,
+    as_json,
+    find_map,
+    find_view,
+    inserting,
+    said_columns,
+    said_of,
+    view_record,
+    view_rows,
+)
+from worker.stores.tables import METADATA_PAIRS, VIEWS
 
 
 def contradictions(kept: Said, anew: Said) -> list[str]:
@@ -44,6 +55,12 @@ def keep_pairs(connection: sa.Connection, seq: int, said: Said) -> None:
         connection.execute(sa.insert(METADATA_PAIRS), pairs)
 
 
+@cache
+def _same_picture() -> sa.Select[Any]:
+    """The view of a map that has a picture already."""
+    return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), VIEWS.c.sha256 == sa.bindparam("sha256"))
+
+
 class Enrolment(Part):
     """The promise of `schemas.ports.Store` about enrolment."""
 
@@ -52,12 +69,12 @@ class Enrolment(Part):
     ) -> Submitted:
         """Keep a picture and queue its description; see `Store.submit`."""
         with self._pictures.kept(facts.sha256, picture), self._database.writing() as connection:
-            row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
-            if row is None:
+            try:
+                row = find_map(connection, name)
+            except NotFound:
                 make_map(connection, name, recipe, now)
                 row = find_map(connection, name)
-            same = view_rows().where(VIEWS.c.map_id == row.id, VIEWS.c.sha256 == facts.sha256)
-            view = connection.execute(same).one_or_none()
+            view = connection.execute(_same_picture(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
                 return self._enrol(connection, row, facts, said, now)
             return self._enrol_again(connection, row, view, said, now)
@@ -67,18 +84,19 @@ class Enrolment(Part):
     ) -> Submitted:
         view_id = str(uuid7())
         connection.execute(
-            sa.insert(VIEWS).values(
-                id=view_id,
-                map_id=row.id,
-                enrolled_at=now,
-                sha256=facts.sha256,
-                width=int(facts.width),
-                height=int(facts.height),
-                byte_count=int(facts.byte_count),
-                format=facts.format,
-                state="pending",
+            inserting(VIEWS),
+            {
+                "id": view_id,
+                "map_id": row.id,
+                "enrolled_at": now,
+                "sha256": facts.sha256,
+                "width": int(facts.width),
+                "height": int(facts.height),
+                "byte_count": int(facts.byte_count),
+                "format": facts.format,
+                "state": "pending",
                 **said_columns(said),
-            )
+            },
         )
         view = view_record(find_view(connection, view_id))
         keep_pairs(connection, view.seq, said)

@@ -12,7 +12,7 @@ from schemas.records import Claim, JobRecord
 from worker.stores import clock, switching
 from worker.stores.descriptions import keep_description
 from worker.stores.part import Part
-from worker.stores.rows import batches, find_recipe, view_record, view_rows
+from worker.stores.rows import batches, find_recipe, view_record, views_of
 from worker.stores.tables import JOBS, MAPS, VIEWS
 
 ATTEMPTS = 3
@@ -23,49 +23,57 @@ WORKER_DIED = (
 )
 
 
+# Statements that every enrolment runs are made once: making one takes longer than running it.
+_IS_LEFT = (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
+_ANY_WAITING = sa.select(JOBS.c.id).where(JOBS.c.state == "waiting").limit(1)
+_LEFT = sa.select(JOBS.c.id, JOBS.c.attempts).where(_IS_LEFT)
+_OLDEST = (
+    sa.select(JOBS)
+    .order_by(JOBS.c.background, JOBS.c.number)
+    .limit(sa.bindparam("most", type_=sa.Integer))
+    .with_for_update(skip_locked=True)
+)
+_OLDEST_WAITING = _OLDEST.where(JOBS.c.state == "waiting")
+_OLDEST_LEFT = _OLDEST.where(_IS_LEFT, JOBS.c.attempts < ATTEMPTS)
+_LEASED = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of")).values(attempts=JOBS.c.attempts + 1)
+_UNFINISHED = sa.select(sa.func.count()).select_from(JOBS).where(JOBS.c.state.in_(switching.UNFINISHED))
+_ENROLMENTS = _UNFINISHED.where(JOBS.c.background.is_(False))
+_RECIPE_OF_MAP = sa.select(MAPS.c.recipe).where(MAPS.c.id == sa.bindparam("of"))
+_JOB_LOCKED = sa.select(JOBS).where(JOBS.c.id == sa.bindparam("of")).with_for_update()
+_JOB_ENDS = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of"))
+_VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
+
+
 class Jobs(Part):
     """The promises of `schemas.ports.Store` about work."""
 
     def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
         """Take up to `count` jobs; see `Store.claim`."""
-        lapsed = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
         with self._database.reading() as connection:  # a worker that asks in vain keeps no writer waiting
-            waits = connection.execute(sa.select(JOBS.c.id).where(JOBS.c.state == "waiting").limit(1)).first()
-            left = list(connection.execute(sa.select(JOBS.c.id, JOBS.c.attempts).where(lapsed)))
+            waits = connection.execute(_ANY_WAITING).first()
+            left = list(connection.execute(_LEFT, {"moment": now}))
         for row in left:
             if row.attempts >= ATTEMPTS:
                 self._bury(row.id, now)
         if waits is None and not left:
             return []
         with self._database.writing(in_turn=False) as connection:
-            jobs = self._take(connection, JOBS.c.state == "waiting", count)
-            jobs += self._take(connection, lapsed & (JOBS.c.attempts < ATTEMPTS), count)
+            jobs = list(connection.execute(_OLDEST_WAITING, {"most": int(count)}))
+            if left:
+                jobs += connection.execute(_OLDEST_LEFT, {"moment": now, "most": int(count)})
             jobs = sorted(jobs, key=lambda job: (job.background, job.number))[:count]
             return self._lease(connection, jobs, worker, now + lease)
-
-    def _take(self, connection: sa.Connection, which: sa.ColumnElement[bool], count: int) -> list[sa.Row[Any]]:
-        oldest = sa.select(JOBS).where(which).order_by(JOBS.c.background, JOBS.c.number).limit(int(count))
-        return list(connection.execute(oldest.with_for_update(skip_locked=True)))
 
     def _lease(self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str, until: datetime) -> list[Claim]:
         tokens = {job.number: secrets.token_hex(16) for job in jobs}
         views = {}
         for portion in batches(job.seq for job in jobs):
-            rows = connection.execute(view_rows().where(VIEWS.c.seq.in_(portion)))
+            rows = connection.execute(views_of(), {"seqs": portion})
             views.update({row.seq: view_record(row) for row in rows})
         recipes = {recipe: find_recipe(connection, recipe) for recipe in {job.recipe for job in jobs}}
         for job in jobs:
-            connection.execute(
-                sa.update(JOBS)
-                .where(JOBS.c.number == job.number)
-                .values(
-                    state="running",
-                    worker=worker,
-                    token=tokens[job.number],
-                    lease_until=until,
-                    attempts=JOBS.c.attempts + 1,
-                )
-            )
+            lease = {"state": "running", "worker": worker, "token": tokens[job.number], "lease_until": until}
+            connection.execute(_LEASED, {"of": job.number, **lease})
         return [
             Claim(job.id, tokens[job.number], views[job.seq], recipes[job.recipe], job.attempts + 1) for job in jobs
         ]
@@ -82,7 +90,7 @@ class Jobs(Part):
         """Keep a description; see `Store.finish`."""
         with self._database.writing() as connection:
             job = self._held(connection, claim)
-            current = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id))
+            current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
             if job.recipe == current:
                 revision = clock.tick(connection, job.map_id)
             else:  # nobody sees it before the map changes over
@@ -98,7 +106,7 @@ class Jobs(Part):
     def _held(self, connection: sa.Connection, claim: Claim) -> sa.Row[Any]:
         """The job of a claim that is still valid; raises LeaseLost."""
         # Locked, because another worker may be claiming it at this moment.
-        job = connection.execute(sa.select(JOBS).where(JOBS.c.id == claim.job_id).with_for_update()).one_or_none()
+        job = connection.execute(_JOB_LOCKED, {"of": claim.job_id}).one_or_none()
         if job is None:
             raise LeaseLost(f"the job {claim.job_id} went with its view {claim.view.id}, which was deleted")
         if job.state != "running" or job.token != claim.token:
@@ -116,15 +124,12 @@ class Jobs(Part):
         """End a job, and let its view and map know; returns the revision if the map changed over."""
         code, detail = failure
         outcome = {"failure_code": code, "failure_detail": detail}
-        connection.execute(
-            sa.update(JOBS)
-            .where(JOBS.c.number == job.number)
-            .values(state=state, token=None, lease_until=None, finished_at=now, **outcome)
-        )
-        current = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id))
+        ended = {"state": state, "token": None, "lease_until": None, "finished_at": now, **outcome}
+        connection.execute(_JOB_ENDS, {"of": job.number, **ended})
+        current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
         if job.recipe == current:
             view_state = "ready" if state == "done" else "failed"
-            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == job.seq).values(state=view_state, **outcome))
+            connection.execute(_VIEW_SETTLES, {"of": job.seq, "state": view_state, **outcome})
         return switching.finish_if_done(connection, job.map_id)
 
     def release(self, claim: Claim) -> None:
@@ -138,10 +143,8 @@ class Jobs(Part):
 
     def waiting(self, *, redescriptions: bool = False) -> int:
         """Jobs not yet finished; see `Store.waiting`."""
-        unfinished = JOBS.c.state.in_(switching.UNFINISHED)
-        which = unfinished if redescriptions else unfinished & JOBS.c.background.is_(False)
         with self._database.reading() as connection:
-            return int(connection.scalar(sa.select(sa.func.count()).select_from(JOBS).where(which)) or 0)
+            return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)
 
     def job(self, job_id: str) -> JobRecord:
         """One job; raises NotFound."""

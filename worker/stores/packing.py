@@ -1,7 +1,8 @@
 """Descriptions as bytes: arrays side by side, which are read without a copy."""
 
-from collections.abc import Sequence
+from functools import cache
 from math import prod
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ import numpy.typing as npt
 from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import Recipe
 
-FLOAT, SHORT, BYTE, SIZE = np.dtype("<f4"), np.dtype("<i2"), np.dtype("i1"), np.dtype("<u4")
+FLOAT, SHORT, BYTE = np.dtype("<f4"), np.dtype("<i2"), np.dtype("i1")
 
-Layout = Sequence[tuple[np.dtype[Any], int]]
+Layout = tuple[tuple[np.dtype[Any], int], ...]
 """Type and number of dimensions of each array; wide types first, so that every array is aligned."""
 
 APPEARANCE: Layout = ((FLOAT, 2), (FLOAT, 2), (FLOAT, 1), (SHORT, 1), (BYTE, 3))
@@ -87,19 +88,26 @@ def _pack(layout: Layout, *arrays: npt.NDArray[Any]) -> bytes:
     for (dtype, dimensions), array in zip(layout, arrays, strict=True):
         if array.ndim != dimensions or not np.can_cast(array.dtype, dtype, "equiv"):
             raise ValueError(f"{dimensions} dimensions of {dtype} are kept here, not {array.shape} of {array.dtype}")
-    shapes = np.array([size for array in arrays for size in array.shape], SIZE)
+    shapes = _header(layout).pack(*(size for array in arrays for size in array.shape))
     bodies = [np.ascontiguousarray(a, dtype).tobytes() for (dtype, _), a in zip(layout, arrays, strict=True)]
-    return b"".join([shapes.tobytes(), *bodies])
+    return b"".join([shapes, *bodies])
 
 
 def _unpack(layout: Layout, body: bytes) -> list[npt.NDArray[Any]]:
     """The arrays of `_pack`, views of `body`."""
-    sizes = np.frombuffer(body, SIZE, sum(dimensions for _, dimensions in layout)).tolist()
-    offset = len(sizes) * SIZE.itemsize
+    header = _header(layout)
+    sizes = header.unpack_from(body)
+    offset, first = header.size, 0
     arrays = []
     for dtype, dimensions in layout:
-        shape, sizes = sizes[:dimensions], sizes[dimensions:]
-        count = prod(shape)
-        arrays.append(np.frombuffer(body, dtype, count, offset).reshape(shape))
-        offset += count * dtype.itemsize
+        shape = sizes[first : first + dimensions]
+        arrays.append(np.ndarray(shape, dtype, body, offset))
+        offset += prod(shape) * dtype.itemsize
+        first += dimensions
     return arrays
+
+
+@cache
+def _header(layout: Layout) -> Struct:
+    """Of the sizes of all arrays."""
+    return Struct(f"<{sum(dimensions for _, dimensions in layout)}I")

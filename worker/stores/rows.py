@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Iterator
+from functools import cache, lru_cache
 from typing import Any
 
 import sqlalchemy as sa
@@ -15,6 +16,10 @@ from worker.stores.packing import unpack_floats
 from worker.stores.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
 
 COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
+
+# Statements that every enrolment runs are made once: making one takes longer than running it.
+_MAP_NAMED = sa.select(MAPS).where(MAPS.c.name == sa.bindparam("of"))
+_RECIPE = sa.select(RECIPES.c.body).where(RECIPES.c.id == sa.bindparam("of"))
 
 BATCH = 500
 """Values in one IN list."""
@@ -32,12 +37,18 @@ def as_json(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
 
+@cache
+def inserting(table: sa.Table) -> sa.Insert:
+    """The statement that inserts into a table the columns it is given."""
+    return sa.insert(table)
+
+
 # maps
 
 
 def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
     """The row of a map; raises NotFound."""
-    row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
+    row = connection.execute(_MAP_NAMED, {"of": name}).one_or_none()
     if row is None:
         raise NotFound("map", name)
     return row
@@ -45,15 +56,19 @@ def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
 
 def keep_recipe(connection: sa.Connection, recipe: Recipe) -> str:
     """Make sure that a recipe is kept; returns its id."""
-    if connection.scalar(sa.select(RECIPES.c.id).where(RECIPES.c.id == recipe.id)) is None:
+    if connection.scalar(_RECIPE, {"of": recipe.id}) is None:
         connection.execute(sa.insert(RECIPES).values(id=recipe.id, body=recipe.model_dump_json()))
     return recipe.id
 
 
 def find_recipe(connection: sa.Connection, recipe: str) -> Recipe:
     """A kept recipe by its id."""
-    body = connection.scalar(sa.select(RECIPES.c.body).where(RECIPES.c.id == recipe))
-    return Recipe.model_validate_json(str(body))
+    return _recipe_of(str(connection.scalar(_RECIPE, {"of": recipe})))
+
+
+@lru_cache(maxsize=64)
+def _recipe_of(body: str) -> Recipe:
+    return Recipe.model_validate_json(body)
 
 
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
@@ -64,6 +79,7 @@ def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
 # views
 
 
+@cache
 def view_rows() -> sa.Select[Any]:
     """Views with their map's name and their description by the map's recipe, ready for `view_record`."""
     # A map without a name is being deleted: its views are no longer there for anybody.
@@ -102,10 +118,22 @@ def view_record(row: sa.Row[Any]) -> ViewRecord:
 
 def find_view(connection: sa.Connection, view_id: str) -> sa.Row[Any]:
     """The row of a view, as of `view_rows`; raises NotFound."""
-    row = connection.execute(view_rows().where(VIEWS.c.id == view_id)).one_or_none()
+    row = connection.execute(_view_of_id(), {"of": view_id}).one_or_none()
     if row is None:
         raise NotFound("view", view_id)
     return row
+
+
+@cache
+def views_of() -> sa.Select[Any]:
+    """`view_rows` of the sequence numbers given as ``seqs``."""
+    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    return view_rows().where(VIEWS.c.seq.in_(seqs))
+
+
+@cache
+def _view_of_id() -> sa.Select[Any]:
+    return view_rows().where(VIEWS.c.id == sa.bindparam("of"))
 
 
 # what was said about a view

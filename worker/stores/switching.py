@@ -11,9 +11,16 @@ import sqlalchemy as sa
 from uuid6 import uuid7
 
 from worker.stores import clock
+from worker.stores.rows import inserting
 from worker.stores.tables import DESCRIPTIONS, JOBS, MAPS, VIEWS
 
 UNFINISHED = ("waiting", "running")
+
+
+_UNFINISHED_JOB = sa.select(JOBS.c.id).where(
+    JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
+)
+_NEXT_RECIPE = sa.select(MAPS.c.next_recipe).where(MAPS.c.id == sa.bindparam("of"))
 
 
 def queue(
@@ -34,15 +41,13 @@ def queue(
         for seq in seqs
     ]
     if rows:
-        connection.execute(sa.insert(JOBS), rows)
+        connection.execute(inserting(JOBS), rows)
     return [str(row["id"]) for row in rows]
 
 
 def unfinished_job(connection: sa.Connection, seq: int, recipe: str) -> str | None:
     """Id of the job that is to describe a view by a recipe, if there is one."""
-    job: str | None = connection.scalar(
-        sa.select(JOBS.c.id).where(JOBS.c.seq == seq, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED))
-    )
+    job: str | None = connection.scalar(_UNFINISHED_JOB, {"of": seq, "by": recipe})
     return job
 
 
@@ -67,7 +72,7 @@ def begin(connection: sa.Connection, row: sa.Row[Any], recipe: str, now: datetim
 
 def finish_if_done(connection: sa.Connection, map_id: int) -> int | None:
     """Change a map over when no view is left to be described; returns the revision if that happened."""
-    recipe = connection.scalar(sa.select(MAPS.c.next_recipe).where(MAPS.c.id == map_id))
+    recipe = connection.scalar(_NEXT_RECIPE, {"of": map_id})
     if recipe is None:
         return None
     left = sa.select(JOBS.c.number).where(

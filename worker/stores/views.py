@@ -11,7 +11,7 @@ from worker.stores.enrolment import keep_pairs
 from worker.stores.filtering import fitting
 from worker.stores.paging import cursor_after, read_cursor
 from worker.stores.part import Part
-from worker.stores.rows import batches, find_map, find_view, said_columns, view_record, view_rows
+from worker.stores.rows import batches, find_map, find_view, said_columns, view_record, view_rows, views_of
 from worker.stores.tables import VIEWS
 
 
@@ -28,7 +28,7 @@ class Views(Part):
         found: dict[int, ViewRecord] = {}
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                rows = connection.execute(view_rows().where(VIEWS.c.seq.in_(portion)))
+                rows = connection.execute(views_of(), {"seqs": portion})
                 found.update({row.seq: view_record(row) for row in rows})
         return found
 

@@ -1,0 +1,35 @@
+"""Products of bytes: however they are made, they are the same whole numbers."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worker import byte_product
+from worker.place import dense_cells
+
+
+@settings(deadline=None)  # a crowded machine is no failure
+@given(st.integers(0, 2**16), st.integers(1, 40), st.integers(1, 40), st.sampled_from([1, 2, 31, 64, 1024]))
+def test_bytes_and_floats_give_the_same_whole_numbers(seed: int, left: int, right: int, dimensions: int) -> None:
+    draw = np.random.default_rng(seed)
+    ours, theirs = (draw.integers(-127, 128, (n, dimensions), np.int8) for n in (left, right))
+    expected = ours.astype(np.int64) @ theirs.astype(np.int64).T
+    np.testing.assert_array_equal(byte_product._of_bytes(ours, theirs), expected)
+    np.testing.assert_array_equal(dense_cells.float_product(ours, theirs), expected)
+
+
+def test_a_comparison_does_not_depend_on_the_product() -> None:
+    draw = np.random.default_rng(0)
+    query, candidates = draw.integers(-30, 30, (6, 8, 16), np.int8), draw.integers(-30, 30, (5, 6, 8, 16), np.int8)
+    candidates[2] = query
+    floats = dense_cells.similarity(query, candidates)
+    bytes_ = dense_cells.similarity(query, candidates, byte_product._of_bytes)
+    np.testing.assert_array_equal(floats[0], bytes_[0])
+    np.testing.assert_array_equal(floats[1], bytes_[1])
+
+
+def test_without_a_product_of_bytes_floats_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert byte_product.fastest_product() in (byte_product._of_bytes, dense_cells.float_product)
+    monkeypatch.delattr("torch._int_mm")
+    assert byte_product.fastest_product() is dense_cells.float_product
