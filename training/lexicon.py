@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from worker.place.unit_length import unit
+
 Floats = npt.NDArray[np.float32]
 
 STAND_INS: dict[str, tuple[str, ...]] = {
@@ -73,7 +75,7 @@ class ClipWords:
 
     def __init__(self, path: Path) -> None:
         with np.load(path) as arrays:
-            vectors = _unit(arrays["vectors"].astype(np.float32))
+            vectors = unit(arrays["vectors"].astype(np.float32))
             self._raw = dict(zip(arrays["words"].tolist(), vectors, strict=True))
         self.centre = vectors.mean(axis=0)
 
@@ -88,8 +90,8 @@ class ClipWords:
         sources = self.sources(word)
         if not sources:
             raise KeyError(word)
-        mean = _unit(np.mean([self._raw[source] for source in sources], axis=0))
-        centred: Floats = _unit(mean - self.centre)
+        mean = unit(np.mean([self._raw[source] for source in sources], axis=0))
+        centred: Floats = unit(mean - self.centre)
         return centred
 
     def matrix(self, words: Sequence[str]) -> Floats:
@@ -174,8 +176,3 @@ def class_words(path: Path) -> dict[int, Sequence[str]]:
     content = json.loads(path.read_text())
     content = content.get("classes", content)
     return {int(value): (words if isinstance(words, list) else [words]) for value, words in content.items()}
-
-
-def _unit(vectors: Floats) -> Floats:
-    scaled: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return scaled

@@ -10,6 +10,8 @@ import faiss
 import numpy as np
 import numpy.typing as npt
 
+from worker.place.unit_length import unit
+
 Floats = npt.NDArray[np.float32]
 
 GRID = (9, 15)
@@ -111,12 +113,6 @@ def best_shift(query: Floats, others: Floats) -> Floats:
             cosine = b.reshape(len(others), -1) @ a.ravel() / (a.shape[0] * a.shape[1])
             best = np.maximum(best, cosine)
     return best
-
-
-def unit(rows: Floats) -> Floats:
-    """Scale the last axis to unit length."""
-    scaled: Floats = rows / np.maximum(np.linalg.norm(rows, axis=-1, keepdims=True), 1e-6)
-    return scaled
 
 
 def recall_at_one(scores: Floats, truth: npt.NDArray[np.bool_]) -> float:

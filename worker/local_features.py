@@ -8,7 +8,7 @@ import numpy as np
 
 from schemas.description import Floats, Int8s, LocalFeatures
 from schemas.picture import Bytes2D
-from worker.place.vocabulary import unit
+from worker.place.unit_length import unit
 
 LONGER_SIDE = 320
 """Pixels to which a picture is scaled, up or down: SIFT's time goes with its area."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from schemas.description import Floats
 from worker.baselines.baseline import Tick, grey
+from worker.place.unit_length import unit
 
 SAMPLE = 64_000
 """Features that the vocabulary is trained on, at most."""
@@ -44,7 +45,7 @@ class OrbWords:
         # A word in every picture tells nothing; a word in none cannot be met in the database.
         seen = (counts > 0).sum(axis=0)
         idf = np.log(len(database) / np.maximum(seen, 1)).astype(np.float32)
-        return 1 - _unit(asked * idf) @ _unit(counts * idf).T
+        return 1 - unit(asked * idf) @ unit(counts * idf).T
 
     def _bits(self, path: Path, tick: Tick) -> Floats:
         """ORB descriptors as bits, float32 (features, 256): their squared distance is Hamming's."""
@@ -75,7 +76,3 @@ class OrbWords:
                 nearest = np.argmin(lengths - 2 * bits @ vocabulary.T, axis=1)
                 row += np.bincount(nearest, minlength=len(vocabulary))
         return counts
-
-
-def _unit(rows: Floats) -> Floats:
-    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12), np.float32)

@@ -10,6 +10,7 @@ from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.picture import Picture
 from schemas.records import Meaning
+from worker.place.unit_length import unit
 
 WORDS: Mapping[str, tuple[int, int, int]] = {
     "road": (90, 90, 95),
@@ -62,10 +63,10 @@ class ColorEncoder:
         mean = cv2.resize(picture.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(
             np.float32
         ) / np.float32(255)
-        words = _unit(_spread(mean))
+        words = unit(_spread(mean))
         across = np.gradient(mean, axis=1)
         down = np.gradient(mean, axis=0)
-        detail = _unit(np.concatenate([_spread(mean) * 0.5, across.mean(-1, keepdims=True) * 4,
+        detail = unit(np.concatenate([_spread(mean) * 0.5, across.mean(-1, keepdims=True) * 4,
                                        down.mean(-1, keepdims=True) * 4, np.abs(across).mean(-1, keepdims=True) * 4,
                                        np.abs(down).mean(-1, keepdims=True) * 4], axis=-1))  # fmt: skip
         return PixelField({SEMANTIC: words, "detail": detail}, picture.extent)
@@ -74,7 +75,7 @@ class ColorEncoder:
         """See `Encoder.text_vectors`."""
         self.meanings(words)
         colours = np.array([WORDS[word] for word in words], np.float32).reshape(-1, 3) / np.float32(255)
-        return _unit(_spread(colours))
+        return unit(_spread(colours))
 
     def meanings(self, words: Sequence[str]) -> list[Meaning]:
         """See `Encoder.meanings`."""
@@ -93,9 +94,3 @@ def _spread(colours: Floats) -> Floats:
         [red, green, blue, red - green, green - blue, blue - red, red * green * blue, np.full_like(red, 0.3)], axis=-1
     )
     return spread
-
-
-def _unit(vectors: Floats) -> Floats:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: Floats = (vectors / np.maximum(lengths, 1e-12)).astype(np.float32)
-    return scaled

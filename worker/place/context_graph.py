@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from schemas.description import Booleans, ContextGraph, Floats
 from worker.place.labels import LabelMap
+from worker.place.unit_length import unit
 
 Regions = npt.NDArray[np.int32]
 Components = Callable[[Booleans], Regions]
@@ -161,7 +162,7 @@ def _compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: fl
     labels[slot] = np.concatenate([c.labels for c in candidates])
     positions[slot] = np.concatenate([c.positions for c in candidates])
     similarity = np.full((n_query, count, most), -np.inf, np.float32)
-    similarity[:, slot] = _unit(query.embeddings) @ _unit(np.concatenate([c.embeddings for c in candidates])).T
+    similarity[:, slot] = unit(query.embeddings) @ unit(np.concatenate([c.embeddings for c in candidates])).T
     similarity[query.labels[:, None, None] != labels[None]] = -np.inf
 
     best_in_candidate = similarity.argmax(axis=2)  # (n_query, count)
@@ -187,12 +188,6 @@ def _compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: fl
         cosines=np.where(paired, value.T, 0).astype(np.float32),
         edges_agreeing=common.astype(np.int64),
     )
-
-
-def _unit(vectors: Floats) -> Floats:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    scaled: Floats = vectors.astype(np.float32) / np.maximum(lengths, 1e-12)
-    return scaled
 
 
 def _distances(points: Floats) -> Floats:

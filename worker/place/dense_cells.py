@@ -16,6 +16,7 @@ import numpy.typing as npt
 from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
 from worker.place.hough import Correspondences, agreement
+from worker.place.unit_length import unit
 
 Indices = npt.NDArray[np.intp]
 Numbers = npt.NDArray[np.float32] | npt.NDArray[np.int32]
@@ -28,6 +29,9 @@ BLOCK = 200_000
 
 FULL_SCALE = 127
 """What a component of 1 becomes in storage."""
+
+ROUNDING = 1e-6
+"""Cells no longer than this are what rounding left of nothing."""
 
 APART = 2
 """Cells further from one another than this, in rows or columns, show different things."""
@@ -54,8 +58,8 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
     """
     height, width, channels = field.shape
     down = (_coverage(height, rows) @ field.reshape(height, -1)).reshape(rows, width, channels)
-    cells = _unit(_coverage(width, columns) @ down)
-    return _unit(cells - cells.mean(axis=(0, 1)))
+    cells = unit(_coverage(width, columns) @ down, ROUNDING)
+    return unit(cells - cells.mean(axis=(0, 1)), ROUNDING)
 
 
 def reduce(cells: Floats, projection: Floats) -> Floats:
@@ -79,7 +83,7 @@ def reduce(cells: Floats, projection: Floats) -> Floats:
     """
     if cells.shape[-1] != projection.shape[0]:
         raise DescriptorMismatch(got=cells.shape[-1], want=projection.shape[0])
-    return _unit(cells @ projection)
+    return unit(cells @ projection, ROUNDING)
 
 
 def join(cells: Mapping[str, Floats], shares: Mapping[str, float]) -> Floats:
@@ -128,7 +132,7 @@ def halve(cells: Int8s | Floats) -> Floats:
     rows, columns = cells.shape[-3] // 2 * 2, cells.shape[-2] // 2 * 2
     even = cells[..., :rows, :columns, :].astype(np.float32)
     down = even[..., 0::2, :, :] + even[..., 1::2, :, :]
-    return _unit(down[..., 0::2, :] + down[..., 1::2, :])
+    return unit(down[..., 0::2, :] + down[..., 1::2, :], ROUNDING)
 
 
 def float_product(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
@@ -248,13 +252,6 @@ def similarity(
     pairs = correspondences(query, candidates, product)
     found = agreement(pairs, distinctness(query, product=product), (query.shape[0], query.shape[1]), len(candidates))
     return found.scores, found.shifts
-
-
-def _unit(vectors: Floats) -> Floats:
-    """Unit length along the last axis; zero where nothing but rounding is left."""
-    length = np.sqrt(np.einsum("...d,...d->...", vectors, vectors))[..., None]
-    unit: Floats = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-6)
-    return unit
 
 
 def _scale(cells: Int8s | Floats) -> float:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from schemas.description import Booleans, Floats, Int8s, LocalFeatures
 from schemas.errors import DescriptorMismatch
-from worker.place.vocabulary import unit
+from worker.place.unit_length import unit
 
 Pairs = npt.NDArray[np.intp]
 Doubles = npt.NDArray[np.float64]

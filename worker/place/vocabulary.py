@@ -8,6 +8,7 @@ import numpy.typing as npt
 from schemas.description import Floats
 from schemas.errors import DescriptorMismatch
 from schemas.recipe import Channel
+from worker.place.unit_length import unit
 
 BLOCK = 8192
 """Descriptors compared with all words at once in training: bounds memory at BLOCK x words floats."""
@@ -118,13 +119,6 @@ def vector(descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel)
         return normalised
     centred = (normalised - vocabulary.projection.mean).astype(np.float32)
     return unit(centred @ vocabulary.projection.matrix)
-
-
-def unit(vectors: Floats) -> Floats:
-    """Scale to unit length along the last axis; zeros stay zeros."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    scaled: Floats = (vectors / np.maximum(lengths, 1e-12)).astype(np.float32)
-    return scaled
 
 
 def train_words(
