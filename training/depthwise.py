@@ -1,7 +1,7 @@
 """Depthwise convolutions whose gradients a CPU computes quickly.
 
-On CPUs, torch's gradient of a dilated depthwise convolution takes some thirty times as long as the convolution: for
-this network, three quarters of a training step. The gradient by the input is itself a depthwise convolution, with the
+On CPUs, torch's gradients of large or dilated depthwise convolutions take many times as long as the convolutions: with
+these here the layers of this network take three quarters of the time (docs/model-card.md). The gradient by the input is itself a depthwise convolution, with the
 kernel turned round, and the gradient by each tap of the kernel is a product of two shifted maps, summed.
 """
 
