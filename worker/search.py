@@ -1,7 +1,7 @@
 """Description to ranked views: search, re-rank, verify."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,11 +116,18 @@ class Searcher:
     catalogue : Catalogue
     product : Product
         Multiplies dense cells; how changes the time it takes, not the answer.
+    clock : function
+        Seconds, for the times in the answer.
     """
 
     def __init__(
-        self, store: Store, catalogue: Catalogue, product: dense_cells.Product = dense_cells.float_product
+        self,
+        store: Store,
+        catalogue: Catalogue,
+        product: dense_cells.Product = dense_cells.float_product,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
+        self._clock = clock
         self._store = store
         self._catalogue = catalogue
         self._product = product
@@ -158,17 +165,17 @@ class Searcher:
         """
         reranked = recipe.parameters.candidates if candidates is None else candidates
         for _ in range(ROUNDS):
-            began = time.perf_counter()
+            began = self._clock()
             index, current = self._catalogue.index(name)
             if current.id != recipe.id:
                 raise RecipeChanged
             selection = self._store.select(name, filters)
             found = index.search(description.vectors, max(top, reranked), selection)
-            searched = time.perf_counter()
+            searched = self._clock()
             evidence = self._compare(recipe, description, found, reranked)
             if evidence is not None:
                 evidence = self._look_closely(recipe, description, found, evidence)
-            compared = time.perf_counter()
+            compared = self._clock()
             verified = None if evidence is None else self._verify(recipe, description, found, evidence)
             ranked = None if verified is None else self._best(recipe, found, verified, top)
             if ranked is None:
@@ -181,7 +188,7 @@ class Searcher:
                 timing_ms={
                     "search": (searched - began) * 1000,
                     "rerank": (compared - searched) * 1000,
-                    "verify": (time.perf_counter() - compared) * 1000,
+                    "verify": (self._clock() - compared) * 1000,
                 },
             )
         raise Unavailable("the map is being emptied faster than it can be searched; ask again", 1)
