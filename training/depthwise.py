@@ -1,8 +1,9 @@
 """Depthwise convolutions whose gradients a CPU computes quickly.
 
 On CPUs, torch's gradients of large or dilated depthwise convolutions take many times as long as the convolutions: with
-these here the layers of this network take three quarters of the time (docs/model-card.md). The gradient by the input is itself a depthwise convolution, with the
-kernel turned round, and the gradient by each tap of the kernel is a product of two shifted maps, summed.
+these here the layers of this network take three quarters of the time (docs/model-card.md). The gradient by the input is
+itself a depthwise convolution, with the kernel turned round, and the gradient by each tap of the kernel is a product of
+two shifted maps, summed.
 """
 
 from typing import Any

@@ -128,7 +128,8 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
         "stride": STRIDE,
         "channels": {"words": REDUCED_CHANNELS, "detail": DETAIL_CHANNELS, "clip": CLIP_CHANNELS},
         "provenance": ORIGIN
-        | {"training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]}},
+        | {"training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]}}
+        | ({"blended with the run before": saved["blended"]} if "blended" in saved else {}),
         "words": words,
     }
     lines = json.dumps(described, indent=1, ensure_ascii=False)

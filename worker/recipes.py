@@ -35,11 +35,11 @@ CODE_DYNAMIC = (
 )  # fmt: skip
 
 STREET_AND_ROOM = (
-    "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "terrain",
-    "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door", "floor", "ceiling",
-    "cabinet", "chair", "table", "stairs", "other",
+    "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation", "tree",
+    "grass", "terrain", "water", "mountain", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle",
+    "window", "door", "floor", "ceiling", "cabinet", "chair", "table", "sofa", "bed", "stairs", "other",
 )  # fmt: skip
-"""Words of the default preset: the street outside and the room inside."""
+"""Words of the default preset: the street outside, the country around it, and the room inside."""
 
 STREET_AND_ROOM_DYNAMIC = ("person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle")
 
@@ -74,14 +74,14 @@ _DEFAULT = Parameters(
     },
     dynamic=Dynamic(margin=0.1, most=0.5),
     candidates=25,
-    dense=DenseCells(rows=16, columns=28, dimensions=32, shares={SEMANTIC: 0.25, "detail": 0.75}, closely=10),
+    dense=DenseCells(rows=16, columns=28, dimensions=32, shares={SEMANTIC: 0.3, "detail": 0.7}, closely=10),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),
     weights={
         "close": 1.7,
-        "dense": 0.25,
-        "histogram.words": 0.08,
-        "histogram.detail": 0.08,
+        "dense": 0.3,
+        "histogram.words": 0.04,
+        "histogram.detail": 0.04,
         "graph": 0.05,
         "verification": 0.2,
     },
