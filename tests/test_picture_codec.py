@@ -286,6 +286,28 @@ def test_a_pixel_bomb_is_refused_from_its_header_at_once() -> None:
     assert time.perf_counter() - begin < 3
 
 
+@pytest.mark.parametrize("form", ["png", "jpeg", "webp"])
+def test_a_header_is_read_without_decoding_a_pixel(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = encoded(drawn(64, 48), form)
+
+    def load(image: object) -> None:
+        pytest.fail("pixels were decoded")
+
+    monkeypatch.setattr("PIL.ImageFile.ImageFile.load", load)
+    monkeypatch.setattr("PIL.WebPImagePlugin.WebPImageFile.load", load)
+    assert probe(data, LIMITS).width == 64
+
+
+def test_orientation_behind_the_pixels_of_a_png_is_honoured() -> None:
+    plain = encoded(drawn(80, 60), "png")
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    end = plain.index(b"IEND") - 4
+    turned = plain[:end] + png_chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\x00\x00")) + plain[end:]
+    assert (probe(turned, LIMITS).width, probe(turned, LIMITS).height) == (60, 80)
+    assert np.array_equal(decode(turned, LIMITS).pixels, np.rot90(decode(plain, LIMITS).pixels, -1))
+
+
 def test_a_jpeg_bomb_is_refused_from_its_header() -> None:
     data = bytearray(encoded(drawn(64, 48), "jpeg"))
     at = data.index(b"\xff\xc0") + 5

@@ -8,6 +8,7 @@ unusual depths goes through Pillow, which knows what they mean.
 import hashlib
 import io
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -89,7 +90,7 @@ def thumbnail(data: bytes, longest: int) -> bytes:
     with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
         # A JPEG can be decoded straight to a fraction of its size, which saves most of the time.
         image.draft("RGB", (2 * longest, 2 * longest))
-        orientation = _orientation(image)
+        orientation = _orientation(image, data)
         small = _rgb(image)
     small.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     out = io.BytesIO()
@@ -138,7 +139,7 @@ class _Header:
         try:
             with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
                 stored = image.size
-                orientation = _orientation(image)
+                orientation = _orientation(image, data)
                 animated = kind == "webp" and getattr(image, "n_frames", 1) > 1
                 plain = kind in _QUICKER and image.mode in _PLAIN_MODES and "transparency" not in image.info
         except Exception as error:
@@ -167,12 +168,19 @@ def _check_size(width: int, height: int, limits: Limits) -> None:
         )
 
 
-def _orientation(image: Image.Image) -> int:
-    """EXIF orientation, 1 to 8; 1 when there is none, or none that can be read."""
+def _orientation(image: Image.Image, data: bytes) -> int:
+    """EXIF orientation, 1 to 8; 1 when there is none, or none that can be read. Decodes no pixels."""
     if image.format == "TIFF":
         return 1  # Pillow turns these by itself
     try:
-        value = image.getexif().get(_ORIENTATION, 1)
+        if image.format == "PNG":
+            # Pillow's own reader of a PNG's EXIF decodes the picture, since the chunk may stand behind the pixels.
+            for kind, content in _png_chunks(data):
+                if kind == b"eXIf":
+                    image.info["exif"] = b"Exif\x00\x00" + content
+            value = Image.Image.getexif(image).get(_ORIENTATION, 1)
+        else:
+            value = image.getexif().get(_ORIENTATION, 1)
     except Exception:
         # Broken EXIF is common in real photos and no reason to refuse the pixels.
         return 1
@@ -261,14 +269,20 @@ def _jpeg_is_whole(data: bytes) -> bool:
     return False
 
 
-def _png_is_whole(data: bytes) -> bool:
-    """Whether the chunks follow one another up to IEND."""
+def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and content of a PNG's chunks, one behind the other, up to IEND or to where the file breaks off."""
     at = 8
     while at + 12 <= len(data):
-        if data[at + 4 : at + 8] == b"IEND":
-            return True
-        at += 12 + int.from_bytes(data[at : at + 4], "big")
-    return False
+        kind, length = data[at + 4 : at + 8], int.from_bytes(data[at : at + 4], "big")
+        yield kind, data[at + 8 : at + 8 + length]
+        if kind == b"IEND":
+            return
+        at += 12 + length
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Whether the chunks follow one another up to IEND."""
+    return any(kind == b"IEND" for kind, _ in _png_chunks(data))
 
 
 def _webp_is_whole(data: bytes) -> bool:
