@@ -29,7 +29,7 @@ from worker.place.calibration import (
 )
 from worker.place.recall import Booleans, Doubles, first_right
 
-MATCHED_PRECISION = 0.95
+MATCHED_PRECISION = 0.97
 """How often ``matched`` has to be right on the sets that the thresholds are learned from."""
 
 HELD_OUT = 0.3
