@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from uuid6 import uuid7
@@ -20,6 +20,9 @@ from worker.decide import decide
 from worker.desk import Served
 from worker.house import House
 from worker.search import Answer, RecipeChanged
+
+COMPARED = 2
+"""Matches searched for at least: how sure the first is depends on how far it leads, whatever was asked for."""
 
 PATIENCE_S = 120.0
 """How long an enrolment waits for its description before it answers as if it had been told not to wait."""
@@ -149,9 +152,11 @@ class Recogniser:
         await asyncio.to_thread(self._store.map, map_name)  # an unknown map is refused before any work is done
         decoded = await asyncio.to_thread(self._house.decode, picture)
         decode_ms = _since(began)
-        served, answer = await self._ask(decoded, map_name, filters, top, candidates)
+        served, answer = await self._ask(decoded, map_name, filters, max(top, COMPARED), candidates)
         description = served.value
         decision = decide(answer.found, self._house.calibration(answer.recipe))
+        answer = replace(answer, found=answer.found[:top])
+        decision = replace(decision, confidences=decision.confidences[:top])
         query_id = str(uuid7())
         if explain:
             small = await asyncio.to_thread(self._house.shrink, decoded)

@@ -18,6 +18,9 @@ UNCALIBRATED = Calibration(
     "nothing: a plain curve through a score of one half, for encoders without labelled queries",
 )
 
+ALONE = 0.2
+"""What the only match has to beat: about the score that the best of a few wrong views gets."""
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -45,7 +48,7 @@ def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
     it; ``inliers``, log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
     """
     scores = np.array([f.score for f in found], np.float64)
-    best, second = [*np.sort(scores)[::-1].tolist(), 0.0][:2]
+    best, second = [*np.sort(scores)[::-1].tolist(), ALONE][:2]
     read = {
         "score": scores,
         "lead": np.where(scores == best, best - second, scores - best),
