@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from schemas.settings import Settings
 from worker import byte_product
+from worker.bootstrap import make_product
 from worker.place import dense_cells
 
 
@@ -33,3 +36,13 @@ def test_without_a_product_of_bytes_floats_do(monkeypatch: pytest.MonkeyPatch) -
     assert byte_product.fastest_product() in (byte_product._of_bytes, dense_cells.float_product)
     monkeypatch.delattr("torch._int_mm")
     assert byte_product.fastest_product() is dense_cells.float_product
+
+
+def test_small_products_keep_to_one_thread_beside_the_encoder_in_onnx_runtime() -> None:
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        make_product(Settings(encoder="compact"))
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)

@@ -101,6 +101,10 @@ def make_product(settings: Settings) -> Product:
         return float_product
     from worker.byte_product import fastest_product
 
+    if settings.encoder == "compact" and settings.device == "cpu":
+        import torch
+
+        torch.set_num_threads(1)  # nothing but these products runs in torch then: more threads would only spin
     return fastest_product()
 
 
