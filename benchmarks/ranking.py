@@ -25,6 +25,7 @@ from worker.datasets.dataset import ENDINGS, Dataset
 from worker.encoders.compact import CompactEncoder
 from worker.local_features import local_features
 from worker.place import dense_cells, ranking, verification, vocabulary
+from worker.place.byte_vectors import quantise
 from worker.place.ranking import Rows
 from worker.place.recall import bootstrap_interval
 from worker.recipes import PRESETS
@@ -72,7 +73,7 @@ class Describer:
             if PARAMETERS.dense is not None and learned.cells is not None:
                 grid = dense_cells.grid(layer, PARAMETERS.dense.rows, PARAMETERS.dense.columns)
                 parts[name] = dense_cells.reduce(grid, learned.cells)
-        cells = dense_cells.quantise(dense_cells.join(parts, PARAMETERS.dense.shares if PARAMETERS.dense else {}))
+        cells = quantise(dense_cells.join(parts, PARAMETERS.dense.shares if PARAMETERS.dense else {}))
         wanted = PARAMETERS.verification.keypoints if PARAMETERS.verification else 0
         return Described(vectors, cells, local_features(_picture(path).pixels, wanted))
 
@@ -99,7 +100,7 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         terms[term] = np.zeros(len(database), np.float32)
         terms[term][where] = values
 
-    ours, *theirs = (dense_cells.quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
+    ours, *theirs = (quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
     put("dense", rows, dense_cells.similarity(ours, np.stack(theirs))[0])
     yield "cells at half size", int(best(1)[0])
     first = best(PARAMETERS.dense.closely if PARAMETERS.dense else 0)

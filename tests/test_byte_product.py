@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from schemas.settings import Settings
 from worker import byte_product
 from worker.bootstrap import make_product
-from worker.place import dense_cells
+from worker.place import dense_cells, vocabulary
+from worker.place.byte_vectors import float_product, quantise
+from worker.place.unit_length import unit
 
 
 @settings(deadline=None)  # a crowded machine is no failure
@@ -19,7 +21,7 @@ def test_bytes_and_floats_give_the_same_whole_numbers(seed: int, left: int, righ
     ours, theirs = (draw.integers(-127, 128, (n, dimensions), np.int8) for n in (left, right))
     expected = ours.astype(np.int64) @ theirs.astype(np.int64).T
     np.testing.assert_array_equal(byte_product._of_bytes(ours, theirs), expected)
-    np.testing.assert_array_equal(dense_cells.float_product(ours, theirs), expected)
+    np.testing.assert_array_equal(float_product(ours, theirs), expected)
 
 
 def test_a_comparison_does_not_depend_on_the_product() -> None:
@@ -32,10 +34,20 @@ def test_a_comparison_does_not_depend_on_the_product() -> None:
     np.testing.assert_array_equal(floats[1], bytes_[1])
 
 
+def test_the_words_of_a_picture_do_not_depend_on_the_product_and_hardly_on_rounding() -> None:
+    draw = np.random.default_rng(0)
+    words = unit(draw.standard_normal((64, 97)))
+    descriptors = unit(words[draw.integers(0, 64, 600)] + 0.12 * draw.standard_normal((600, 97)))
+    kept = quantise(descriptors), quantise(words)
+    floats = vocabulary.histogram(*kept, 3, 0.05)
+    np.testing.assert_array_equal(floats, vocabulary.histogram(*kept, 3, 0.05, byte_product._of_bytes))
+    np.testing.assert_allclose(floats, vocabulary.histogram(descriptors, words, 3, 0.05), atol=2e-4)
+
+
 def test_without_a_product_of_bytes_floats_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert byte_product.fastest_product() in (byte_product._of_bytes, dense_cells.float_product)
+    assert byte_product.fastest_product() in (byte_product._of_bytes, float_product)
     monkeypatch.delattr("torch._int_mm")
-    assert byte_product.fastest_product() is dense_cells.float_product
+    assert byte_product.fastest_product() is float_product
 
 
 def test_small_products_keep_to_one_thread_beside_the_encoder_in_onnx_runtime() -> None:

@@ -39,6 +39,8 @@ def strong(picture: Picture, rng: np.random.Generator, *, night: float = 0.35) -
 
 
 def _by_day(x: Floats, rng: np.random.Generator) -> Picture:
+    if rng.random() < 0.35:
+        x = _repainted(x, rng)
     if rng.random() < 0.3:
         x = x * _field(rng, x.shape, spread=rng.uniform(0.2, 0.4))
     if rng.random() < 0.5:
@@ -50,6 +52,20 @@ def _by_day(x: Floats, rng: np.random.Generator) -> Picture:
         x = x + _noise(rng, (*x.shape[:2], channels)) * np.float32(rng.uniform(0, 0.12))
     picture = _bytes(x)
     return _equalised(picture, rng, colour=True) if rng.random() < 0.1 else picture
+
+
+def _repainted(x: Floats, rng: np.random.Generator) -> Floats:
+    """Give what has the colour of a random pixel, and what is nearly that colour, another: snow, dead leaves, rain."""
+    height, width = x.shape[:2]
+    seen = x[rng.integers(height // 3, height), rng.integers(width)]
+    squares = ((x - seen) ** 2).sum(axis=2, keepdims=True)
+    alike = np.exp(-squares / np.float32(2 * rng.uniform(0.08, 0.3) ** 2))
+    if rng.random() < 0.5:
+        colour = np.float32(rng.uniform(0.75, 1.0)) * np.array([0.97, 0.98, 1.0], np.float32)
+    else:
+        colour = np.float32(rng.uniform(0.15, 0.7)) * rng.uniform(0.6, 1.4, 3).astype(np.float32)
+    texture = (x - seen) * np.float32(rng.uniform(0.2, 1.0))
+    return np.asarray(x + alike * np.float32(rng.uniform(0.4, 1.0)) * (colour + texture - x), np.float32)
 
 
 def _at_night(x: Floats, rng: np.random.Generator) -> Picture:

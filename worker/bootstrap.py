@@ -21,7 +21,7 @@ from worker.house import House
 from worker.indexes.catalogue import Catalogue
 from worker.indexes.flat import FlatIndex
 from worker.loop import Loop
-from worker.place.dense_cells import Product, float_product
+from worker.place.byte_vectors import Product, float_product
 from worker.recipes import PRESETS, general_vocabulary, make_recipe
 from worker.search import Searcher
 from worker.stores.locks import lock_for_serving
@@ -58,7 +58,8 @@ def build(settings: Settings, *, serving: bool = True) -> House:
         batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
         desk = Desk(encoder, batch, settings.questions)
         general = {name: general_vocabulary(encoder, name) for name in PRESETS}
-        describers = Describers(encoder, store, general.values())
+        product = make_product(settings)
+        describers = Describers(encoder, store, general.values(), product)
         catalogue = Catalogue(store, _empty_index)
         limits = picture_codec.Limits.of(settings)
         decode = partial(picture_codec.decode, limits=limits)
@@ -82,7 +83,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
             desk=desk,
             describers=describers,
             catalogue=catalogue,
-            searcher=Searcher(store, catalogue, make_product(settings)),
+            searcher=Searcher(store, catalogue, product),
             loop=loop if works else None,
             default_recipe=make_recipe(encoder, settings.preset),
             calibration=lambda recipe: shipped_calibration(recipe.encoder, recipe.preset),
@@ -96,7 +97,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
 
 
 def make_product(settings: Settings) -> Product:
-    """How dense cells are multiplied: with what is loaded for the encoder anyway."""
+    """How vectors of bytes are multiplied: with what is loaded for the encoder anyway."""
     if settings.encoder == "color":
         return float_product
     from worker.byte_product import fastest_product

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from schemas.description import Floats, Int8s
-from worker.place.dense_cells import Numbers, Product, float_product
+from worker.place.byte_vectors import Numbers, Product, float_product
 
 CELLS, DIMENSIONS = 448, 64
 """Of the trial: as large as a comparison in full."""

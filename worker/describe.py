@@ -11,6 +11,7 @@ from schemas.ports import Encoder
 from schemas.recipe import Recipe
 from worker.local_features import local_features
 from worker.place import context_graph, dense_cells, keypoints, labels, static_pixels, vocabulary
+from worker.place.byte_vectors import Product, float_product, quantise
 from worker.regions import components
 from worker.vocabularies import Vocabulary
 
@@ -39,11 +40,13 @@ class Describer:
     recipe : Recipe
     words : Vocabulary
         The one that the recipe names.
+    product : Product
     """
 
-    def __init__(self, encoder: Encoder, recipe: Recipe, words: Vocabulary) -> None:
+    def __init__(self, encoder: Encoder, recipe: Recipe, words: Vocabulary, product: Product = float_product) -> None:
         self.recipe = recipe
         self.vocabulary = words
+        self._product = product
         self._text = encoder.text_vectors(recipe.labels)
         self._dynamic = np.isin(np.array(recipe.labels), np.array(recipe.dynamic))
 
@@ -82,15 +85,15 @@ class Describer:
             count = max(count, len(drawn))
             descriptors = layer.reshape(-1, layer.shape[2])[drawn]
             learned = self.vocabulary.channels[name]
-            vectors[name] = vocabulary.vector(descriptors, learned, channel)
+            vectors[name] = vocabulary.vector(descriptors, learned, channel, self._product)
             if parameters.dense is not None and learned.cells is not None:
                 grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
                 parts[name] = dense_cells.reduce(grid, learned.cells)
-        cells = dense_cells.quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
+        cells = quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
         verification = parameters.verification
         return Description(
             vectors=vectors,
-            appearance=Appearance(dense_cells.quantise(dense_cells.halve(cells)), self.graph(field, seen)),
+            appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, seen)),
             cells=cells,
             keypoints=local_features(picture.pixels, verification.keypoints) if verification else None,
             label_shares=labels.shares(seen.labels, len(self.recipe.labels)),

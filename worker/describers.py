@@ -8,6 +8,7 @@ from schemas.errors import NotFound, SetupError
 from schemas.ports import Encoder, Store
 from schemas.recipe import Recipe
 from worker.describe import Describer
+from worker.place.byte_vectors import Product, float_product
 from worker.vocabularies import Vocabulary
 
 KEPT = 32
@@ -24,11 +25,15 @@ class Describers:
         Keeps the vocabularies that maps have trained.
     general : iterable of Vocabulary
         Those that ship with the encoder.
+    product : Product
     """
 
-    def __init__(self, encoder: Encoder, store: Store, general: Iterable[Vocabulary]) -> None:
+    def __init__(
+        self, encoder: Encoder, store: Store, general: Iterable[Vocabulary], product: Product = float_product
+    ) -> None:
         self._encoder = encoder
         self._store = store
+        self._product = product
         self._general = {vocabulary.digest: vocabulary for vocabulary in general}
         self._made: OrderedDict[str, Describer] = OrderedDict()
         self._lock = threading.Lock()
@@ -52,7 +57,7 @@ class Describers:
             )
         vocabulary = self._vocabulary(recipe.vocabulary)
         vocabulary.check(recipe.parameters, self._encoder.layers)
-        describer = Describer(self._encoder, recipe, vocabulary)
+        describer = Describer(self._encoder, recipe, vocabulary, self._product)
         with self._lock:
             self._made[recipe.id] = describer
             while len(self._made) > KEPT:

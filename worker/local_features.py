@@ -8,6 +8,7 @@ import numpy as np
 
 from schemas.description import Floats, Int8s, LocalFeatures
 from schemas.picture import Bytes2D
+from worker.place.byte_vectors import quantise
 from worker.place.unit_length import unit
 
 LONGER_SIDE = 320
@@ -18,9 +19,6 @@ CONTRAST = 0.01
 
 CLIP_LIMIT = 2.0
 """Of the histogram equalisation in 8 x 8 tiles that evens out the light first (CLAHE)."""
-
-FULL_SCALE = 127
-"""What a component of 1 becomes in storage."""
 
 PROJECTION = Path(__file__).with_name("rootsift_projection.npz")
 """Mean and leading 48 directions of general pictures' RootSIFT (`training/rootsift_projection.py`)."""
@@ -85,9 +83,7 @@ def reduce(descriptors: Floats) -> Int8s:
         Centred, projected, unit length times 127.
     """
     mean, matrix = reduction()
-    reduced = unit(np.asarray((descriptors - mean) @ matrix, np.float32))
-    stored: Int8s = np.rint(reduced * FULL_SCALE).astype(np.int8)
-    return stored
+    return quantise(unit(np.asarray((descriptors - mean) @ matrix, np.float32)))
 
 
 @lru_cache(maxsize=1)

@@ -14,6 +14,7 @@ from schemas.recipe import Recipe
 from schemas.records import Candidates, Filters, ViewRecord
 from worker.indexes.catalogue import Catalogue
 from worker.place import context_graph, dense_cells, ranking, verification
+from worker.place.byte_vectors import Product, float_product
 from worker.place.context_graph import GraphComparison
 from worker.place.verification import Verified
 
@@ -124,7 +125,7 @@ class Searcher:
         self,
         store: Store,
         catalogue: Catalogue,
-        product: dense_cells.Product = dense_cells.float_product,
+        product: Product = float_product,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._clock = clock

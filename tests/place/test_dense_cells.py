@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from schemas.description import Floats
 from schemas.errors import DescriptorMismatch
 from worker.place import dense_cells, hough
+from worker.place.byte_vectors import quantise
 
 
 def cells(seed: int, rows: int = 8, columns: int = 12, channels: int = 16) -> Floats:
@@ -51,7 +52,7 @@ def test_a_picture_of_one_colour_has_no_direction_and_matches_nothing() -> None:
 def test_storage_is_one_byte_a_component() -> None:
     reduced = dense_cells.reduce(np.array([[[3.0, 4.0, 0.0]]], np.float32), np.eye(3, 2, dtype=np.float32))
     np.testing.assert_allclose(reduced, [[[0.6, 0.8]]], atol=1e-6)
-    stored = dense_cells.quantise(reduced)
+    stored = quantise(reduced)
     assert stored.dtype == np.int8
     assert stored.tolist() == [[[76, 102]]]  # 127 x (.6, .8)
 

@@ -7,7 +7,7 @@ correspondences. A picture of the same place gives correspondences that agree on
 a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -15,20 +15,13 @@ import numpy.typing as npt
 
 from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
+from worker.place.byte_vectors import Product, float_product, scale
 from worker.place.hough import Correspondences, agreement
 from worker.place.unit_length import unit
 
 Indices = npt.NDArray[np.intp]
-Numbers = npt.NDArray[np.float32] | npt.NDArray[np.int32]
-
-Product = Callable[[Int8s | Floats, Int8s | Floats], Numbers]
-"""Inner products of (n, d) and (m, d) as (n, m). Those of stored cells are whole numbers: every way gives the same."""
-
 BLOCK = 200_000
 """Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
-
-FULL_SCALE = 127
-"""What a component of 1 becomes in storage."""
 
 ROUNDING = 1e-6
 """Cells no longer than this are what rounding left of nothing."""
@@ -112,11 +105,6 @@ def join(cells: Mapping[str, Floats], shares: Mapping[str, float]) -> Floats:
     return joined
 
 
-def quantise(cells: Floats) -> Int8s:
-    """Cells of unit length as they are stored, one byte a component, -127..127."""
-    return np.rint(cells * FULL_SCALE).astype(np.int8)
-
-
 def halve(cells: Int8s | Floats) -> Floats:
     """The grid of half as many rows and columns: means of 2 x 2 cells, unit length.
 
@@ -133,22 +121,6 @@ def halve(cells: Int8s | Floats) -> Floats:
     even = cells[..., :rows, :columns, :].astype(np.float32)
     down = even[..., 0::2, :, :] + even[..., 1::2, :, :]
     return unit(down[..., 0::2, :] + down[..., 1::2, :], ROUNDING)
-
-
-def float_product(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
-    """Inner products in float32, which holds those of stored cells exactly.
-
-    Parameters
-    ----------
-    left : int8 or float32 of shape (n, dimensions)
-    right : int8 or float32 of shape (m, dimensions)
-
-    Returns
-    -------
-    float32 of shape (n, m)
-    """
-    products: Floats = left.astype(np.float32, copy=False) @ right.astype(np.float32, copy=False).T
-    return products
 
 
 def distinctness(cells: Int8s | Floats, apart: int = APART, product: Product = float_product) -> Floats:
@@ -177,7 +149,7 @@ def distinctness(cells: Int8s | Floats, apart: int = APART, product: Product = f
     products = product(flat, flat)
     products *= _far(rows, columns, apart)
     # Along columns, which is quicker: the matrix is symmetric.
-    closest = products.max(axis=0).astype(np.float32) * np.float32(_scale(cells) ** 2)
+    closest = products.max(axis=0).astype(np.float32) * np.float32(scale(cells) ** 2)
     unlike: Floats = 1 - np.clip(closest, 0, 1)
     return unlike
 
@@ -222,7 +194,7 @@ def correspondences(
     owner[taken[::-1]] = cell[::-1]
     first = owner[taken] == cell
     which, cell, counterpart = which[first], cell[first], counterpart[first]
-    cosine = largest[which, cell] * np.float32(_scale(query) * _scale(candidates))
+    cosine = largest[which, cell] * np.float32(scale(query) * scale(candidates))
     return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
 
 
@@ -252,11 +224,6 @@ def similarity(
     pairs = correspondences(query, candidates, product)
     found = agreement(pairs, distinctness(query, product=product), (query.shape[0], query.shape[1]), len(candidates))
     return found.scores, found.shifts
-
-
-def _scale(cells: Int8s | Floats) -> float:
-    """What a component of 1 in the cells stands for: stored ones are multiplied as they are, which is exact."""
-    return 1 / FULL_SCALE if cells.dtype == np.int8 else 1.0
 
 
 @lru_cache(maxsize=64)

@@ -5,10 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import Floats
+from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
 from schemas.recipe import Channel
+from worker.place.byte_vectors import Product, float_product, quantise, scale
 from worker.place.unit_length import unit
+
+_LEAST = -(2**30)  # less than any closeness, of bytes or of floats
 
 BLOCK = 8192
 """Descriptors compared with all words at once in training: bounds memory at BLOCK x words floats."""
@@ -58,18 +61,26 @@ def squared_distances(descriptors: Floats, words: Floats) -> Floats:
     return cross
 
 
-def histogram(descriptors: Floats, words: Floats, assignments: int = 1, temperature: float = 0.05) -> Floats:
+def histogram(
+    descriptors: Int8s | Floats,
+    words: Int8s | Floats,
+    assignments: int = 1,
+    temperature: float = 0.05,
+    product: Product = float_product,
+) -> Floats:
     """Count how often each visual-language word is the nearest one.
 
     Parameters
     ----------
-    descriptors : float32 of shape (n, channels)
+    descriptors : float32 of shape (n, channels), or int8 as `quantise` gives them
         Embeddings at the drawn static cells, unit length.
-    words : float32 of shape (words, channels)
+    words : float32 or int8 of shape (words, channels)
+        As the descriptors.
     assignments : int
         1 counts the nearest word, a(x) = argmin_v |x - c_v|. More shares a descriptor among its nearest words in
         proportion to exp(-|x - c|^2 / (2 temperature)), which for unit vectors is exp(cosine / temperature).
     temperature : float
+    product : Product
 
     Returns
     -------
@@ -87,8 +98,10 @@ def histogram(descriptors: Floats, words: Floats, assignments: int = 1, temperat
     if count == 0:
         return np.zeros(len(words), np.float32)
     # |x|^2 does not change which word is nearest, so it is left out; what remains is negated to look for maxima.
-    closeness = descriptors @ words.T
-    closeness -= (words**2).sum(axis=1) / 2
+    closeness = product(descriptors, words)
+    half = (words.astype(np.float32, copy=False) ** 2).sum(axis=1) / 2
+    # Bytes stay with whole numbers, by whichever product.
+    closeness -= (np.floor(half) if words.dtype == np.int8 else half).astype(closeness.dtype)
     kept = min(assignments, len(words))
     nearest = np.empty((count, kept), np.intp)
     values = np.empty((count, kept), np.float32)
@@ -96,22 +109,28 @@ def histogram(descriptors: Floats, words: Floats, assignments: int = 1, temperat
     for k in range(kept):  # a few passes of argmax are several times quicker than a partial sort
         nearest[:, k] = closeness.argmax(axis=1)
         values[:, k] = closeness[rows, nearest[:, k]]
-        closeness[rows, nearest[:, k]] = -np.inf
+        closeness[rows, nearest[:, k]] = _LEAST
+    values *= scale(descriptors) * scale(words)
     weights = np.exp((values - values[:, :1]) / temperature)
     weights /= weights.sum(axis=1, keepdims=True)
     total = np.bincount(nearest.ravel(), weights.ravel(), minlength=len(words))
     return (total / count).astype(np.float32)
 
 
-def vector(descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel) -> Floats:
+def vector(
+    descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel, product: Product = float_product
+) -> Floats:
     """The vector of one channel: histogram, normalised, projected.
+
+    Descriptors and words are compared as bytes: in whole numbers, so that every machine finds the same nearest words.
 
     Returns
     -------
     float32 of shape (channel.dimensions or words,)
         Unit length with a projection or Hellinger normalisation; sums to 1 otherwise; all zero without descriptors.
     """
-    counts = histogram(descriptors, vocabulary.words, channel.assignments, channel.temperature)
+    compared = quantise(descriptors), quantise(vocabulary.words)
+    counts = histogram(*compared, channel.assignments, channel.temperature, product)
     if not counts.any():
         return np.zeros(channel.dimensions or len(counts), np.float32)
     normalised: Floats = np.sqrt(counts, dtype=np.float32) if channel.normalisation == "hellinger" else counts

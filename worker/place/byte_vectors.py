@@ -1,0 +1,42 @@
+"""Vectors of unit length kept as one byte a component, and their inner products."""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats, Int8s
+
+Numbers = npt.NDArray[np.float32] | npt.NDArray[np.int32]
+
+Product = Callable[[Int8s | Floats, Int8s | Floats], Numbers]
+"""Inner products of (n, d) and (m, d) as (n, m). Those of bytes are whole numbers: every way gives the same."""
+
+FULL_SCALE = 127
+"""What a component of 1 becomes."""
+
+
+def quantise(vectors: Floats) -> Int8s:
+    """Vectors no longer than 1 as bytes: each component times 127, rounded."""
+    return np.rint(vectors * FULL_SCALE).astype(np.int8)
+
+
+def scale(vectors: Int8s | Floats) -> float:
+    """What a component of 1 in the vectors stands for: bytes are multiplied as they are, which is exact."""
+    return 1 / FULL_SCALE if vectors.dtype == np.int8 else 1.0
+
+
+def float_product(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
+    """Inner products in float32, which holds those of bytes exactly.
+
+    Parameters
+    ----------
+    left : int8 or float32 of shape (n, dimensions)
+    right : int8 or float32 of shape (m, dimensions)
+
+    Returns
+    -------
+    float32 of shape (n, m)
+    """
+    products: Floats = left.astype(np.float32, copy=False) @ right.astype(np.float32, copy=False).T
+    return products
