@@ -14,22 +14,22 @@ from app.recognise import Recogniser
 P = TypeVar("P", bound=Parameters)
 
 
-def _recogniser(request: Request) -> Recogniser:
+async def _recogniser(request: Request) -> Recogniser:
     recogniser: Recogniser = request.app.state.service.recogniser
     return recogniser
 
 
-def _curator(request: Request) -> Curator:
+async def _curator(request: Request) -> Curator:
     curator: Curator = request.app.state.service.curator
     return curator
 
 
-def _condition(request: Request) -> Condition:
+async def _condition(request: Request) -> Condition:
     condition: Condition = request.app.state.service.condition
     return condition
 
 
-def _metrics(request: Request) -> Metrics:
+async def _metrics(request: Request) -> Metrics:
     metrics: Metrics = request.app.state.metrics
     return metrics
 

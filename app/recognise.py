@@ -17,6 +17,7 @@ from schemas.errors import Busy, NothingStatic, RevisitError
 from schemas.picture import Picture, PictureFacts
 from schemas.records import Filters, Said, Submitted
 from worker.decide import decide
+from worker.describe import Describer
 from worker.desk import Served
 from worker.house import House
 from worker.search import Answer, RecipeChanged
@@ -149,10 +150,9 @@ class Recogniser:
         BadPicture, NotFound, NothingStatic, Busy
         """
         began = time.perf_counter()
-        await asyncio.to_thread(self._store.map, map_name)  # an unknown map is refused before any work is done
-        decoded = await asyncio.to_thread(self._house.decode, picture)
+        describer, decoded = await asyncio.to_thread(self._read, map_name, picture)
         decode_ms = _since(began)
-        served, answer = await self._ask(decoded, map_name, filters, max(top, COMPARED), candidates)
+        served, answer = await self._ask(decoded, map_name, describer, filters, max(top, COMPARED), candidates)
         description = served.value
         decision = decide(answer.found, self._house.calibration(answer.recipe))
         answer = replace(answer, found=answer.found[:top])
@@ -193,20 +193,27 @@ class Recogniser:
             },
         )
 
+    def _read(self, map_name: str, picture: bytes) -> tuple[Describer, Picture]:
+        """What a question needs first; an unknown map is refused before any work is done."""
+        return self._describer(map_name), self._house.decode(picture)
+
+    def _describer(self, map_name: str) -> Describer:
+        return self._house.describers.of(self._store.map(map_name).recipe)
+
     async def _ask(
-        self, picture: Picture, map_name: str, filters: Filters, top: int, candidates: int | None
+        self, picture: Picture, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None
     ) -> tuple[Served[Description], Answer]:
         """Describe by the map's recipe and search; anew if the map changed over to another recipe in between."""
+        search = self._house.searcher.search
         while True:
-            recipe = (await asyncio.to_thread(self._store.map, map_name)).recipe
-            describer = await asyncio.to_thread(self._house.describers.of, recipe)
-            served = await asyncio.wrap_future(self._house.desk.hand_in(picture, describer.describe, urgent=True))
+            handed_in = self._house.desk.hand_in(picture, describer.describe, urgent=True, beside=describer.keypoints)
+            served = await asyncio.wrap_future(handed_in)
             try:
                 return served, await asyncio.to_thread(
-                    self._house.searcher.search, map_name, recipe, served.value, filters, top, candidates
+                    search, map_name, describer.recipe, served.value, filters, top, candidates
                 )
             except RecipeChanged:
-                continue
+                describer = await asyncio.to_thread(self._describer, map_name)
 
 
 def _now() -> datetime:

@@ -27,13 +27,13 @@ from fastapi.testclient import TestClient
 
 from app.main import create_app
 from benchmarks.filling import fill
+from schemas.description import Description
 from schemas.picture import Picture
 from schemas.records import Filters
 from schemas.settings import Settings
 from worker.bootstrap import build, make_product
 from worker.describe import Describer
 from worker.house import House
-from worker.local_features import local_features
 from worker.scenes import scene
 from worker.search import Searcher
 
@@ -116,11 +116,10 @@ def describing(house: House, pictures: Sequence[bytes], repeats: int) -> list[Ro
     rows = [
         row("decode", None, each(lambda i: house.decode(pictures[i]))),
         row("encode", None, each(lambda i: list(house.encoder.encode([decoded[i]])))),
-        row("describe, with local features", None, each(lambda i: describer.describe(decoded[i], fields[i]))),
+        row("local features", None, each(lambda i: describer.keypoints(decoded[i]))),
     ]
-    if recipe.parameters.verification is not None:
-        count = recipe.parameters.verification.keypoints
-        rows.append(row("local features", None, each(lambda i: local_features(decoded[i].pixels, count))))
+    found = [describer.keypoints(picture) for picture in decoded]
+    rows.append(row("describe", None, each(lambda i: describer.describe(decoded[i], fields[i], found[i]))))
     return rows
 
 
@@ -129,8 +128,7 @@ def enrolling(house: House, client: TestClient, pictures: Sequence[bytes]) -> li
 
     Before them, in the same minute, what both are held against: the network and local features alone.
     """
-    verification = house.default_recipe.parameters.verification
-    keypoints = verification.keypoints if verification else 0
+    describer = house.describers.of(house.default_recipe)
     decoded = [house.decode(data) for data in pictures]
 
     def enroll(data: bytes, url: str, status: int) -> None:
@@ -140,7 +138,7 @@ def enrolling(house: House, client: TestClient, pictures: Sequence[bytes]) -> li
     def nothing_else() -> None:
         for picture in decoded:
             list(house.encoder.encode([picture]))
-            local_features(picture.pixels, keypoints)
+            describer.keypoints(picture)
 
     described = threading.Semaphore(0)
     assert house.loop is not None
@@ -168,11 +166,16 @@ def enrolling(house: House, client: TestClient, pictures: Sequence[bytes]) -> li
     return rows
 
 
+def described(house: House, describer: Describer, picture: Picture) -> Description:
+    """A description, made at once."""
+    return describer.describe(picture, next(iter(house.encoder.encode([picture]))), describer.keypoints(picture))
+
+
 def asking(house: House, client: TestClient, describer: Describer, data: bytes, views: int, repeats: int) -> list[Row]:
     """Stages that depend on the size of the map, at `views` views."""
     recipe = house.default_recipe
     picture: Picture = house.decode(data)
-    description = describer.describe(picture, next(iter(house.encoder.encode([picture]))))
+    description = described(house, describer, picture)
     began = time.perf_counter()
     house.catalogue.index("default")
     rows = [Row("index from the database", views, (time.perf_counter() - began) * 1000)]
@@ -241,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows += enrolling(house, client, pictures)
             rows += describing(house, pictures, options.repeats)
             decoded = [house.decode(data) for data in pictures]
-            seen = [describer.describe(p, f) for p, f in zip(decoded, house.encoder.encode(decoded), strict=True)]
+            seen = [described(house, describer, picture) for picture in decoded]
             there = len(pictures)
             for views in sorted(options.views):
                 fill(settings.database_url, "default", house.default_recipe, seen, views - there, seed=views)

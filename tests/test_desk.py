@@ -86,6 +86,38 @@ def test_a_question_is_answered_while_an_enrolment_is_still_being_described() ->
     desk.stop()
 
 
+def test_what_needs_no_field_is_made_while_the_network_is_busy() -> None:
+    encoder = GatedEncoder()
+    desk = Desk(encoder, batch=1, questions=5)
+    desk.start()
+    made = threading.Event()
+
+    def look(shown: Picture) -> str:
+        made.set()
+        return f"picture {shown.pixels[0, 0, 0]}"
+
+    question = desk.hand_in(picture(7), lambda p, f, looked: (number_of(p, f), looked), urgent=True, beside=look)
+    assert made.wait(5)  # and the encoder is still held back
+    encoder.gate.release()
+    assert question.result(5).value == (7, "picture 7")
+    desk.stop()
+
+
+def test_a_failure_beside_the_network_belongs_to_the_one_who_asked() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    desk = Desk(encoder, batch=1, questions=5)
+    desk.start()
+
+    def fail(_: Picture) -> int:
+        raise ValueError("no keypoints today")
+
+    with pytest.raises(ValueError, match="no keypoints"):
+        desk.hand_in(picture(1), lambda p, f, looked: looked, urgent=True, beside=fail).result(5)
+    assert desk.hand_in(picture(2), number_of, urgent=True).result(5).value == 2
+    desk.stop()
+
+
 def test_one_failing_picture_does_not_take_its_batch_down() -> None:
     encoder = GatedEncoder()
     desk = Desk(encoder, batch=4, questions=5)

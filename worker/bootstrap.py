@@ -3,6 +3,7 @@
 import logging
 import os
 import platform
+import sys
 from datetime import UTC, datetime, timedelta
 from functools import partial
 
@@ -32,6 +33,10 @@ log = logging.getLogger("revisit")
 
 GPU_BATCH = 8
 
+SWITCH_S = 0.001
+"""After how long a thread lets another one into the interpreter: the encoder's comes back for a moment between calls of
+many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment, docs/speed.md)."""
+
 
 def build(settings: Settings, *, serving: bool = True) -> House:
     """Build everything, start nothing.
@@ -50,6 +55,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
     threads = settings.threads or os.cpu_count() or 1
     cv2.setNumThreads(threads)
     faiss.omp_set_num_threads(1)
+    sys.setswitchinterval(SWITCH_S)
     settings.data.mkdir(parents=True, exist_ok=True)
     unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
     try:

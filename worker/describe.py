@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.description import Appearance, Booleans, ContextGraph, Description, Floats, PixelField
+from schemas.description import Appearance, Booleans, ContextGraph, Description, Floats, LocalFeatures, PixelField
 from schemas.errors import NothingStatic
 from schemas.picture import Picture
 from schemas.ports import Encoder
@@ -62,8 +62,13 @@ class Describer:
         least = self.recipe.parameters.graph.min_region_cells
         return context_graph.build(seen.labels, seen.static, field.semantic, field.extent, components, least)
 
-    def describe(self, picture: Picture, field: PixelField) -> Description:
-        """Everything the recipe wants to know about a picture.
+    def keypoints(self, picture: Picture) -> LocalFeatures | None:
+        """Local features for verification, if the recipe has one; they do not need the field."""
+        verification = self.recipe.parameters.verification
+        return local_features(picture.pixels, verification.keypoints) if verification else None
+
+    def describe(self, picture: Picture, field: PixelField, found: LocalFeatures | None) -> Description:
+        """Everything the recipe wants to know about a picture, of which `found` is what `keypoints` found.
 
         Raises
         ------
@@ -90,12 +95,11 @@ class Describer:
                 grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
                 parts[name] = dense_cells.reduce(grid, learned.cells)
         cells = quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
-        verification = parameters.verification
         return Description(
             vectors=vectors,
             appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, seen)),
             cells=cells,
-            keypoints=local_features(picture.pixels, verification.keypoints) if verification else None,
+            keypoints=found,
             label_shares=labels.shares(seen.labels, len(self.recipe.labels)),
             static_share=float(seen.static.mean()),
             descriptor_count=count,

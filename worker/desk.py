@@ -16,7 +16,8 @@ from schemas.picture import Picture
 from schemas.ports import Encoder
 
 T = TypeVar("T")
-Finish = Callable[[Picture, PixelField], T]
+Finish = Callable[..., T]
+"""Of a picture and its field; and of what was made beside the network, where something was."""
 
 QUESTION, ENROLMENT, CLOSE = 0, 1, 2
 
@@ -32,7 +33,7 @@ class Served(Generic[T]):
     value : T
         Result of the `finish` function.
     queue_ms, encode_ms, finish_ms : float
-        Waiting, the network (shared among a batch), and `finish`.
+        Waiting, the network (shared among a batch), and `finish`, with what was left to do beside the network.
     """
 
     value: T
@@ -50,10 +51,15 @@ class _Request:
     future: "Future[Served[Any]]" = field(compare=False)
     since: float = field(compare=False)
     fine: bool = field(compare=False, default=False)
+    beside: Callable[[Picture], Any] | None = field(compare=False, default=None)
+    made: "Future[Any] | None" = field(compare=False, default=None)
 
 
 class Desk:
-    """One thread that owns the encoder, and one that describes what is enrolled while the next picture is encoded.
+    """One thread that owns the encoder, and one for all that can be done while it is busy.
+
+    What does not need the field (local features) is made beside the network. What is enrolled is described while the
+    next picture is encoded.
 
     A question waits for the batch under way and for other questions, never for queued enrolments. The thread that
     encodes it describes it too, so that it does not wait for the description of an enrolment either.
@@ -106,10 +112,19 @@ class Desk:
             self._thread.join()
         self._describing.shutdown()
 
-    def hand_in(self, picture: Picture, finish: Finish[T], *, urgent: bool, fine: bool = False) -> "Future[Served[T]]":
+    def hand_in(
+        self,
+        picture: Picture,
+        finish: Finish[T],
+        *,
+        urgent: bool,
+        fine: bool = False,
+        beside: Callable[[Picture], Any] | None = None,
+    ) -> "Future[Served[T]]":
         """Have a picture encoded, and `finish` called with it and its field (in a thread of the desk).
 
-        With `fine` the field is that of `Encoder.fine`, which is for drawing.
+        With `fine` the field is that of `Encoder.fine`, which is for drawing. What `beside` makes of the picture, while
+        the network works on it, is the third argument of `finish`.
 
         Raises
         ------
@@ -128,7 +143,9 @@ class Desk:
                 self._asked += 1
                 future.add_done_callback(self._answered)
             urgency = QUESTION if urgent else ENROLMENT
-            self._queue.put(_Request(urgency, next(self._numbers), picture, finish, future, time.perf_counter(), fine))
+            self._queue.put(
+                _Request(urgency, next(self._numbers), picture, finish, future, time.perf_counter(), fine, beside)
+            )
         return future
 
     def _answered(self, _: "Future[Any]") -> None:
@@ -155,6 +172,9 @@ class Desk:
     def _serve(self, batch: list[_Request]) -> None:
         began = time.perf_counter()
         served = 0
+        for request in batch:
+            if request.beside is not None and request.made is None:
+                request.made = self._describing.submit(request.beside, request.picture)
         try:
             fields = self._fields(batch)
             for request in batch:
@@ -188,7 +208,8 @@ class Desk:
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:
     began = time.perf_counter()
     try:
-        value = request.finish(request.picture, pixel_field)
+        made = () if request.made is None else (request.made.result(),)
+        value = request.finish(request.picture, pixel_field, *made)
     except BaseException as error:  # belongs to the one who asked, not to the desk
         request.future.set_exception(error)
         return

@@ -124,7 +124,8 @@ class Loop:
             try:
                 picture = self._decode(self._store.picture(claim.view.id))
                 describer = self._describers.of(claim.recipe)
-                taken.append(_Underway(claim, self._desk.hand_in(picture, describer.describe, urgent=False)))
+                future = self._desk.hand_in(picture, describer.describe, urgent=False, beside=describer.keypoints)
+                taken.append(_Underway(claim, future))
             except Exception as error:
                 self._give_up(claim, error)
         return taken

@@ -28,6 +28,20 @@ def test_the_house_is_started_and_stopped_with_the_application(house: FakeHouse)
     assert house.recogniser.events == ["start", "stop"]
 
 
+@pytest.mark.parametrize("path", ["/livez", "/readyz", "/metrics", "/version", "/maps", "/views", "/places"])
+def test_nothing_that_a_route_is_given_waits_for_a_thread(
+    client: CheckedClient, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    """FastAPI fetches what is no coroutine in a thread: /readyz would then wait while every thread works."""
+
+    def busy(*_: object) -> None:
+        raise AssertionError("every thread works")
+
+    monkeypatch.setattr("fastapi.dependencies.utils.run_in_threadpool", busy)
+    assert client.get(path).status_code == 200
+    assert client.post("/enroll", content=photo(), headers=JPEG).status_code == 201
+
+
 # request ids and logs
 
 

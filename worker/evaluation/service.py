@@ -113,7 +113,7 @@ class HouseRetriever:
     def ask(self, picture: Picture, top: int) -> Question:
         """Describe and search, with everything that the search saw."""
         describer = self.house.describers.of(self.settings)
-        served = self.house.desk.hand_in(picture, describer.describe, urgent=True).result()
+        served = self.house.desk.hand_in(picture, describer.describe, urgent=True, beside=describer.keypoints).result()
         return Question(served, self._search(served.value, top, None))
 
     def _search(self, description: Description, top: int, candidates: int | None) -> Ranked:
