@@ -158,9 +158,7 @@ def match(
             name: wire.ChannelMatch(distance=distance, rank=found.ranks[name])
             for name, distance in found.distances.items()
         },
-        dense=None
-        if found.dense is None
-        else wire.DenseMatch(similarity=found.dense.similarity, typical=found.dense.typical, shift=found.dense.shift),
+        dense=None if found.dense is None else wire.DenseMatch.model_validate(found.dense, from_attributes=True),
         graph=None if found.graph is None else _graph(found.graph, recipe, query_graph, explained is not None),
         verification=None if found.verified is None else _verification(found.verified, explained is not None),
         links=wire.MatchLinks(image=f"{base}/image", thumbnail=f"{base}/thumbnail", explanation=explanation),

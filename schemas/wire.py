@@ -150,6 +150,7 @@ class DenseMatch(Answer):
 
     similarity: float = Field(description="Root of the share of the query's cells that agree on one shift, 0..1.")
     typical: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
+    high: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
 
 

@@ -14,8 +14,15 @@ from worker.search import Dense, Found
 ANY_VIEW = cast(ViewRecord, None)
 
 
-def found(score: float, similarity: float | None = None, typical: float = 0.0, inliers: int = 0, **parts: Any) -> Found:
-    dense = None if similarity is None else Dense(similarity, typical, (0, 0))
+def found(
+    score: float,
+    similarity: float | None = None,
+    typical: float = 0.0,
+    high: float = 0.0,
+    inliers: int = 0,
+    **parts: Any,
+) -> Found:
+    dense = None if similarity is None else Dense(similarity, typical, high, (0, 0))
     verified = Verified(inliers, inliers, None, np.zeros((inliers, 4), np.float32)) if inliers else None
     return Found(ANY_VIEW, score, parts, {}, {}, dense, None, verified)
 
@@ -26,10 +33,11 @@ def by(feature: str, steepness: float = 10.0) -> Calibration:
 
 
 def test_the_evidence_of_each_match() -> None:
-    read = features([found(0.8, 0.7, 0.2, inliers=9, close=0.5), found(0.6), found(0.5, 0.1, 0.2, close=0.1)])
+    read = features([found(0.8, 0.7, 0.2, 0.3, inliers=9, close=0.5), found(0.6), found(0.5, 0.1, 0.2, close=0.1)])
     assert read["score"].tolist() == [0.8, 0.6, 0.5]
     assert read["lead"] == pytest.approx([0.2, -0.2, -0.3])
     assert read["standing"] == pytest.approx([0.5, 0.0, -0.1])
+    assert read["margin"] == pytest.approx([0.4, 0.0, 0.1])
     assert read["inliers"] == pytest.approx([np.log(10), 0, 0])
     assert read["part.close"].tolist() == [0.5, 0.0, 0.1]
 
@@ -38,6 +46,12 @@ def test_a_view_that_stands_out_is_matched_and_one_among_many_alike_is_not() -> 
     outstanding, usual = found(0.6, similarity=0.9, typical=0.2), found(0.6, similarity=0.9, typical=0.85)
     assert decide([outstanding], by("standing")).status == "matched"
     assert decide([usual], by("standing")).status == "no_match"
+
+
+def test_a_stranger_that_looks_like_the_few_views_of_its_kind_is_not_matched() -> None:
+    place, stranger = found(0.6, 0.9, typical=0.1, high=0.2), found(0.6, 0.9, typical=0.1, high=0.85)
+    assert decide([place], by("margin")).status == "matched"
+    assert decide([stranger], by("margin")).status == "no_match"
 
 
 def test_confidence_never_rises_with_rank() -> None:

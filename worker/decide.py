@@ -45,7 +45,8 @@ def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
 
     ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``standing``, by
     how much its dense cells beat those of the median candidate, which tells a place from places that merely look like
-    it; ``inliers``, log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
+    it; ``margin``, by how much they beat those that most candidates stay below, which tells it from the few that look
+    most like it; ``inliers``, log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
     """
     scores = np.array([f.score for f in found], np.float64)
     best, second = [*np.sort(scores)[::-1].tolist(), ALONE][:2]
@@ -53,6 +54,7 @@ def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
         "score": scores,
         "lead": np.where(scores == best, best - second, scores - best),
         "standing": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.typical for f in found]),
+        "margin": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.high for f in found]),
         "inliers": np.log1p([0 if f.verified is None else f.verified.inliers for f in found]),
     }
     for term in sorted({term for f in found for term in f.parts}):

@@ -22,6 +22,11 @@ ROUNDS = 5
 """How often a search may start anew because a view it found was deleted meanwhile."""
 
 
+HIGH = 0.85
+"""Share of the candidates that `Dense.high` is above: enough for rare kinds of places, and below the other views of
+the right place, which are few."""
+
+
 class RecipeChanged(Exception):
     """The map changed over to another recipe: the question must be described by that one."""
 
@@ -36,12 +41,16 @@ class Dense:
         Of the cells at half size, 0..1.
     typical : float
         Median similarity of all candidates that were compared: what a wrong one gets for this question.
+    high : float
+        What `HIGH` of them do not exceed: what the wrong ones get that look most like it, such as the few parks in a
+        map of streets for the picture of another park.
     shift : (int, int)
         (rows, columns) by which the view's grid moved, in cells of the whole grid.
     """
 
     similarity: float
     typical: float
+    high: float
     shift: tuple[int, int]
 
 
@@ -324,8 +333,8 @@ class _Evidence:
         if row not in self.place or self.shifts is None:
             return None
         down, across = self.shifts[self.place[row]]
-        typical = float(np.median(self.terms["dense"][self.rows]))
-        return Dense(float(self.terms["dense"][row]), typical, (int(down), int(across)))
+        typical, high = np.quantile(self.terms["dense"][self.rows], (0.5, HIGH)).tolist()
+        return Dense(float(self.terms["dense"][row]), typical, high, (int(down), int(across)))
 
     def graph_of(self, row: int) -> GraphEvidence | None:
         """The comparison of one candidate's graph, if it was made."""
