@@ -22,6 +22,7 @@ from schemas.records import Meaning
 from schemas.settings import read_settings
 from worker import evaluate, vocabularies
 from worker.datasets.dataset import Dataset
+from worker.bootstrap import build, make_product
 from worker.describe import Describer
 from worker.describers import Describers
 from worker.desk import Desk
@@ -207,7 +208,7 @@ def remembering(house: House) -> tuple[House, RememberingEncoder]:
     encoder = RememberingEncoder(house.encoder)
     desk = Desk(encoder, 1, house.settings.questions)
     general = [general_vocabulary(encoder, name) for name in PRESETS]
-    describers = Describers(encoder, house.store, general)
+    describers = Describers(encoder, house.store, general, make_product(house.settings))
     lease = timedelta(seconds=house.settings.lease_s)
     loop = Loop(house.store, desk, describers, house.decode, name="ablation", batch=1, lease=lease)
     return replace(house, encoder=encoder, desk=desk, describers=describers, loop=loop), encoder
@@ -311,8 +312,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--vocabulary", type=Path, action="append", default=[], help="also measure the default with this vocabulary"
     )
     options = parser.parse_args(argv)
-    from worker.bootstrap import build
-
     wanted = options.variants.split(",") if options.variants else [""]
     chosen = [v for v in VARIANTS if any(part in v.name for part in wanted)]
     chosen += [
