@@ -3,6 +3,7 @@
 import asyncio
 import platform
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from importlib.metadata import version
 
 from app.version import VERSION
@@ -84,5 +85,11 @@ class Condition:
             preset=house.settings.preset,
             schema_version=house.schema_version,
             python=platform.python_version(),
-            libraries={name: version(name) for name in LIBRARIES},
+            libraries=_installed(),
         )
+
+
+@cache
+def _installed() -> dict[str, str]:
+    """Versions of the libraries; read from disk, so only once."""
+    return {name: version(name) for name in LIBRARIES}

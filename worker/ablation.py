@@ -21,8 +21,8 @@ from schemas.recipe import Channel, Graph, Parameters, Recipe
 from schemas.records import Meaning
 from schemas.settings import read_settings
 from worker import evaluate, vocabularies
-from worker.datasets.dataset import Dataset
 from worker.bootstrap import build, make_product
+from worker.datasets.dataset import Dataset
 from worker.describe import Describer
 from worker.describers import Describers
 from worker.desk import Desk
