@@ -1,5 +1,9 @@
 """Products of bytes: however they are made, they are the same whole numbers."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -48,6 +52,37 @@ def test_without_a_product_of_bytes_floats_do(monkeypatch: pytest.MonkeyPatch) -
     assert byte_product.fastest_product() in (byte_product._of_bytes, float_product)
     monkeypatch.delattr("torch._int_mm")
     assert byte_product.fastest_product() is float_product
+
+
+ALONE = """
+import threading, time
+import numpy as np
+from worker import byte_product
+
+cells = np.ones((2640, 97), np.int8)
+shares = []
+
+def multiply():
+    byte_product._of_bytes(cells, cells[:512])
+    everyone, here = time.process_time(), time.thread_time()
+    for _ in range(200):
+        byte_product._of_bytes(cells, cells[:512])
+    shares.append((time.process_time() - everyone) / (time.thread_time() - here))
+
+thread = threading.Thread(target=multiply)
+thread.start()
+thread.join()
+print(shares[0])
+"""
+
+
+def test_products_in_any_thread_take_that_thread_alone() -> None:
+    """torch.set_num_threads(1) does not see to that: oneDNN asks OpenMP, whose setting is each thread's own."""
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    said = subprocess.run(
+        [sys.executable, "-c", ALONE], env=environment, capture_output=True, text=True, check=True, timeout=120
+    )
+    assert float(said.stdout) < 1.3
 
 
 def test_small_products_keep_to_one_thread_beside_the_encoder_in_onnx_runtime() -> None:
