@@ -35,7 +35,7 @@ GPU_BATCH = 8
 
 SWITCH_S = 0.001
 """After how long a thread lets another one into the interpreter: the encoder's comes back for a moment between calls of
-many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment, docs/speed.md)."""
+many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment: docs/speed.md)."""
 
 
 def build(settings: Settings, *, serving: bool = True) -> House:
