@@ -54,7 +54,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.device == "cpu":
         quicken(network)
     plan = dataclasses.replace(
-        Plan(), minutes=options.minutes, steps=options.steps, trunk_rate=options.trunk_rate, head_rate=options.head_rate
+        Plan(),
+        minutes=options.minutes,
+        steps=options.steps,
+        trunk_rate=options.trunk_rate,
+        head_rate=options.head_rate,
+        strong_word=options.strong_word,
+        words_two_view=options.words_two_view,
     )
     run = Run(
         network,
@@ -114,6 +120,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--trunk-rate", type=float, default=Plan.trunk_rate)
     parser.add_argument("--head-rate", type=float, default=Plan.head_rate)
+    parser.add_argument("--strong-word", type=float, default=Plan.strong_word, help="weight of the word loss there")
+    parser.add_argument(
+        "--words-two-view", type=float, default=Plan.words_two_view, help="weight of the words' two-view loss"
+    )
     options = parser.parse_args(arguments)
     if min(options.strong, options.mild, options.clear) < 1:
         parser.error("--strong, --mild and --clear are at least 1: each teaches something that the others do not")

@@ -2,7 +2,8 @@
 
 Where the second run began with the first one's weights, everything between the two is a network too, and keeps much of
 what each is good at: the average of a network before and after it was taught something more forgets less of the old and
-generalises better than either (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models").
+generalises better than either (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models"). So it does for two runs
+that began with the same weights (Wortsman et al. 2022, "Model soups").
 """
 
 import argparse
@@ -39,7 +40,7 @@ def blended(first: Mapping[str, Tensor], second: Mapping[str, Tensor], share: fl
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the second checkpoint with both runs' averaged weights averaged."""
     parser = argparse.ArgumentParser(prog="python -m training.blend", description="Average of two runs.")
-    parser.add_argument("--first", type=Path, required=True, help="checkpoint that the second run began with")
+    parser.add_argument("--first", type=Path, required=True, help="checkpoint that the second began with, or its twin")
     parser.add_argument("--second", type=Path, required=True)
     parser.add_argument("--share", type=float, required=True, help="of the first, 0..1")
     parser.add_argument("--to", type=Path, required=True)
