@@ -55,13 +55,15 @@ def test_a_batch_depends_on_seed_and_step_alone(data_folder: Path, tmp_path: Pat
 
 def test_the_loss_sinks_on_a_batch_seen_again_and_again(data_folder: Path, tmp_path: Path) -> None:
     run, batches = run_in(tmp_path, data_folder, dataclasses.replace(PLAN, steps=20, trunk_rate=1e-3))
-    batch = next(batch for batch in map(batches.__getitem__, range(50)) if bool((batch["sets"] >= 0).any()))
+    names = ("clear_word", "word", "words_two_view", "detail_two_view")
+    # Not every small batch has something to teach by each loss: labels under strong light, cells in both views.
+    batch = next(b for b in map(batches.__getitem__, range(50)) if min(values(run, b)[name] for name in names) > 0)
     before = values(run, batch)
 
     run.train(iter([batch] * 20))
 
     after = values(run, batch)
-    for name in ("clear_word", "word", "words_two_view", "detail_two_view"):
+    for name in names:
         assert after[name] < before[name]
 
 
