@@ -103,6 +103,26 @@ def test_what_needs_no_field_is_made_while_the_network_is_busy() -> None:
     desk.stop()
 
 
+def test_a_question_waits_for_nothing_that_is_made_beside_an_enrolment() -> None:
+    encoder = GatedEncoder()
+    encoder.gate.release(9)
+    desk = Desk(encoder, batch=1, questions=5)
+    desk.start()
+    begun, answered = threading.Event(), threading.Event()
+
+    def slow(_: Picture) -> bool:
+        begun.set()
+        return answered.wait(5)
+
+    enrolment = desk.hand_in(picture(1), lambda p, f, waited: waited, urgent=False, beside=slow)
+    assert begun.wait(5)
+    question = desk.hand_in(picture(7), lambda p, f, looked: looked, urgent=True, beside=lambda _: "keypoints")
+    assert question.result(3).value == "keypoints"
+    answered.set()
+    assert enrolment.result(5).value
+    desk.stop()
+
+
 def test_a_failure_beside_the_network_belongs_to_the_one_who_asked() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)

@@ -120,7 +120,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--trunk-rate", type=float, default=Plan.trunk_rate)
     parser.add_argument("--head-rate", type=float, default=Plan.head_rate)
-    parser.add_argument("--strong-word", type=float, default=Plan.strong_word, help="weight of the word loss there")
+    parser.add_argument(
+        "--strong-word", type=float, default=Plan.strong_word, help="weight of the word loss under changed light"
+    )
     parser.add_argument(
         "--words-two-view", type=float, default=Plan.words_two_view, help="weight of the words' two-view loss"
     )

@@ -56,10 +56,10 @@ class _Request:
 
 
 class Desk:
-    """One thread that owns the encoder, and one for all that can be done while it is busy.
+    """One thread that owns the encoder, and two for what can be done while it is busy.
 
-    What does not need the field (local features) is made beside the network. What is enrolled is described while the
-    next picture is encoded.
+    What does not need the field (local features) is made beside the network: that of questions in a thread of their
+    own, so that it waits for no enrolment. What is enrolled is described while the next picture is encoded.
 
     A question waits for the batch under way and for other questions, never for queued enrolments. The thread that
     encodes it describes it too, so that it does not wait for the description of an enrolment either.
@@ -85,6 +85,7 @@ class Desk:
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="revisit-desk", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
+        self._beside_questions = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-beside-questions")
 
     @property
     def pace_s(self) -> float:
@@ -111,6 +112,7 @@ class Desk:
         if self._thread.is_alive():
             self._thread.join()
         self._describing.shutdown()
+        self._beside_questions.shutdown()
 
     def hand_in(
         self,
@@ -174,7 +176,8 @@ class Desk:
         served = 0
         for request in batch:
             if request.beside is not None and request.made is None:
-                request.made = self._describing.submit(request.beside, request.picture)
+                thread = self._beside_questions if request.urgency == QUESTION else self._describing
+                request.made = thread.submit(request.beside, request.picture)
         try:
             fields = self._fields(batch)
             for request in batch:

@@ -21,7 +21,6 @@ from worker.place.verification import Verified
 ROUNDS = 5
 """How often a search may start anew because a view it found was deleted meanwhile."""
 
-
 HIGH = 0.85
 """Share of the candidates that `Dense.high` is above: enough for rare kinds of places, and below the other views of
 the right place, which are few."""

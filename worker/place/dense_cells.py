@@ -20,6 +20,7 @@ from worker.place.hough import Correspondences, agreement
 from worker.place.unit_length import unit
 
 Indices = npt.NDArray[np.intp]
+
 BLOCK = 200_000
 """Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
 
