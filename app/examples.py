@@ -50,7 +50,7 @@ MATCH: dict[str, Any] = {
     "confidence": 0.97,
     "parts": {"dense": 0.09, "close": 0.62, "graph": 0.02, "verification": 0.1},
     "channels": {"words": {"distance": 0.41, "rank": 1}, "detail": {"distance": 0.52, "rank": 2}},
-    "dense": {"similarity": 0.88, "typical": 0.31, "high": 0.44, "shift": [0, 1]},
+    "dense": {"similarity": 0.88, "typical": 0.31, "high": 0.44, "shift": [0, 1], "scale": 1.02},
     "graph": {
         "similarity": 0.64,
         "correspondences": 7,

@@ -52,10 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _engine(name: str, weights: Path, threads: int) -> Engine:
+    fine = weights.with_name(f"{weights.stem}-fine.safetensors")
     if name == "torch":
         keep_freed_memory()
-        return TorchEngine(weights.read_bytes(), "cpu")
-    return OnnxEngine(weights.with_suffix(".onnx"), weights.with_name(f"{weights.stem}-fine.onnx"), threads)
+        return TorchEngine(weights.read_bytes(), fine.read_bytes(), "cpu")
+    return OnnxEngine(weights.with_suffix(".onnx"), fine.with_suffix(".onnx"), threads=threads)
 
 
 def _milliseconds(action: Callable[[], object], runs: int) -> tuple[float, float, float, float]:

@@ -101,10 +101,14 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         terms[term][where] = values
 
     ours, *theirs = (quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
-    put("dense", rows, dense_cells.similarity(ours, np.stack(theirs))[0])
+    put("dense", rows, dense_cells.compare(ours, np.stack(theirs)).scores)
     yield "cells at half size", int(best(1)[0])
     first = best(PARAMETERS.dense.closely if PARAMETERS.dense else 0)
-    put("close", first, dense_cells.similarity(query.cells, np.stack([database[int(row)].cells for row in first]))[0])
+    alike = dense_cells.compare(query.cells, np.stack([database[int(row)].cells for row in first]))
+    put("close", first, alike.scores)
+    yield "cells in full, at any scale", int(best(1)[0])
+    penalty = PARAMETERS.dense.scale_penalty if PARAMETERS.dense else 0.0
+    put("close", first, alike.scores * dense_cells.nearness(alike.scales, penalty))
     yield "cells in full", int(best(1)[0])
     first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
     verified = verification.verify(query.keypoints, [database[int(row)].keypoints for row in first])

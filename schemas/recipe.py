@@ -3,9 +3,16 @@
 import hashlib
 import json
 from collections.abc import Collection
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 
 class Frozen(BaseModel):
@@ -63,6 +70,17 @@ class DenseCells(Frozen):
         description="How much each channel counts in a cell, scaled to sum to 1; all the same when none is named.",
     )
     closely: Annotated[int, Field(ge=0, le=100)] = Field(10, description="How many of the best are compared in full.")
+    scale_penalty: Annotated[float, Field(ge=0, le=10)] = Field(
+        0.0, description="Exponent: a view that shows the place s times as large counts min(s, 1 / s) ** scale_penalty."
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the penalty out where there is none: a recipe from before it existed keeps its identity."""
+        content: dict[str, Any] = serialise(self)
+        if not self.scale_penalty:
+            del content["scale_penalty"]
+        return content
 
     def among(self, channels: Collection[str]) -> "DenseCells":
         """The same for a recipe that has these channels only."""

@@ -32,10 +32,11 @@ def test_a_comparison_does_not_depend_on_the_product() -> None:
     draw = np.random.default_rng(0)
     query, candidates = draw.integers(-30, 30, (6, 8, 16), np.int8), draw.integers(-30, 30, (5, 6, 8, 16), np.int8)
     candidates[2] = query
-    floats = dense_cells.similarity(query, candidates)
-    bytes_ = dense_cells.similarity(query, candidates, byte_product._of_bytes)
-    np.testing.assert_array_equal(floats[0], bytes_[0])
-    np.testing.assert_array_equal(floats[1], bytes_[1])
+    floats = dense_cells.compare(query, candidates)
+    bytes_ = dense_cells.compare(query, candidates, byte_product._of_bytes)
+    np.testing.assert_array_equal(floats.scores, bytes_.scores)
+    np.testing.assert_array_equal(floats.shifts, bytes_.shifts)
+    np.testing.assert_array_equal(floats.scales, bytes_.scales)
 
 
 def test_the_words_of_a_picture_do_not_depend_on_the_product_and_hardly_on_rounding() -> None:

@@ -22,7 +22,7 @@ def found(
     inliers: int = 0,
     **parts: Any,
 ) -> Found:
-    dense = None if similarity is None else Dense(similarity, typical, high, (0, 0))
+    dense = None if similarity is None else Dense(similarity, typical, high, (0, 0), 1.0)
     verified = Verified(inliers, inliers, None, np.zeros((inliers, 4), np.float32)) if inliers else None
     return Found(ANY_VIEW, score, parts, {}, {}, dense, None, verified)
 

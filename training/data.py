@@ -114,6 +114,7 @@ STRONG_SHARES = {
     "indoor": 0.25,
     "aligned": 0.37,
 }
+FINE_SHARES = {"camvid": 0.34, "labelmefacade": 0.24, "nyuv2": 0.30, "ade_outdoor": 0.06, STREET: 0.06}
 MILD_SHARES = {
     "camvid": 0.18,
     "labelmefacade": 0.22,
@@ -137,6 +138,8 @@ class Mix:
         How often each source is drawn for either, relative to the others.
     clear
         Single labelled views, larger than the others and in mildly changed light, for their labels alone.
+    clear_strong
+        Share of these whose light is changed strongly instead.
     clear_shares
         How often each labelled set is drawn for them, relative to the others.
     size, clear_size
@@ -146,6 +149,7 @@ class Mix:
     strong: int = 4
     mild: int = 4
     clear: int = 4
+    clear_strong: float = 0.0
     strong_shares: Mapping[str, float] = field(default_factory=lambda: STRONG_SHARES)
     mild_shares: Mapping[str, float] = field(default_factory=lambda: MILD_SHARES)
     clear_shares: Mapping[str, float] = field(default_factory=lambda: CLEAR_SHARES)
@@ -164,7 +168,8 @@ class Batches(Dataset[dict[str, Tensor]]):
     - ``cells``: int64 (n, POINTS) and ``positions``: float32 (n, POINTS, 2), see `shared_cells`;
     - ``matched``: bool (n,), whether those can be used;
     - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
-    - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views.
+    - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views; these alone, where
+      the mix has no pairs.
     """
 
     def __init__(self, found: Mapping[str, Source], lexicon: Lexicon, mix: Mix, seed: int) -> None:
@@ -178,6 +183,15 @@ class Batches(Dataset[dict[str, Tensor]]):
         """Draw the batch of one step."""
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self._seed, step])
+        batch = self._pairs(rng) if self._mix.strong or self._mix.mild else {}
+        clear = [self._clear(rng) for _ in range(self._mix.clear)]
+        return batch | {
+            "clear_pictures": _stacked([picture for picture, _, _ in clear]),
+            "clear_meanings": torch.from_numpy(np.stack([meanings for _, meanings, _ in clear])),
+            "clear_sets": torch.tensor([self._set_index.get(data_set, -1) for _, _, data_set in clear]),
+        }
+
+    def _pairs(self, rng: np.random.Generator) -> dict[str, Tensor]:
         mix = self._mix
         pairs = [
             *(self._pair(rng, mix.strong_shares, FOR_WORDS, mild=False) for _ in range(mix.strong)),
@@ -185,13 +199,9 @@ class Batches(Dataset[dict[str, Tensor]]):
         ]
         views = [pair.first for pair in pairs] + [pair.second for pair in pairs]
         owners = [self._set_index.get(pair.data_set or "", -1) for pair in pairs]
-        clear = [self._clear(rng) for _ in range(mix.clear)]
         return {
             "pictures": _stacked([picture for picture, _ in views]),
             "meanings": torch.from_numpy(np.stack([meanings for _, meanings in views])),
-            "clear_pictures": _stacked([picture for picture, _, _ in clear]),
-            "clear_meanings": torch.from_numpy(np.stack([meanings for _, meanings, _ in clear])),
-            "clear_sets": torch.tensor([self._set_index.get(data_set, -1) for _, _, data_set in clear]),
             "sets": torch.tensor(owners * 2),
             "cells": torch.from_numpy(np.stack([pair.cells for pair in pairs])),
             "positions": torch.from_numpy(np.stack([pair.positions for pair in pairs])),
@@ -210,7 +220,9 @@ class Batches(Dataset[dict[str, Tensor]]):
         picture = training_picture(shot.picture)
         view, _ = draw_views(picture.shape[:2], self._mix.clear_size, FOR_LABELS, rng)
         seen = view.cut(picture, self._mix.clear_size, labels=False)
-        if rng.random() < MILDLY_LIT:
+        if self._mix.clear_strong and rng.random() < self._mix.clear_strong:
+            seen = light.strong(seen, rng)
+        elif rng.random() < MILDLY_LIT:
             seen = light.mild(seen, rng)
         return seen, self._meanings(shot, picture, view, self._mix.clear_size), source.name
 

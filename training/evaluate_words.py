@@ -4,9 +4,9 @@ As LSeg is judged: the words of a set's own classes are put to the network, a cl
 pixel takes the best class. CamVid has 11 classes, LabelMeFacade 8; of NYUv2's 37 the 13 with most labelled pixels in
 its training pictures are taken and pixels of the others are left out.
 
-Judged are the fine words, at stride 4, which segmentations are drawn from (``--stride 8``: the field that descriptions
-are made of), on pictures at two sizes: as the service sees them, 480 on the longer side (``service``), and at their
-own, times ``--scale`` (``own``). Scores are enlarged to the labels' size before the best class is taken.
+Judged are the fine words (``--fine FILE``), which segmentations are drawn from, and without that option the words field
+that descriptions are made of, on pictures at two sizes: as the service sees them, 480 on the longer side (``service``),
+and at their own, times ``--scale`` (``own``). Scores are enlarged to the labels' size before the best class is taken.
 """
 
 import argparse
@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import torch.nn.functional as F  # noqa: N812
+from safetensors.torch import load_file
 from torch import Tensor
 
 from training import data
@@ -28,7 +29,8 @@ from training.export import basis_of, network_of
 from training.lexicon import ClipWords, class_words
 from training.pictures import Picture, read_labels, read_rgb
 from worker.encoders.compact import resized
-from worker.encoders.compact_network import STRIDE, CompactNetwork
+from worker.encoders.compact_fine import FineWords
+from worker.encoders.compact_network import CompactNetwork
 from worker.encoders.memory import keep_freed_memory
 
 JUDGED = {"camvid": 11, "labelmefacade": 8, "nyuv2": 13}
@@ -104,9 +106,23 @@ def scaled(picture: Picture, scale: float) -> Picture:
     return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale), np.uint8)
 
 
-def words_at(network: CompactNetwork, stride: int) -> Embed:
-    """The network's words at stride 4, or at stride 8."""
-    return network.fine_words if stride < STRIDE else lambda pictures: network(pictures)[0]
+def embedding(network: CompactNetwork, fine: FineWords | None) -> Embed:
+    """The fine words, meant with the mirror image's as the service does, or the words field where there are none."""
+    if fine is None:
+        return lambda pictures: network(pictures)[0]
+
+    def both_ways(pictures: Tensor) -> Tensor:
+        words, mirrored = (fine(*network.levels(seen)) for seen in (pictures, pictures.flip(3)))
+        return F.normalize(words + mirrored.flip(3), dim=1)
+
+    return both_ways
+
+
+def fine_words_of(path: Path) -> FineWords:
+    """Load fine words to judge: a checkpoint's averaged weights (``.pt``) or an exported file."""
+    if path.suffix == ".pt":
+        return FineWords.loaded(torch.load(path, map_location="cpu", weights_only=True)["average"])
+    return FineWords.loaded(load_file(path))
 
 
 def evaluate(
@@ -129,26 +145,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m training.evaluate_words", description="mIoU of the words.")
     parser.add_argument("--network", type=Path, required=True, help="checkpoint.pt or an exported .safetensors")
+    parser.add_argument("--fine", type=Path, help="checkpoint.pt or an exported .safetensors of the fine words")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--split", choices=("val", "test"), default="test")
     parser.add_argument("--every", type=int, default=1, help="judge every n-th picture only")
     parser.add_argument("--size", choices=("service", "own"), nargs="+", default=["service", "own"])
     parser.add_argument("--scale", type=float, default=1.0, help="enlarge pictures of their own size first")
-    parser.add_argument("--stride", type=int, choices=(4, 8), nargs="+", default=[4])
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
     keep_freed_memory()
     torch.set_num_threads(options.threads)
     network, basis = network_of(options.network), basis_of(options.network)
     resizes: dict[str, Resize] = {"service": resized, "own": partial(scaled, scale=options.scale)}
+    embed = embedding(network, options.fine and fine_words_of(options.fine))
     answers = {}
     for size in options.size:
         name = f"own x {options.scale:g}" if size == "own" else size
-        for stride in options.stride:
-            embed = words_at(network, stride)
-            answers[f"{name}, stride {stride}"] = evaluate(
-                embed, basis, options.data, resizes[size], split=options.split, every=options.every
-            )
+        answers[name] = evaluate(embed, basis, options.data, resizes[size], split=options.split, every=options.every)
     print(json.dumps(answers, indent=1))
 
 

@@ -1,18 +1,18 @@
 """From a checkpoint to what ships: ``python -m training.export --checkpoint FILE --data DATA --to FOLDER``.
 
-Four files come out, and one command makes all of them, so they cannot drift apart:
+Three files come out, and one command makes all of them, so they cannot drift apart:
 
 ``compact.safetensors``
     float16. The state dict of ``CompactNetwork(word_channels=97)``; ``text.vectors`` (n_words, 97), row i belonging to
     word i of the JSON file; ``text.basis`` (512, 97), orthonormal columns: ``basis @ z`` is the 512-d embedding of a
     97-d one, and ``text @ basis`` turns a centred 512-d text vector into a row for the 97-d field; ``text.centre``
     (512,), the mean that was taken from CLIP's unit vectors before they were scaled to unit length again.
-``compact.onnx``, ``compact-fine.onnx``
-    Graphs for ONNX Runtime, whose weights are those of the first file; see `training.export_onnx`.
+``compact.onnx``
+    Graph for ONNX Runtime, whose weights are those of the first file; see `training.export_onnx`.
 ``compact.json``
-    ``sha256`` of the first file, and under ``graphs`` names and SHA-256 of the graphs; ``words``: for each its CLIP
-    words (`clip`: several mean their unit mean), whether labelled pixels could mean it in training (`trained`) and
-    whether some could mean only it (`alone`); ``provenance``.
+    ``weights`` and ``graph``: name and SHA-256 of either file; ``words``: for each its CLIP words (`clip`: several mean
+    their unit mean), whether labelled pixels could mean it in training (`trained`) and whether some could mean only it
+    (`alone`); ``provenance``. `training.export_fine` adds ``fine``: what other shallow layers gave is not kept.
 
 The cosine of a cell's embedding z (unit length) with word i is ``text.vectors[i] @ z``: the rows are shorter than 1
 by what of CLIP's vector lies outside the network's 97 dimensions, and must not be scaled.
@@ -30,8 +30,9 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from training import data
-from training.export_onnx import write_graphs
+from training.export_onnx import shipped_network, write_fields_graph
 from training.lexicon import ClipWords, Lexicon
+from training.network import TAUGHT_THROUGH
 from worker.encoders.compact_network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
 
 WORDS_TO_SHIP = (
@@ -62,7 +63,7 @@ ORIGIN = {
 
 
 def reduced(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Tensor]:
-    """Shorten the 512-d words head to the 97 dimensions it spans, keeping every length and cosine.
+    """Shorten the 512-d words head to the 97 dimensions it spans, keeping every length and cosine; leave `refine` out.
 
     An embedding is e = W y + b with a 96-d y. With [W b] = U S V' (singular values) the vector z = S V' [y; 1] has
     e = U z and, U having orthonormal columns, the same lengths and cosines.
@@ -70,7 +71,7 @@ def reduced(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Tensor]:
     Parameters
     ----------
     state
-        State dict of ``CompactNetwork(word_channels=512)``.
+        State dict of ``TrainedNetwork()``.
 
     Returns
     -------
@@ -83,7 +84,7 @@ def reduced(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], Tensor]:
     whole = torch.cat([weight.flatten(1), bias[:, None]], dim=1).double()
     basis, lengths, turned = torch.linalg.svd(whole, full_matrices=False)
     short = (lengths[:, None] * turned).float()
-    smaller = dict(state)
+    smaller = {name: tensor for name, tensor in state.items() if not name.startswith(TAUGHT_THROUGH)}
     smaller["words.weight"] = short[:, :-1, None, None].contiguous()
     smaller["words.bias"] = short[:, -1].contiguous()
     return smaller, basis.float()
@@ -104,7 +105,7 @@ def shipped_words(clip: ClipWords, lexicon: Lexicon) -> list[dict[str, Any]]:
 
 
 def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compact") -> None:
-    """Write the weights, and the graphs and the JSON file beside them."""
+    """Write the weights, and the graph and the JSON file beside them."""
     saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
     state, basis = reduced(saved["average"])
     clip = ClipWords(data_folder / data.CLIP_FILE)
@@ -119,12 +120,9 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
     save_file(tensors, weights)
     weights.chmod(0o644)
     described = {
-        "format": 1,
-        "weights": weights.name,
-        "sha256": _sha256(weights),
-        "graphs": {
-            which: {"file": graph.name, "sha256": _sha256(graph)} for which, graph in write_graphs(weights).items()
-        },
+        "format": 2,
+        "weights": named(weights),
+        "graph": named(write_fields_graph(weights)),
         "stride": STRIDE,
         "channels": {"words": REDUCED_CHANNELS, "detail": DETAIL_CHANNELS, "clip": CLIP_CHANNELS},
         "provenance": ORIGIN
@@ -136,15 +134,14 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
     (folder / f"{name}.json").write_text(lines + "\n")
 
 
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def named(path: Path) -> dict[str, str]:
+    """Name and SHA-256 of a file, as the JSON file has them."""
+    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
 
 def network_of(path: Path) -> CompactNetwork:
     """Load a network to judge: a checkpoint's averaged weights (``.pt``) or an exported file."""
-    if path.suffix == ".pt":
-        return CompactNetwork.loaded(_averaged(path)[0])
-    return CompactNetwork.loaded({name: t for name, t in load_file(path).items() if not name.startswith("text.")})
+    return CompactNetwork.loaded(_averaged(path)[0]) if path.suffix == ".pt" else shipped_network(path)
 
 
 def basis_of(path: Path) -> Tensor:

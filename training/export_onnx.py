@@ -1,17 +1,18 @@
 """The shipped network as graphs for ONNX Runtime, which needs two thirds of torch's time on one thread.
 
-Both graphs take ``pictures``, uint8 of shape (n, height, width, 3), RGB, height and width multiples of 32 (padding is
+The graphs take ``pictures``, uint8 of shape (n, height, width, 3), RGB, height and width multiples of 32 (padding is
 fixed when a graph is traced), and give unit-length embeddings, float32 of shape (n, rows, columns, channels):
 
 ``compact.onnx``
     ``words`` and ``detail``, as `CompactNetwork.forward` has them.
 ``compact-fine.onnx``
-    ``fine_words``, as `CompactNetwork.fine_words` has them.
+    ``fine_words``, as `FineWords` has them.
 
 One graph with three outputs would be slower: ONNX Runtime computes them all, whichever are asked for.
 
-Neither graph holds weights. They are external data in ``compact.safetensors``, at the places that its header gives,
-float16 as they are there, and widened when a session loads. So they ship once, and cannot differ from torch's.
+Neither graph holds weights. They are external data in ``compact.safetensors`` and ``compact-fine.safetensors``, at the
+places that their headers give, float16 as they are there, and widened when a session loads. So they ship once, and
+cannot differ from torch's.
 
 Needs the package ``onnx``, which the service does not.
 """
@@ -20,7 +21,7 @@ import importlib
 import json
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from worker.encoders.compact_fine import FineWords
 from worker.encoders.compact_network import CompactNetwork
 
 _OPSET = 17
@@ -46,39 +48,40 @@ class Fields(nn.Module):
         return words.permute(0, 2, 3, 1), detail.permute(0, 2, 3, 1)
 
 
-class FineWords(nn.Module):
-    """The words field at stride 4, from and to the layout that the encoder has."""
+class FineGraph(nn.Module):
+    """The fine words, from and to the layout that the encoder has."""
 
-    def __init__(self, network: CompactNetwork) -> None:
+    def __init__(self, network: CompactNetwork, fine: FineWords) -> None:
         super().__init__()
-        self.network = network
+        self.network, self.fine = network, fine
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Map uint8 (n, height, width, 3) to float (n, height / 4, width / 4, channels)."""
-        return self.network.fine_words(_channels_first(pictures)).permute(0, 2, 3, 1)
+        words: Tensor = self.fine(*self.network.levels(_channels_first(pictures)))
+        return words.permute(0, 2, 3, 1)
 
 
-def write_graphs(weights: Path) -> dict[str, Path]:
-    """Write both graphs beside the weights that they refer to.
-
-    Parameters
-    ----------
-    weights : Path
-        Of an exported safetensors file.
-
-    Returns
-    -------
-    mapping of ``fields`` and ``fine`` to Path
-    """
-    state = {name: tensor for name, tensor in load_file(weights).items() if not name.startswith("text.")}
-    network = CompactNetwork.loaded(state)
-    fields, fine = weights.with_suffix(".onnx"), weights.with_name(f"{weights.stem}-fine.onnx")
-    _write_graph(Fields(network), ("words", "detail"), weights, fields)
-    _write_graph(FineWords(network), ("fine_words",), weights, fine)
-    return {"fields": fields, "fine": fine}
+def write_fields_graph(weights: Path) -> Path:
+    """Write the graph of both fields beside the exported weights that it refers to."""
+    target = weights.with_suffix(".onnx")
+    _write_graph(Fields(shipped_network(weights)), ("words", "detail"), {"network.": weights}, target)
+    return target
 
 
-def _write_graph(module: nn.Module, outputs: Sequence[str], weights: Path, target: Path) -> None:
+def write_fine_graph(weights: Path, fine: Path) -> Path:
+    """Write the graph of the fine words beside both files of exported weights that it refers to."""
+    target = fine.with_suffix(".onnx")
+    module = FineGraph(shipped_network(weights), FineWords.loaded(load_file(fine)))
+    _write_graph(module, ("fine_words",), {"network.": weights, "fine.": fine}, target)
+    return target
+
+
+def shipped_network(weights: Path) -> CompactNetwork:
+    """Load an exported network."""
+    return CompactNetwork.loaded({name: t for name, t in load_file(weights).items() if not name.startswith("text.")})
+
+
+def _write_graph(module: nn.Module, outputs: Sequence[str], weights: Mapping[str, Path], target: Path) -> None:
     onnx: Any = importlib.import_module("onnx")
     sizes = {"pictures": {0: "n", 1: "height", 2: "width"}}
     sizes |= {name: {0: "n", 1: "rows", 2: "columns"} for name in outputs}
@@ -101,20 +104,20 @@ def _write_graph(module: nn.Module, outputs: Sequence[str], weights: Path, targe
     onnx.checker.check_model(str(target))
 
 
-def _refer_to(weights: Path, model: Any, onnx: Any) -> None:
-    """Replace the network's parameters by references into the weights file, each widened by a cast."""
-    stored = _places(weights)
+def _refer_to(weights: Mapping[str, Path], model: Any, onnx: Any) -> None:
+    """Replace parameters, whose names begin as `weights` says, by references into its files, each widened by a cast."""
+    stored = {begin + name: (file, place) for begin, file in weights.items() for name, place in _places(file).items()}
     inline, casts = [], []
     for tensor in model.graph.initializer:
-        place = stored.get(tensor.name.removeprefix("network."))
-        if place is None:
+        if tensor.name not in stored:
             inline.append(tensor)
             continue
+        file, place = stored[tensor.name]
         if tuple(tensor.dims) != place.shape or place.kind != "F16":
-            raise ValueError(f"{tensor.name} is {tuple(tensor.dims)}, but {weights.name} holds {place}")
+            raise ValueError(f"{tensor.name} is {tuple(tensor.dims)}, but {file.name} holds {place}")
         outside = onnx.TensorProto(name=f"{tensor.name}.half", dims=tensor.dims, data_type=onnx.TensorProto.FLOAT16)
         outside.data_location = onnx.TensorProto.EXTERNAL
-        for key, value in (("location", weights.name), ("offset", place.offset), ("length", place.length)):
+        for key, value in (("location", file.name), ("offset", place.offset), ("length", place.length)):
             outside.external_data.add(key=key, value=str(value))
         inline.append(outside)
         casts.append(onnx.helper.make_node("Cast", [outside.name], [tensor.name], to=onnx.TensorProto.FLOAT))

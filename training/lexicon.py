@@ -63,6 +63,50 @@ ANYWHERE = frozenset(
 )
 """Words that can be met both in rooms and outdoors, so that a label of one realm says nothing about them."""
 
+SKY = frozenset(("sky", "clouds"))
+
+BEHIND = SKY | frozenset(
+    (
+        *(
+            "tree",
+            "vegetation",
+            "bush",
+            "hedge",
+            "plant",
+            "grass",
+            "field",
+            "terrain",
+            "earth",
+            "dirt",
+            "ground",
+            "gravel",
+        ),
+        *("road", "street", "lane marking", "sidewalk", "pavement", "parking", "path", "dirt track", "sand", "snow"),
+        *("rock", "mountain", "hill", "water", "river", "lake", "sea", "waterfall", "floor", "ceiling"),
+    )
+)
+"""Words of what lies behind: a pixel labelled so shows none of `IN_FRONT`, whether or not its set labels those."""
+
+IN_FRONT = frozenset(
+    (
+        *("traffic sign", "traffic light", "signboard", "pole", "column", "fence", "railing", "person", "pedestrian"),
+        *(
+            "animal",
+            "cyclist",
+            "rider",
+            "motorcyclist",
+            "bicycle",
+            "motorcycle",
+            "car",
+            "van",
+            "truck",
+            "bus",
+            "vehicle",
+        ),
+        *("train",),
+    )
+)
+
 
 class ClipWords:
     """CLIP's vectors of English words, centred: raw, they lie in a cone of mean cosine 0.75.
@@ -143,24 +187,29 @@ class Lexicon:
         return np.array([[word in meaning.words for word in self.words] for meaning in self.meanings])
 
     def known(self) -> npt.NDArray[np.bool_]:
-        """Say which words each set's labels speak for or against; on the others its silence teaches nothing.
+        """Say which words each meaning's labels speak for or against; on the others their silence teaches nothing.
 
         A set speaks for its own words, and a room's label speaks against a street's words (and the other way round)
-        unless they can be met in both: otherwise nothing would ever tell a floor from a pavement.
+        unless they can be met in both: otherwise nothing would ever tell a floor from a pavement. What lies behind
+        speaks against what stands in front, and the sky against everything: otherwise nothing would ever tell a hedge
+        from a cyclist in towns whose people have no labels.
 
         Returns
         -------
-        bool of shape (n_sets, n_words)
+        bool of shape (n_meanings, n_words)
         """
         members = self.members()
         owners = np.array([meaning.data_set for meaning in self.meanings])
         own = np.stack([members[owners == data_set].any(axis=0) for data_set in self.sets])
         indoors = np.array([data_set in INDOOR_SETS for data_set in self.sets])
         somewhere = np.array([word not in ANYWHERE for word in self.words])
-        known: npt.NDArray[np.bool_] = own.copy()
+        known = own.copy()
         known[indoors] |= own[~indoors].any(axis=0) & somewhere
         known[~indoors] |= own[indoors].any(axis=0) & somewhere
-        return known
+        spoken: npt.NDArray[np.bool_] = known[[self.sets.index(owner) for owner in owners]]
+        spoken[[BEHIND.issuperset(m.words) for m in self.meanings]] |= [word in IN_FRONT for word in self.words]
+        spoken[[SKY.issuperset(m.words) for m in self.meanings]] = True
+        return spoken
 
     def table(self, data_set: str) -> npt.NDArray[np.int16]:
         """Map a set's label values to meanings: int16 of shape (256,), -1 where a value teaches nothing."""

@@ -4,25 +4,21 @@ import copy
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
-import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training.losses import WordLoss, likeness_loss, matched_cells, two_view_loss
-from worker.encoders.compact_network import CompactNetwork
-
-_HEADS = ("from16", "from8", "from4", "fuse", "refine", "words", "detail")
+_HEADS = ("from16", "from8", "from4", "fuse", "refine", "sharpen", "words", "detail")
 _WARM_UP = 0.03
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The numbers of a run.
+    """The numbers that every run has.
 
     Attributes
     ----------
@@ -30,9 +26,8 @@ class Plan:
         The run ends, its learning rate having sunk to nothing, at whichever comes first; 0 means no limit.
     trunk_rate, head_rate
         Greatest learning rates.
-    strong_word, words_two_view, detail_two_view, likeness
-        Weights beside the word loss of the clear views: of the word loss under strongly changed light, and of the
-        losses of two views.
+    half
+        Compute in bfloat16 where that loses nothing.
     """
 
     minutes: float = 0.0
@@ -40,15 +35,10 @@ class Plan:
     trunk_rate: float = 3e-4
     head_rate: float = 1e-3
     weight_decay: float = 0.01
-    strong_word: float = 0.5
-    words_two_view: float = 0.7
-    detail_two_view: float = 0.5
-    likeness: float = 5.0
-    words_temperature: float = 0.1
-    detail_temperature: float = 0.07
     averaging: float = 0.999
     log_every: int = 50
     checkpoint_every: int = 100
+    half: bool = False
 
     def progress(self, step: int, seconds: float) -> float:
         """Say how much of the run is over, 0..1."""
@@ -63,39 +53,47 @@ class Plan:
         return rise * (0.5 * (1 + math.cos(math.pi * min(1.0, fall))) + 0.002)
 
 
+class Objective(Protocol):
+    """What a run makes smaller: a `torch.nn.Module` that holds the network, or another thing that can be moved."""
+
+    def __call__(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """Give the sum to make smaller, and the numbers to log."""
+        ...
+
+    def to(self, device: torch.device) -> "Objective":
+        """Move to a device."""
+        ...
+
+
 class Run:
     """A training run that can be stopped after any step and taken up again.
 
     Parameters
     ----------
     network
-        What to train; changed in place.
-    word_loss, anchor
-        The supervised loss, and the frozen features whose likenesses the detail channel is held to.
+        What to train; changed in place. Parameters that need no gradient stay as they are.
+    objective
+        From a batch to what is to sink, and to the parts that the log shows. It is moved to the device too.
     folder
         Gets ``checkpoint.pt`` and ``log.jsonl``.
     """
 
     def __init__(
         self,
-        network: CompactNetwork,
-        word_loss: WordLoss,
-        anchor: nn.Module,
+        network: nn.Module,
+        objective: "Objective",
         plan: Plan,
         folder: Path,
         *,
         device: str = "cpu",
-        half: bool = False,
     ) -> None:
         self.plan = plan
         self.device = torch.device(device)
         self.network = network.to(self.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = copy.deepcopy(network).eval().requires_grad_(False)
-        self.word_loss = word_loss.to(self.device)
-        self.anchor = anchor.to(self.device)
+        self.objective = objective.to(self.device)
         self.step = 0
         self.seconds = 0.0
-        self._half = half
         self._stopped = False
         self._folder = folder
         self._sums: dict[str, float] = {}
@@ -122,58 +120,10 @@ class Run:
         """End `train` after the step at hand, leaving a checkpoint to go on from."""
         self._stopped = True
 
-    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Compute each loss of one batch, and the shares of cells found again."""
-        batch = {name: tensor.to(self.device) for name, tensor in batch.items()}
-        pictures = batch["pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
-        mild = batch["mild"].repeat(2)
-        clear = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self._half):
-            at4, at8 = self.network.shallow(pictures)
-            joined = self.network.fused(at4[~mild], at8[~mild])
-            detail = self.network.appearance(at4[mild], at8[mild])
-            with torch.no_grad():
-                before = self.anchor(pictures[mild])
-            clear_at4, clear_at8 = self.network.shallow(clear)
-            sharp = self.network.refine(clear_at4, self.network.fused(clear_at4, clear_at8))
-        joined, head = joined.float(), self.network.words
-        detail = F.normalize(detail.float(), dim=1)
-        columns = joined.shape[-1]
-
-        strong = batch["matched"] & ~batch["mild"]
-        pairs = strong[~batch["mild"]].repeat(2)
-        cells, positions = batch["cells"][strong], batch["positions"][strong]
-        matched = matched_cells(joined[pairs], cells, positions)
-        here, there = _unit_points([F.linear(at, head.weight.flatten(1), head.bias) for at in matched])
-        words_loss, words_found = two_view_loss(here, there, cells, columns, self.plan.words_temperature, margin=2)
-        gentle = batch["matched"] & batch["mild"]
-        pairs = gentle[batch["mild"]].repeat(2)
-        cells, positions = batch["cells"][gentle], batch["positions"][gentle]
-        here, there = _unit_points(matched_cells(detail[pairs], cells, positions))
-        detail_loss, detail_found = two_view_loss(here, there, cells, columns, self.plan.detail_temperature, margin=1)
-        earlier = _unit_points(matched_cells(before.float()[pairs], cells, positions))
-        likeness = likeness_loss(here, there, *earlier)
-        return {
-            "clear_word": self.word_loss(sharp.float(), head, batch["clear_meanings"], batch["clear_sets"]),
-            "word": self.word_loss(joined, head, batch["meanings"][~mild], batch["sets"][~mild]),
-            "words_two_view": words_loss,
-            "detail_two_view": detail_loss,
-            "likeness": likeness,
-            "words_found": words_found,
-            "detail_found": detail_found,
-        }
-
     def _take_step(self, batch: dict[str, Tensor], progress: float) -> None:
         for group, greatest in zip(self._optimizer.param_groups, self._rates, strict=True):
             group["lr"] = greatest * self.plan.rate(progress)
-        losses = self.losses(batch)
-        total = (
-            losses["clear_word"]
-            + self.plan.strong_word * losses["word"]
-            + self.plan.words_two_view * losses["words_two_view"]
-            + self.plan.detail_two_view * losses["detail_two_view"]
-            + self.plan.likeness * losses["likeness"]
-        )
+        total, losses = self.objective({name: tensor.to(self.device) for name, tensor in batch.items()})
         self._optimizer.zero_grad(set_to_none=True)
         total.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
@@ -218,8 +168,3 @@ class Run:
         self._optimizer.load_state_dict(content["optimizer"])
         self._sums, self.step, self.seconds = content["sums"], content["step"], content["seconds"]
         torch.set_rng_state(content["random"].cpu())
-
-
-def _unit_points(points: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    here, there = points
-    return F.normalize(here, dim=2), F.normalize(there, dim=2)

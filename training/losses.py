@@ -1,88 +1,14 @@
-"""The three things that training asks of the network.
+"""What training asks of two views of one scene; `training.word_loss` is what it asks of labelled pixels.
 
-- `word_loss`: a pixel is near the words that its label allows, and far from the others that its data set knows
-  (LSeg's cross-entropy over cosine / temperature; a coarse class means "one of these words").
 - `two_view_loss`: a cell finds itself again in another view, among all other cells of the batch.
 - `likeness_loss`: cells are as alike as they were to a frozen teacher.
 """
 
 import torch
 import torch.nn.functional as F  # noqa: N812
-from torch import Tensor, nn
+from torch import Tensor
 
 _NEVER = -1e4
-
-
-class WordLoss(nn.Module):
-    """Cross-entropy over the words that a picture's data set knows.
-
-    Parameters
-    ----------
-    vectors : float of shape (n_words, channels)
-        Centred CLIP vectors, unit length.
-    members : bool of shape (n_meanings, n_words)
-        Which words each meaning allows.
-    known : bool of shape (n_sets, n_words)
-        Which words each set knows.
-    weights : float of shape (n_meanings,)
-        How much a pixel of each meaning counts.
-    temperature
-        What cosines are divided by.
-    """
-
-    vectors: Tensor
-    members: Tensor
-    known: Tensor
-    weights: Tensor
-
-    def __init__(self, vectors: Tensor, members: Tensor, known: Tensor, weights: Tensor, temperature: float) -> None:
-        super().__init__()
-        self.register_buffer("vectors", vectors)
-        self.register_buffer("members", members.logical_not() * _NEVER)  # added to scores
-        self.register_buffer("known", known)
-        self.register_buffer("weights", weights)
-        self.temperature = temperature
-
-    def forward(self, joined: Tensor, head: nn.Conv2d, meanings: Tensor, sets: Tensor) -> Tensor:
-        """Compare the words head's embeddings with labels, without making the embeddings.
-
-        The embedding is e = [W b] [y; 1], so its length is the root of [y; 1]' G [y; 1] with G = [W b]' [W b], and
-        its products with the words need only ``vectors`` [W b]: 97 channels instead of 512.
-
-        Parameters
-        ----------
-        joined : float of shape (n, inputs, h, w)
-            What the words head reads: y.
-        head
-            1x1 convolution from `inputs` to the channels of ``vectors``: W and b.
-        meanings : int of shape (n, k h, k w)
-            -1 where nothing is known; the middle one of every k x k counts.
-        sets : int64 of shape (n,)
-            -1 for pictures without labels.
-
-        Returns
-        -------
-        float, a scalar
-            Mean of -log p(one of the allowed words), weighted; 0 when no pixel has a label.
-        """
-        step = meanings.shape[-1] // joined.shape[-1]
-        meanings = meanings[:, step // 2 :: step, step // 2 :: step]
-        taught = (meanings >= 0) & (sets >= 0)[:, None, None]
-        if not bool(taught.any()):
-            return joined.sum() * 0
-        target = meanings[taught].long()
-        y = joined.permute(0, 2, 3, 1)[taught]
-        y = torch.cat([y, torch.ones_like(y[:, :1])], dim=1)
-        assert head.bias is not None
-        whole = torch.cat([head.weight.flatten(1), head.bias[:, None]], dim=1)
-        squares = (y * (y @ (whole.T @ whole))).sum(dim=1, keepdim=True)
-        y = y / (squares.clamp_min(1e-12).sqrt() * self.temperature)
-        scores = y @ (self.vectors @ whole).T
-        known = self.known[sets].logical_not() * _NEVER
-        owner = torch.arange(len(sets), device=sets.device)[:, None, None].expand_as(taught)[taught]
-        likely = torch.logsumexp(scores + self.members[target], dim=1) - torch.logsumexp(scores + known[owner], dim=1)
-        weight = self.weights[target]
-        return -(weight * likely).sum() / weight.sum().clamp_min(1e-9)
 
 
 def matched_cells(fields: Tensor, cells: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:

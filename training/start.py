@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from worker.encoders.compact_network import CLIP_CHANNELS, CompactNetwork
+from training.network import TrainedNetwork
 
 State = dict[str, Tensor]
 
@@ -29,7 +29,7 @@ def trunk_state(path: Path) -> State:
 
 
 def renamed(trunk: Mapping[str, Tensor], kept_at_stride4: tuple[int, ...] = KEPT_AT_STRIDE4) -> State:
-    """Give the trunk's tensors the names of `CompactNetwork`, leaving out blocks that are not kept at stride 4."""
+    """Give the trunk's tensors the names of the network, leaving out blocks that are not kept at stride 4."""
     state: State = {}
     for name, tensor in trunk.items():
         stage, rest = name.split(".", 1)
@@ -67,7 +67,7 @@ def earlier_state(path: Path) -> State:
     return state
 
 
-def started(pretrained: Path) -> tuple[CompactNetwork, set[str]]:
+def started(pretrained: Path) -> tuple[TrainedNetwork, set[str]]:
     """Build the network to train, from the trunk (``.npz``) or from an earlier network (``.pt``).
 
     What the file does not hold keeps torch's own random start, so seed torch before.
@@ -78,7 +78,7 @@ def started(pretrained: Path) -> tuple[CompactNetwork, set[str]]:
     missing
         Names of the parameters that the file does not hold.
     """
-    network = CompactNetwork(word_channels=CLIP_CHANNELS)
+    network = TrainedNetwork()
     state = renamed(trunk_state(pretrained)) if pretrained.suffix == ".npz" else earlier_state(pretrained)
     state = {name: tensor for name, tensor in state.items() if not name.startswith("classes.")}
     missing, unknown = network.load_state_dict(state, strict=False)

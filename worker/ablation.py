@@ -105,6 +105,13 @@ def _only(channel: str) -> Change:
     return change
 
 
+def _in_cells(**changed: object) -> Change:
+    def change(p: Parameters) -> Parameters:
+        return p.model_copy(update={"dense": p.dense and p.dense.model_copy(update=changed)})
+
+    return change
+
+
 VARIANTS = (
     Variant("default", _same),
     Variant("without dynamic filtering", _same, static_only=False),
@@ -115,7 +122,8 @@ VARIANTS = (
     Variant("channel words alone", _only("words")),
     Variant("channel detail alone", _only("detail")),
     Variant("histograms alone", _with(candidates=0)),
-    Variant("50 candidates", _with(candidates=50)),
+    Variant("25 candidates", _with(candidates=25)),
+    Variant("views at any scale", _in_cells(scale_penalty=0.0)),
     Variant("re-ranking without dense cells", _without("dense", "close")),
     Variant("re-ranking without the graph", _without("graph")),
     Variant("re-ranking without verification", _both(_without("verification"), _with(verification=None))),

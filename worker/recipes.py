@@ -73,13 +73,15 @@ _DEFAULT = Parameters(
         "detail": Channel(layer="detail", words=512, assignments=3, temperature=0.1, dimensions=128),
     },
     dynamic=Dynamic(margin=0.1, most=0.5),
-    candidates=25,
-    dense=DenseCells(rows=16, columns=28, dimensions=32, shares={SEMANTIC: 0.3, "detail": 0.7}, closely=10),
+    candidates=50,
+    dense=DenseCells(
+        rows=16, columns=28, dimensions=32, shares={SEMANTIC: 0.35, "detail": 0.65}, closely=12, scale_penalty=0.4
+    ),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),
     weights={
         "close": 1.7,
-        "dense": 0.3,
+        "dense": 0.2,
         "histogram.words": 0.04,
         "histogram.detail": 0.04,
         "graph": 0.05,

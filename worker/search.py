@@ -45,12 +45,15 @@ class Dense:
         map of streets for the picture of another park.
     shift : (int, int)
         (rows, columns) by which the view's grid moved, in cells of the whole grid.
+    scale : float
+        How much larger the view shows the place than the query does, 0.5..2.
     """
 
     similarity: float
     typical: float
     high: float
     shift: tuple[int, int]
+    scale: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,9 +227,9 @@ class Searcher:
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         if description.appearance.coarse.size:
             coarse = np.stack([a.coarse for a in appearances])
-            similarity, shifts = dense_cells.similarity(description.appearance.coarse, coarse, self._product)
-            evidence.put("dense", rows, similarity)
-            evidence.shifts = shifts * 2
+            alike = dense_cells.compare(description.appearance.coarse, coarse, self._product)
+            evidence.put("dense", rows, alike.scores)
+            evidence.shifts, evidence.scales = alike.shifts * 2, alike.scales
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
             description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
@@ -247,9 +250,10 @@ class Searcher:
         if len(kept) < len(first):
             return None
         cells = np.stack([kept[seq] for seq in seqs])
-        similarity, shifts = dense_cells.similarity(description.cells, cells, self._product)
-        evidence.put("close", first, similarity)
-        evidence.shifts[[evidence.place[int(row)] for row in first]] = shifts
+        alike = dense_cells.compare(description.cells, cells, self._product)
+        evidence.put("close", first, alike.scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
+        places = [evidence.place[int(row)] for row in first]
+        evidence.shifts[places], evidence.scales[places] = alike.shifts, alike.scales
         return evidence
 
     def _verify(
@@ -307,6 +311,7 @@ class _Evidence:
         self.rows = rows
         self.place = {int(row): place for place, row in enumerate(rows)}
         self.shifts: npt.NDArray[np.intp] | None = None
+        self.scales: Floats = np.ones(len(rows), np.float32)
         self.graphs: list[ContextGraph] = []
         self.graph: GraphComparison | None = None
         self.verified: dict[int, Verified] = {}
@@ -331,9 +336,10 @@ class _Evidence:
         """The comparison of one candidate's dense cells, if it was made."""
         if row not in self.place or self.shifts is None:
             return None
-        down, across = self.shifts[self.place[row]]
+        place = self.place[row]
+        down, across = self.shifts[place].tolist()
         typical, high = np.quantile(self.terms["dense"][self.rows], (0.5, HIGH)).tolist()
-        return Dense(float(self.terms["dense"][row]), typical, high, (int(down), int(across)))
+        return Dense(float(self.terms["dense"][row]), typical, high, (down, across), float(self.scales[place]))
 
     def graph_of(self, row: int) -> GraphEvidence | None:
         """The comparison of one candidate's graph, if it was made."""

@@ -25,6 +25,9 @@ ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]
 """Width and height of pictures."""
 
+FINE = WEIGHTS.with_name("compact-fine.safetensors")
+FILES = ("compact.safetensors", "compact.onnx", "compact-fine.safetensors", "compact-fine.onnx")
+
 
 def drawn(width: int, height: int) -> Picture:
     return Picture.of(scene("town", "street").sized(width, height).pixels)
@@ -36,8 +39,8 @@ def cosines(one: Floats, other: Floats) -> Floats:
 
 
 def graphs() -> tuple[Path, Path]:
-    facts = json.loads(WEIGHTS.with_suffix(".json").read_text())["graphs"]
-    return WEIGHTS.with_name(facts["fields"]["file"]), WEIGHTS.with_name(facts["fine"]["file"])
+    facts = json.loads(WEIGHTS.with_suffix(".json").read_text())
+    return WEIGHTS.with_name(facts["graph"]["file"]), WEIGHTS.with_name(facts["fine"]["graph"]["file"])
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +51,13 @@ def encoder() -> CompactEncoder:
 @pytest.fixture(scope="module")
 def reference() -> TorchEngine:
     torch.set_num_threads(1)
-    return TorchEngine(WEIGHTS.read_bytes(), "cpu")
+    return TorchEngine(WEIGHTS.read_bytes(), FINE.read_bytes(), "cpu")
 
 
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     """The shipped files where they can be spoilt."""
-    for path in (WEIGHTS, WEIGHTS.with_suffix(".json"), *graphs()):
+    for path in (WEIGHTS, FINE, WEIGHTS.with_suffix(".json"), *graphs()):
         shutil.copy(path, tmp_path)
     return tmp_path / WEIGHTS.name
 
@@ -68,12 +71,13 @@ class TestParity:
         pixels = resized(picture.pixels)[None]
         [field] = encoder.encode([picture])
         words, detail = reference.fields(pixels)
-        fine = reference.fine_words(pixels)
+        [fine] = reference.fine_words(pixels)
+        [mine_fine] = OnnxEngine(*graphs(), threads=1).fine_words(pixels)
 
         for mine, other in (
             (field.semantic, words[0]),
             (field.layers["detail"], detail[0]),
-            (encoder.fine(picture).semantic, fine[0]),
+            (mine_fine, fine),
         ):
             assert mine.shape == other.shape
             assert cosines(mine, other).min() > 0.9999
@@ -89,7 +93,7 @@ class TestParity:
 
         for mine, other in (
             (next(encoder.encode([picture])).semantic, reference.fields(pixels)[0][0]),
-            (encoder.fine(picture).semantic, reference.fine_words(pixels)[0]),
+            (OnnxEngine(*graphs(), threads=1).fine_words(pixels)[0], reference.fine_words(pixels)[0]),
         ):
             first, second = np.sort(other @ text.T, axis=-1)[..., :-3:-1].transpose(2, 0, 1)
             certain = first - second > 1e-4  # two words as near as that may change places by rounding
@@ -151,15 +155,35 @@ class TestIndependence:
 
 
 class TestFineWords:
-    def test_they_say_the_same_at_twice_the_resolution(self, encoder: CompactEncoder) -> None:
+    def test_they_mostly_say_the_same_at_twice_the_resolution(self, encoder: CompactEncoder) -> None:
         picture = drawn(640, 480)
+        text = encoder.text_vectors(["road", "building", "car", "vegetation", "sky"])
 
         coarse, fine = next(encoder.encode([picture])), encoder.fine(picture)
 
         assert fine.extent == coarse.extent
         assert fine.shape == (2 * coarse.shape[0], 2 * coarse.shape[1])
         enlarged = coarse.semantic.repeat(2, axis=0).repeat(2, axis=1)
-        assert float(cosines(fine.semantic, enlarged).mean()) > 0.7
+        same = (fine.semantic @ text.T).argmax(-1) == (enlarged @ text.T).argmax(-1)
+        assert float(same.mean()) > 0.7
+
+    def test_a_picture_and_its_mirror_image_show_the_same(self, encoder: CompactEncoder) -> None:
+        picture = drawn(480, 352)
+        mirrored = Picture.of(np.ascontiguousarray(picture.pixels[:, ::-1]))
+
+        one, other = encoder.fine(picture).semantic, encoder.fine(mirrored).semantic
+
+        np.testing.assert_allclose(one, other[:, ::-1], atol=1e-5)
+        assert np.abs(np.linalg.norm(one, axis=-1) - 1).max() < 1e-5
+
+    def test_without_them_the_finest_field_is_the_ordinary_one(self, copied: Path) -> None:
+        described = copied.with_suffix(".json")
+        facts = json.loads(described.read_text())
+        del facts["fine"]
+        described.write_text(json.dumps(facts))
+        picture, encoder = drawn(640, 480), CompactEncoder(weights=copied)
+
+        assert np.array_equal(encoder.fine(picture).semantic, next(encoder.encode([picture])).semantic)
 
 
 class TestFiles:
@@ -171,14 +195,14 @@ class TestFiles:
         loaded = subprocess.run([sys.executable, "-c", asked], cwd=ROOT, capture_output=True, text=True, check=True)
         assert loaded.stdout.split() == ["False", "True"]
 
-    @pytest.mark.parametrize("name", ["compact.safetensors", "compact.json", "compact.onnx", "compact-fine.onnx"])
+    @pytest.mark.parametrize("name", ["compact.json", *FILES])
     def test_a_missing_file_is_named(self, copied: Path, name: str) -> None:
         copied.with_name(name).unlink()
 
         with pytest.raises(SetupError, match=name):
             CompactEncoder(weights=copied)
 
-    @pytest.mark.parametrize("name", ["compact.safetensors", "compact.onnx", "compact-fine.onnx"])
+    @pytest.mark.parametrize("name", FILES)
     def test_a_changed_file_is_refused(self, copied: Path, name: str) -> None:
         with copied.with_name(name).open("ab") as file:
             file.write(b"\0")
@@ -186,20 +210,20 @@ class TestFiles:
         with pytest.raises(SetupError, match=f"{name} has the SHA-256"):
             CompactEncoder(weights=copied)
 
-    def test_weights_without_graphs_are_refused(self, copied: Path) -> None:
+    def test_weights_without_a_graph_are_refused(self, copied: Path) -> None:
         described = copied.with_suffix(".json")
         facts = json.loads(described.read_text())
-        del facts["graphs"]
+        del facts["graph"]
         described.write_text(json.dumps(facts))
 
-        with pytest.raises(SetupError, match="names no graphs"):
+        with pytest.raises(SetupError, match="names no graph"):
             CompactEncoder(weights=copied)
 
     def test_a_graph_that_cannot_be_loaded_is_told(self, copied: Path) -> None:
         described = copied.with_suffix(".json")
         facts = json.loads(described.read_text())
         copied.with_suffix(".onnx").write_bytes(b"no graph")
-        facts["graphs"]["fields"]["sha256"] = hashlib.sha256(b"no graph").hexdigest()
+        facts["graph"]["sha256"] = hashlib.sha256(b"no graph").hexdigest()
         described.write_text(json.dumps(facts))
 
         with pytest.raises(SetupError, match=r"cannot load compact\.onnx"):

@@ -44,9 +44,10 @@ def test_a_picture_of_one_colour_has_no_direction_and_matches_nothing() -> None:
     plain = dense_cells.grid(np.full((6, 6, 4), 0.5, np.float32), 3, 3)
     assert np.isfinite(plain).all()
     nothing = np.zeros((3, 3, 4), np.int8)
-    scores, shifts = dense_cells.similarity(nothing, nothing[None])
-    assert scores.tolist() == [0.0]
-    assert shifts.tolist() == [[0, 0]]
+    found = dense_cells.compare(nothing, nothing[None])
+    assert found.scores.tolist() == [0.0]
+    assert found.shifts.tolist() == [[0, 0]]
+    assert found.scales.tolist() == [1.0]
 
 
 def test_storage_is_one_byte_a_component() -> None:
@@ -79,12 +80,12 @@ def test_another_number_of_channels_is_refused() -> None:
     with pytest.raises(DescriptorMismatch):
         dense_cells.reduce(cells(0), np.eye(4, dtype=np.float32))
     with pytest.raises(DescriptorMismatch):
-        dense_cells.similarity(cells(0), cells(0, channels=4)[None])
+        dense_cells.compare(cells(0), cells(0, channels=4)[None])
 
 
 def test_another_grid_is_refused() -> None:
     with pytest.raises(ValueError, match="cannot be compared"):
-        dense_cells.similarity(cells(0), cells(0, rows=4)[None])
+        dense_cells.compare(cells(0), cells(0, rows=4)[None])
 
 
 def test_half_as_many_rows_and_columns_without_an_odd_rest() -> None:
@@ -139,10 +140,11 @@ def test_weight_follows_distinctness() -> None:
 
 def test_a_picture_is_entirely_like_itself() -> None:
     own = cells(5)
-    scores, shifts = dense_cells.similarity(own, np.stack([own, cells(6)]))
-    assert scores[0] == pytest.approx(1, abs=1e-5)
-    assert shifts[0].tolist() == [0, 0]
-    assert scores[1] < 0.6
+    found = dense_cells.compare(own, np.stack([own, cells(6)]))
+    assert found.scores[0] == pytest.approx(1, abs=1e-5)
+    assert found.shifts[0].tolist() == [0, 0]
+    assert found.scales[0] == 1
+    assert found.scores[1] < 0.6
 
 
 def test_a_step_forward_is_found_as_a_zoom() -> None:
@@ -150,8 +152,36 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     rows = np.rint((np.arange(16) - 7.5) / 1.25 + 7.5).astype(int)
     columns = np.rint((np.arange(20) - 9.5) / 1.25 + 9.5).astype(int)
     near = wide[rows][:, columns]
-    pairs = dense_cells.correspondences(wide, near[None])
-    assert hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 1, tolerance=0).zooms.tolist() == [1.25]
+    pairs = dense_cells.correspondences(wide, np.stack([near, wide]))
+    found = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0)
+    assert found.zooms.tolist() == [1.25, 1.0]
+    assert found.scales[0] == pytest.approx(1.25, abs=0.03)
+    assert found.scales[1] == 1
+
+
+@settings(deadline=None)  # a crowded machine is no failure
+@given(st.floats(0.8, 1.25), st.integers(-3, 3), st.integers(2, 300))
+def test_a_scale_is_measured_whatever_the_shift_and_pulled_towards_one_when_few_cells_tell_it(
+    scale: float, across: int, count: int
+) -> None:
+    draw = np.random.default_rng(0)
+    shape = (40, 60)
+    row, column = draw.integers(5, 35, count), draw.integers(5, 55, count)
+    there = np.rint((row - 19.5) * scale + 19.5) * 60 + np.rint((column - 29.5) * scale + 29.5 + across)
+    everywhere = np.zeros(count, np.intp)
+    pairs = hough.Correspondences(everywhere, row * 60 + column, there.astype(np.intp), np.ones(count, np.float32))
+    found = hough.agreement(pairs, np.ones(2400, np.float32), shape, 1, tolerance=3)
+
+    measured = float(found.scales[0])
+    assert min(scale, 1) - 0.05 <= measured <= max(scale, 1) + 0.05
+    if count >= 100:
+        assert measured == pytest.approx(scale, abs=0.05)
+
+
+def test_a_similarity_counts_less_the_more_the_scale_differs_either_way() -> None:
+    near = dense_cells.nearness(np.array([1.0, 1.25, 0.8, 2.0], np.float32), 0.5)
+    np.testing.assert_allclose(near, [1, np.sqrt(0.8), np.sqrt(0.8), np.sqrt(0.5)], rtol=1e-6)
+    assert dense_cells.nearness(np.array([0.5], np.float32), 0.0).tolist() == [1.0]
 
 
 @settings(deadline=None)  # a crowded machine is no failure
@@ -170,10 +200,12 @@ def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> N
 def test_scores_lie_in_their_range_and_do_not_depend_on_the_other_candidates(seed: int, count: int) -> None:
     query = cells(seed)
     candidates = np.stack([cells(seed + 1 + i) for i in range(count)]) if count else query[None][:0]
-    scores, shifts = dense_cells.similarity(query, candidates)
-    assert scores.shape == (count,)
-    assert shifts.shape == (count, 2)
-    assert ((scores >= 0) & (scores <= 1)).all()
+    found = dense_cells.compare(query, candidates)
+    assert found.scores.shape == found.scales.shape == (count,)
+    assert found.shifts.shape == (count, 2)
+    assert ((found.scores >= 0) & (found.scores <= 1)).all()
+    assert ((found.scales >= 0.5) & (found.scales <= 2)).all()
     for i in range(count):
-        alone, _ = dense_cells.similarity(query, candidates[i : i + 1])
-        np.testing.assert_allclose(alone[0], scores[i], atol=1e-6)
+        alone = dense_cells.compare(query, candidates[i : i + 1])
+        np.testing.assert_allclose(alone.scores[0], found.scores[i], atol=1e-6)
+        np.testing.assert_allclose(alone.scales[0], found.scales[i], atol=1e-6)

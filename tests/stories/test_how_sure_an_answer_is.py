@@ -1,23 +1,15 @@
 """Confidence says how sure the first answer is, whatever else was asked for and however small the map."""
 
-import io
 from collections.abc import Iterator
 
 import pytest
-from PIL import Image
 
 from app.main import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
+from tests.stories.photos import photo
 from worker.bootstrap import build
 from worker.scenes import scene
-from worker.scenes.scene import Scene
-
-
-def photo(look: Scene) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(look.pixels).save(buffer, "JPEG", quality=92)
-    return buffer.getvalue()
 
 
 @pytest.fixture(scope="module")

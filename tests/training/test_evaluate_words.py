@@ -7,8 +7,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
-from training.evaluate_words import Task, confusion, intersections_over_unions, scaled, words_at
+from training.evaluate_words import Task, confusion, embedding, intersections_over_unions, scaled
 from worker.encoders.compact import resized
+from worker.encoders.compact_fine import FineWords
 from worker.encoders.compact_network import CompactNetwork
 
 TASK = Task([0, 1], ["sky", "road"], [[0], [1, 2]], np.eye(3, dtype=np.float32))
@@ -58,10 +59,11 @@ def test_the_intersection_over_the_union_of_each_class() -> None:
     assert np.isnan(shares[2])
 
 
-def test_words_are_judged_at_either_stride() -> None:
-    network = CompactNetwork().eval()
+def test_the_fine_words_are_judged_where_there_are_some_and_the_words_field_where_not() -> None:
+    network, fine = CompactNetwork().eval(), FineWords().eval()
     pictures = torch.rand(1, 3, 64, 96)
 
     with torch.inference_mode():
-        assert torch.equal(words_at(network, 4)(pictures), network.fine_words(pictures))
-        assert torch.equal(words_at(network, 8)(pictures), network(pictures)[0])
+        both_ways = fine(*network.levels(pictures)) + fine(*network.levels(pictures.flip(3))).flip(3)
+        assert torch.allclose(embedding(network, fine)(pictures), F.normalize(both_ways, dim=1), atol=1e-6)
+        assert torch.equal(embedding(network, None)(pictures), network(pictures)[0])

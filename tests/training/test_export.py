@@ -2,10 +2,18 @@ import hashlib
 import json
 from pathlib import Path
 
+import numpy as np
+import pytest
 import torch
 from safetensors.torch import load_file
 
+from schemas.picture import Picture
 from training.export import WORDS_TO_SHIP, export, network_of, reduced
+from training.export_fine import export_fine
+from training.fine_words import started_from
+from training.network import TrainedNetwork
+from worker.encoders.compact import CompactEncoder
+from worker.encoders.compact_fine import FineWords
 from worker.encoders.compact_network import CompactNetwork
 
 WEIGHTS = Path(__file__).parents[2] / "worker" / "encoders" / "weights"
@@ -21,9 +29,9 @@ THE_AUTHORS_WORDS = (
 )
 
 
-def checkpoint_in(folder: Path) -> tuple[Path, CompactNetwork]:
+def checkpoint_in(folder: Path) -> tuple[Path, TrainedNetwork]:
     torch.manual_seed(0)
-    network = CompactNetwork(512).eval()
+    network = TrainedNetwork().eval()
     path = folder / "checkpoint.pt"
     torch.save({"average": network.state_dict(), "step": 3, "seconds": 60.0, "plan": {}}, path)
     return path, network
@@ -31,7 +39,7 @@ def checkpoint_in(folder: Path) -> tuple[Path, CompactNetwork]:
 
 def test_the_reduced_network_keeps_every_cosine() -> None:
     torch.manual_seed(0)
-    whole = CompactNetwork(512).eval()
+    whole = TrainedNetwork().eval()
     state, basis = reduced(whole.state_dict())
     small = CompactNetwork(97).eval()
     small.load_state_dict(state)
@@ -76,19 +84,46 @@ def test_the_words_file_says_where_each_word_comes_from(data_folder: Path, tmp_p
     assert not words["ceiling"]["trained"]
 
 
+def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_others(
+    data_folder: Path, tmp_path: Path
+) -> None:
+    checkpoint, _ = checkpoint_in(tmp_path)
+    export(checkpoint, data_folder, tmp_path)
+    began_with = json.loads((tmp_path / "compact.json").read_text())["weights"]["sha256"]
+    fine = started_from(network_of(tmp_path / "compact.safetensors"))
+    saved = {"average": fine.state_dict(), "step": 3, "seconds": 60.0, "plan": {"shared": began_with}}
+    torch.save(saved, tmp_path / "fine.pt")
+    torch.save(saved | {"plan": {"shared": "0" * 64}}, tmp_path / "stranger.pt")
+
+    with pytest.raises(ValueError, match="began with weights of SHA-256 00000000"):
+        export_fine(tmp_path / "stranger.pt", tmp_path)
+    export_fine(tmp_path / "fine.pt", tmp_path)
+
+    answered = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(
+        Picture.of(np.zeros((64, 96, 3), np.uint8))
+    )
+    assert answered.shape == (2 * 320 // 8, 480 // 4)
+    export(checkpoint, data_folder, tmp_path)
+    assert "fine" not in json.loads((tmp_path / "compact.json").read_text())
+
+
 class TestShippedWeights:
     def test_the_sums_are_right(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
-        sums = {described["weights"]: described["sha256"]}
-        sums |= {graph["file"]: graph["sha256"] for graph in described["graphs"].values()}
+        files = [described["weights"], described["graph"], described["fine"]["weights"], described["fine"]["graph"]]
 
-        assert len(sums) == 3
-        for name, sha256 in sums.items():
-            assert hashlib.sha256((WEIGHTS / name).read_bytes()).hexdigest() == sha256
+        assert len({file["file"] for file in files}) == 4
+        for file in files:
+            assert hashlib.sha256((WEIGHTS / file["file"]).read_bytes()).hexdigest() == file["sha256"]
+
+    def test_the_fine_words_belong_to_them(self) -> None:
+        described = json.loads((WEIGHTS / "compact.json").read_text())
+
+        assert described["fine"]["training"]["plan"]["shared"] == described["weights"]["sha256"]
 
     def test_every_word_has_a_row(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
-        text = load_file(WEIGHTS / described["weights"])
+        text = load_file(WEIGHTS / described["weights"]["file"])
 
         assert text["text.vectors"].shape == (len(described["words"]), 97)
         assert {*THE_PAPERS_WORDS, *THE_AUTHORS_WORDS} <= {entry["word"] for entry in described["words"]}
@@ -96,5 +131,7 @@ class TestShippedWeights:
     def test_they_fit_the_network_and_weigh_little(self) -> None:
         network = network_of(WEIGHTS / "compact.safetensors")
 
-        assert sum(tensor.numel() for tensor in network.parameters()) < 3_000_000
+        fine = FineWords.loaded(load_file(WEIGHTS / "compact-fine.safetensors"))
+
+        assert sum(tensor.numel() for part in (network, fine) for tensor in part.parameters()) < 5_000_000
         assert sum(path.stat().st_size for path in WEIGHTS.iterdir()) < 25_000_000

@@ -27,6 +27,14 @@ def test_centring_spreads_the_vectors(clip: ClipWords) -> None:
     assert np.abs(vectors @ vectors.T - np.eye(4)).max() < 0.3  # drawn in a cone of mean cosine 0.8
 
 
+def spoken_of(lexicon: Lexicon) -> dict[str, set[str]]:
+    """For each meaning, by its first word, the words that its labels speak for or against."""
+    return {
+        meaning.words[0]: {word for word, spoken in zip(lexicon.words, row, strict=True) if spoken}
+        for meaning, row in zip(lexicon.meanings, lexicon.known(), strict=True)
+    }
+
+
 def test_a_street_speaks_against_rooms_but_not_against_what_both_have(clip: ClipWords) -> None:
     lexicon = Lexicon(
         clip,
@@ -36,14 +44,27 @@ def test_a_street_speaks_against_rooms_but_not_against_what_both_have(clip: Clip
             "nyuv2": {0: ["floor"], 1: ["window"]},
         },
     )
-    known = {
-        data_set: {word for word, is_known in zip(lexicon.words, row, strict=True) if is_known}
-        for data_set, row in zip(lexicon.sets, lexicon.known(), strict=True)
-    }
+    spoken = spoken_of(lexicon)
 
-    assert known["street"] == {"road", "building", "wall", "floor"}
-    assert known["country"] == {"grass", "floor"}
-    assert known["nyuv2"] == {"floor", "window", "road", "building", "grass"}
+    assert spoken["road"] == spoken["building"] == {"road", "building", "wall", "floor"}
+    assert spoken["grass"] == {"grass", "floor"}
+    assert spoken["floor"] == spoken["window"] == {"floor", "window", "road", "building", "grass"}
+
+
+def test_what_lies_behind_speaks_against_what_stands_in_front_and_the_sky_against_everything(clip: ClipWords) -> None:
+    lexicon = Lexicon(
+        clip,
+        {
+            "town": {0: ["sky"], 1: ["tree", "grass"], 2: ["building"]},
+            "drive": {0: ["cyclist", "bicycle"], 1: ["pole"]},
+        },
+    )
+    spoken = spoken_of(lexicon)
+
+    assert spoken["sky"] == set(lexicon.words)
+    assert spoken["tree"] == {"sky", "tree", "grass", "building", "cyclist", "bicycle", "pole"}
+    assert spoken["building"] == {"sky", "tree", "grass", "building"}  # a pole before it may have no label there
+    assert spoken["pole"] == {"cyclist", "bicycle", "pole"}
 
 
 def test_label_values_become_meanings_and_others_nothing(clip: ClipWords) -> None:

@@ -9,15 +9,16 @@ from torch import Tensor, nn
 
 from training import data
 from training.lexicon import ClipWords, Lexicon
-from training.loop import Plan, Run
-from training.losses import WordLoss
-from worker.encoders.compact_network import CompactNetwork
+from training.loop import Run
+from training.network import TrainedNetwork
+from training.two_channels import TwoChannelPlan, TwoChannels
+from training.word_loss import WordLoss
 
 MIX = data.Mix(strong=2, mild=2, clear=2, size=(64, 96), clear_size=(64, 96))
-PLAN = Plan(steps=4, log_every=2, checkpoint_every=100)
+PLAN = TwoChannelPlan(steps=4, log_every=2, checkpoint_every=100)
 
 
-def run_in(folder: Path, data_folder: Path, plan: Plan = PLAN) -> tuple[Run, data.Batches]:
+def run_in(folder: Path, data_folder: Path, plan: TwoChannelPlan = PLAN) -> tuple[Run, data.Batches]:
     torch.manual_seed(0)
     folder.mkdir(exist_ok=True)
     found = data.sources(data_folder, None)
@@ -30,12 +31,13 @@ def run_in(folder: Path, data_folder: Path, plan: Plan = PLAN) -> tuple[Run, dat
         temperature=0.07,
     )
     anchor = nn.Conv2d(3, 8, 8, stride=8).requires_grad_(False)
-    run = Run(CompactNetwork(512), word_loss, anchor, plan, folder)
+    network = TrainedNetwork()
+    run = Run(network, TwoChannels(network, word_loss, anchor, plan), plan, folder)
     return run, data.Batches(found, lexicon, MIX, seed=5)
 
 
 def values(run: Run, batch: dict[str, Tensor]) -> dict[str, float]:
-    return {name: loss.item() for name, loss in run.losses(batch).items()}
+    return {name: loss.item() for name, loss in run.objective(batch)[1].items()}
 
 
 def stopping_after_two(run: Run, stream: Iterator[dict[str, Tensor]]) -> Iterator[dict[str, Tensor]]:

@@ -5,7 +5,8 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training.losses import WordLoss, likeness_loss, matched_cells, two_view_loss
+from training.losses import likeness_loss, matched_cells, two_view_loss
+from training.word_loss import WordLoss
 
 
 def one_pixel(x: float, y: float, z: float) -> torch.Tensor:
@@ -14,7 +15,7 @@ def one_pixel(x: float, y: float, z: float) -> torch.Tensor:
 
 def loss_over_three_words(members: list[list[bool]], known: list[bool]) -> WordLoss:
     allowed = torch.tensor(members)
-    return WordLoss(torch.eye(3), allowed, torch.tensor([known]), torch.ones(len(members)), temperature=0.5)
+    return WordLoss(torch.eye(3), allowed, torch.tensor([known] * len(members)), torch.ones(len(members)), 0.5)
 
 
 def plain_head() -> nn.Conv2d:
@@ -32,7 +33,7 @@ def by_definition(loss: WordLoss, embeddings: Tensor, meanings: Tensor, sets: Te
         if data_set < 0:
             continue
         scores = (loss.vectors @ F.normalize(embeddings[number, :, row, column], dim=0) / loss.temperature).exp()
-        likely = scores[loss.members[meaning] == 0].sum() / scores[loss.known[data_set]].sum()
+        likely = scores[loss.members[meaning] == 0].sum() / scores[loss.known[meaning]].sum()
         total = total - loss.weights[meaning] * likely.log()
         weights = weights + loss.weights[meaning]
     return total / weights
@@ -73,14 +74,42 @@ def test_pictures_and_pixels_without_labels_teach_nothing() -> None:
     pixel = one_pixel(0, 0, 1)
 
     assert float(loss(pixel, plain_head(), torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([-1]))) == 0
-    assert float(loss(pixel, plain_head(), torch.full((1, 2, 2), -1, dtype=torch.int16), torch.tensor([0]))) == 0
+    nothing = torch.full((1, 2, 2), -1, dtype=torch.int16)
+    assert float(loss(pixel, plain_head(), nothing, torch.tensor([0]))) == 0
+    assert [float(part) for part in loss.with_overlap(pixel, plain_head(), nothing, torch.tensor([0]))] == [0, 0]
+
+
+def test_beside_the_word_loss_stands_how_little_answers_and_labels_overlap() -> None:
+    torch.manual_seed(0)
+    members = torch.tensor([[True, False, False], [False, True, True], [True, True, False]])
+    known = torch.tensor([[True, True, True], [True, True, True], [True, True, False]])
+    loss = WordLoss(torch.eye(3), members, known, torch.tensor([1.0, 3.0, 2.0]), temperature=0.5)
+    owners = torch.tensor([0, 1])  # the first two meanings are the first set's, the third is the second's
+    meanings = torch.tensor([[[0, 1], [1, -1]], [[2, 2], [-1, -1]]], dtype=torch.int16)
+    joined = torch.randn(2, 3, 2, 2)
+
+    entropy, overlap = loss.with_overlap(joined, plain_head(), meanings, owners)
+
+    scores = (F.normalize(joined, dim=1) / 0.5).exp()
+    first = scores[0, :, [0, 0, 1], [0, 1, 0]] / scores[0, :, [0, 0, 1], [0, 1, 0]].sum(dim=0)
+    second = scores[1, :2, 0] / scores[1, :2, 0].sum(dim=0)
+    road, wall, any_of_two = first[0], first[1] + first[2], second.sum(dim=0)
+    expected = torch.stack(
+        [
+            road[0] / (road.sum() + 1 - road[0]),
+            wall[1:].sum() / (wall.sum() + 2 - wall[1:].sum()),
+            any_of_two.sum() / 2,
+        ]
+    )
+    assert float(entropy) == pytest.approx(float(loss(joined, plain_head(), meanings, owners)), rel=1e-5)
+    assert float(overlap) == pytest.approx(1 - float(expected.mean()), rel=1e-5)
 
 
 def test_the_word_loss_without_embeddings_is_the_one_with_them() -> None:
     torch.manual_seed(0)
     members = torch.rand(5, 12) < 0.3
     members[range(5), range(5)] = True
-    known = torch.rand(2, 12) < 0.7
+    known = torch.rand(5, 12) < 0.7
     known[:, :5] = True
     vectors = F.normalize(torch.randn(12, 512), dim=1)
     loss = WordLoss(vectors, members & known.all(dim=0), known, torch.rand(5) + 0.1, temperature=0.07)

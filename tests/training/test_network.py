@@ -2,6 +2,9 @@ import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
 
+from training.fine_words import started_from
+from training.network import TrainedNetwork
+from worker.encoders.compact_fine import FineWords
 from worker.encoders.compact_network import CompactNetwork
 
 
@@ -35,23 +38,24 @@ def test_a_network_is_loaded_from_half_precision() -> None:
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (72, 100), (33, 47)])
 def test_fine_words_have_unit_length_at_a_quarter(height: int, width: int) -> None:
-    network = CompactNetwork().eval()
+    network, fine = CompactNetwork().eval(), FineWords().eval()
 
     with torch.inference_mode():
-        words = network.fine_words(torch.rand(2, 3, height, width))
+        words = fine(*network.levels(torch.rand(2, 3, height, width)))
 
     cells = (-(-height // 4), -(-width // 4))
     assert words.shape == (2, 97, *cells)
     assert torch.allclose(words.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
 
 
-def test_the_refinement_adds_nothing_before_training() -> None:
-    network = CompactNetwork().eval()
+def test_before_training_fine_words_are_the_words_field_enlarged() -> None:
+    network = TrainedNetwork().eval()
+    fine = started_from(network).eval()
     pictures = torch.rand(1, 3, 64, 96)
 
     with torch.inference_mode():
         joined = network.fused(*network.shallow(pictures))
         enlarged = F.interpolate(joined, scale_factor=2.0, mode="bilinear", align_corners=False)
-        expected = F.normalize(network.words(enlarged), dim=1)
 
-        assert torch.allclose(network.fine_words(pictures), expected, atol=1e-6)
+        assert torch.allclose(network.sharp(pictures), enlarged, atol=1e-6)
+        assert torch.allclose(fine(*network.levels(pictures)), F.normalize(network.words(enlarged), dim=1), atol=1e-6)

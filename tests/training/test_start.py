@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
+from training.network import TrainedNetwork
 from training.start import started
-from worker.encoders.compact_network import CompactNetwork
 
 
 def saved(folder: Path, state: dict[str, torch.Tensor]) -> Path:
@@ -16,7 +16,7 @@ def saved(folder: Path, state: dict[str, torch.Tensor]) -> Path:
 
 
 def test_a_checkpoint_of_this_training_is_taken_up_whole(tmp_path: Path) -> None:
-    earlier = CompactNetwork(512)
+    earlier = TrainedNetwork()
 
     network, missing = started(saved(tmp_path, earlier.state_dict()))
 
@@ -26,7 +26,7 @@ def test_a_checkpoint_of_this_training_is_taken_up_whole(tmp_path: Path) -> None
 
 
 def test_a_checkpoint_from_before_the_refinement_lacks_it_alone(tmp_path: Path) -> None:
-    earlier = {k: v for k, v in CompactNetwork(512).state_dict().items() if not k.startswith("refine.")}
+    earlier = {k: v for k, v in TrainedNetwork().state_dict().items() if not k.startswith("refine.")}
 
     network, missing = started(saved(tmp_path, earlier))
 

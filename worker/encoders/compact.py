@@ -15,6 +15,7 @@ from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError, SetupError
 from schemas.picture import Bytes2D, Picture
 from schemas.records import Meaning
+from worker.place.unit_length import unit
 
 WEIGHTS = Path(__file__).parent / "weights" / "compact.safetensors"
 
@@ -35,7 +36,7 @@ class Engine(Protocol):
         ...
 
     def fine_words(self, pictures: Bytes2D) -> Floats:
-        """Words at twice the resolution, float32 of shape (n, height / 4, width / 4, channels), unit length."""
+        """Words, float32 of shape (n, height / 4, width / 4, channels), unit length."""
         ...
 
 
@@ -47,7 +48,8 @@ class CompactEncoder:
     device : str
         ``cpu``: ONNX Runtime; ``cuda``, ...: torch.
     weights : Path
-        Beside it lie a JSON file of the same name with its SHA-256 and its words, and the graphs that this file names.
+        Beside it lie a JSON file of the same name with its SHA-256 and its words, and the files that this one names:
+        graphs, and the fine words. Without fine words the finest field is that of `encode`.
     threads : int
         Of ONNX Runtime; torch has a setting of its own for the whole process.
 
@@ -64,10 +66,12 @@ class CompactEncoder:
         if not described.exists():
             raise SetupError(f"the encoder's file {described.name} is not in {weights.parent}")
         facts = json.loads(described.read_text())
-        content = _verified(weights, facts["sha256"], described)
-        self.digest: str = facts["sha256"]
+        content = _verified(described, facts["weights"])
+        fine = _verified(described, facts["fine"]["weights"]) if "fine" in facts else None
+        self.digest: str = facts["weights"]["sha256"]
         self._alone = device == "cpu"
-        self._engine = _on_cpu(facts, described, threads) if self._alone else _on_gpu(content, device)
+        self._engine = _on_cpu(facts, described, threads) if self._alone else _on_gpu(content, fine, device)
+        self._fine = fine is not None
         self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._words = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
         self.layers: Mapping[str, int] = {layer: facts["channels"][layer] for layer in (SEMANTIC, DETAIL)}
@@ -91,9 +95,12 @@ class CompactEncoder:
             yield PixelField({SEMANTIC: words, DETAIL: detail}, picture.extent)
 
     def fine(self, picture: Picture) -> PixelField:
-        """Words alone, at one cell per 4 x 4 pixels; see `Encoder.fine`."""
-        [words] = self._engine.fine_words(resized(picture.pixels)[None])
-        return PixelField({SEMANTIC: words}, picture.extent)
+        """Words alone, per 4 x 4 pixels: the mean of the picture's and its mirror image's; see `Encoder.fine`."""
+        if not self._fine:
+            return next(self._encode([picture]))
+        pixels = resized(picture.pixels)
+        words, mirrored = self._engine.fine_words(np.stack([pixels, pixels[:, ::-1]]))
+        return PixelField({SEMANTIC: unit(words + mirrored[:, ::-1])}, picture.extent)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""
@@ -134,22 +141,23 @@ def resized(pixels: Bytes2D) -> Bytes2D:
 def _on_cpu(facts: Mapping[str, Any], described: Path, threads: int) -> Engine:
     from worker.encoders.compact_onnx import OnnxEngine
 
-    if "graphs" not in facts:
-        raise SetupError(f"{described.name} names no graphs for ONNX Runtime; fetch the repository's own file again")
-    fields, fine = (described.with_name(facts["graphs"][which]["file"]) for which in ("fields", "fine"))
-    _verified(fields, facts["graphs"]["fields"]["sha256"], described)
-    _verified(fine, facts["graphs"]["fine"]["sha256"], described)
-    return OnnxEngine(fields, fine, threads)
+    if "graph" not in facts:
+        raise SetupError(f"{described.name} names no graph for ONNX Runtime; fetch the repository's own file again")
+    graphs = [facts["graph"], *([facts["fine"]["graph"]] if "fine" in facts else [])]
+    for graph in graphs:
+        _verified(described, graph)
+    return OnnxEngine(*(described.with_name(graph["file"]) for graph in graphs), threads=threads)
 
 
-def _on_gpu(content: bytes, device: str) -> Engine:
+def _on_gpu(content: bytes, fine: bytes | None, device: str) -> Engine:
     from worker.encoders.compact_torch import TorchEngine
 
-    return TorchEngine(content, device)
+    return TorchEngine(content, fine, device)
 
 
-def _verified(path: Path, sha256: str, described: Path) -> bytes:
-    """Read a file whose SHA-256 the JSON file `described` gives."""
+def _verified(described: Path, named: Mapping[str, str]) -> bytes:
+    """Read a file whose name and SHA-256 the JSON file `described` gives."""
+    path, sha256 = described.with_name(named["file"]), named["sha256"]
     if not path.exists():
         raise SetupError(f"the encoder's file {path.name} is not in {path.parent}")
     content = path.read_bytes()

@@ -16,13 +16,15 @@ What ships lies in ``weights/``, written by ``training/export.py``:
     The cosine of a cell's words embedding z with word i is ``text.vectors[i] @ z``: do not scale the rows, whose
     lengths below 1 belong to it. ``text.basis @ z`` is the embedding in CLIP's own 512 dimensions, and any other unit
     vector t of CLIP ViT-B/16 becomes a row as ``unit(t - text.centre) @ text.basis``.
-``compact.onnx``, ``compact-fine.onnx``
+``compact.onnx``
     The same network for ONNX Runtime, without weights: it reads them in that file. See ``training/export_onnx.py``.
 ``compact.json``
-    SHA-256 of these files; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance.
+    SHA-256 of these files; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance;
+    and the files of the fine words, which ``worker/encoders/compact_fine.py`` describes.
 """
 
 from collections.abc import Mapping
+from typing import Self
 
 import torch
 import torch.nn.functional as F  # noqa: N812 - the name everyone knows
@@ -34,9 +36,6 @@ CLIP_CHANNELS = 512
 FUSED_CHANNELS = 96
 """Channels of the layer that both the words head and its exact reduction start from."""
 
-REFINED_CHANNELS = 24
-"""Channels of either input of the layer that sharpens the words field at stride 4."""
-
 REDUCED_CHANNELS = FUSED_CHANNELS + 1
 """Channels of the words field as shipped: a 512-d embedding W y + b of a 96-d y spans 97 dimensions at most."""
 
@@ -45,21 +44,11 @@ STRIDE = 8
 """Pixels of the picture per cell of both fields, along each side."""
 
 
-class CompactNetwork(nn.Module):
-    """Pictures to two fields of unit-length embeddings at stride 8.
+class DeepWords(nn.Module):
+    """The layers below stride 8, and how the words are read from them and from the shallow layers together."""
 
-    Parameters
-    ----------
-    word_channels
-        512 while training, in CLIP's own space; 97 as shipped, where every length and cosine is the same.
-    """
-
-    def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
+    def __init__(self, word_channels: int) -> None:
         super().__init__()
-        self.stride2 = nn.Sequential(Convolution(3, 24, 3, stride=2), Convolution(24, 16, activate=False))
-        # The trunk had three residual blocks here: at stride 4 they cost most, and training on heals the gap.
-        self.stride4 = nn.Sequential(fused(16, 128, 24, stride=2), *(fused(24, 96, 24) for _ in range(2)))
-        self.stride8 = nn.Sequential(fused(24, 192, 40, stride=2), *(fused(40, 160, 40) for _ in range(3)))
         self.stride16 = nn.Sequential(
             inverted(40, 320, 72, stride=2),
             *(inverted(72, 288, 72) for _ in range(3)),
@@ -78,25 +67,7 @@ class CompactNetwork(nn.Module):
             nn.ReLU(inplace=True),
             nn.Conv2d(FUSED_CHANNELS, FUSED_CHANNELS, 3, padding=1),
         )
-        self.refine = Refinement(24, FUSED_CHANNELS, REFINED_CHANNELS)
         self.words = nn.Conv2d(FUSED_CHANNELS, word_channels, 1)
-        self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
-
-    def shallow(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Run the layers that both channels share.
-
-        Parameters
-        ----------
-        pictures : float of shape (n, 3, height, width)
-            RGB in 0..1; any height and width from 32 on.
-
-        Returns
-        -------
-        float of shapes (n, 24, ceil(height / 4), ceil(width / 4)) and (n, 40, ceil(height / 8), ceil(width / 8))
-            The layers at stride 4 and at stride 8.
-        """
-        at4 = self.stride4(self.stride2(pictures * 2 - 1))
-        return at4, self.stride8(at4)
 
     def fused(self, at4: Tensor, at8: Tensor) -> Tensor:
         """Join depth to the shallow layers.
@@ -111,6 +82,53 @@ class CompactNetwork(nn.Module):
         below = F.interpolate(below, size=at8.shape[-2:], mode="bilinear", align_corners=False)
         joined = below + self.from8(at8) + self.from4(at4)
         return F.relu(joined + self.fuse(F.relu(joined)))
+
+    @classmethod
+    def loaded(cls, state: Mapping[str, Tensor]) -> Self:
+        """Build the network for inference from a state dict of any float type, channels last, in float32."""
+        network = cls(state["words.weight"].shape[0])
+        network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
+        return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+class CompactNetwork(DeepWords):
+    """Pictures to two fields of unit-length embeddings at stride 8.
+
+    Parameters
+    ----------
+    word_channels
+        512 while training, in CLIP's own space; 97 as shipped, where every length and cosine is the same.
+    """
+
+    def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
+        super().__init__(word_channels)
+        self.stride2 = nn.Sequential(Convolution(3, 24, 3, stride=2), Convolution(24, 16, activate=False))
+        # The trunk had three residual blocks here: at stride 4 they cost most, and training on heals the gap.
+        self.stride4 = nn.Sequential(fused(16, 128, 24, stride=2), *(fused(24, 96, 24) for _ in range(2)))
+        self.stride8 = nn.Sequential(fused(24, 192, 40, stride=2), *(fused(40, 160, 40) for _ in range(3)))
+        self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
+
+    def levels(self, pictures: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Run the layers that everything else reads.
+
+        Parameters
+        ----------
+        pictures : float of shape (n, 3, height, width)
+            RGB in 0..1; any height and width from 32 on.
+
+        Returns
+        -------
+        float of shapes (n, 16, height / 2, width / 2), (n, 24, height / 4, width / 4), (n, 40, height / 8, width / 8)
+            The layers at strides 2, 4 and 8; sides rounded up.
+        """
+        at2 = self.stride2(pictures * 2 - 1)
+        at4 = self.stride4(at2)
+        return at2, at4, self.stride8(at4)
+
+    def shallow(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """Give the `levels` that the fields are read from: strides 4 and 8."""
+        _, at4, at8 = self.levels(pictures)
+        return at4, at8
 
     def appearance(self, at4: Tensor, at8: Tensor) -> Tensor:
         """Read the detail field, not yet of unit length, from the shallow layers."""
@@ -136,54 +154,6 @@ class CompactNetwork(nn.Module):
         at4, at8 = self.shallow(pictures)
         words = self.words(self.fused(at4, at8))
         return F.normalize(words, dim=1), F.normalize(self.appearance(at4, at8), dim=1)
-
-    def fine_words(self, pictures: Tensor) -> Tensor:
-        """Embed every 4 x 4 pixels for their words: what a segmentation is drawn from.
-
-        Parameters
-        ----------
-        pictures : float of shape (n, 3, height, width)
-            RGB in 0..1.
-
-        Returns
-        -------
-        float of shape (n, word_channels, ceil(height / 4), ceil(width / 4))
-            Unit length over the channels, in the space of the words field.
-        """
-        at4, at8 = self.shallow(pictures)
-        return F.normalize(self.words(self.refine(at4, self.fused(at4, at8))), dim=1)
-
-    @classmethod
-    def loaded(cls, state: Mapping[str, Tensor]) -> "CompactNetwork":
-        """Build the network for inference from a state dict of any float type, channels last, in float32."""
-        network = cls(word_channels=state["words.weight"].shape[0])
-        network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-        return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
-
-
-class Refinement(nn.Module):
-    """Enlarges the layer that the words head reads to stride 4, and sharpens it with what stride 4 still shows.
-
-    It adds to a bilinear enlargement, and adds nothing before training.
-    """
-
-    def __init__(self, near: int, joined: int, middle: int) -> None:
-        super().__init__()
-        self.near = nn.Conv2d(near, middle, 1)
-        self.below = nn.Conv2d(joined, middle, 1)
-        self.mix = nn.Conv2d(2 * middle, 2 * middle, 3, padding=1)
-        self.out = nn.Conv2d(2 * middle, joined, 1)
-        for parameter in self.out.parameters():
-            nn.init.zeros_(parameter)
-
-    def forward(self, at4: Tensor, joined: Tensor) -> Tensor:
-        """Map (n, near, h, w) and (n, joined, ceil(h / 2), ceil(w / 2)) to (n, joined, h, w)."""
-        size = at4.shape[-2:]
-        below = F.interpolate(self.below(joined), size=size, mode="bilinear", align_corners=False)
-        mixed = F.relu(self.mix(F.relu(torch.cat([self.near(at4), below], dim=1))))
-        enlarged = F.interpolate(joined, size=size, mode="bilinear", align_corners=False)
-        sharpened: Tensor = enlarged + self.out(mixed)
-        return sharpened
 
 
 class Convolution(nn.Module):

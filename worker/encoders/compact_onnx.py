@@ -20,8 +20,8 @@ class OnnxEngine:
     ----------
     fields : Path
         Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
-    fine : Path
-        Graph with the output ``fine_words``; the same weights.
+    fine : Path or None
+        Graph with the output ``fine_words``, whose weights lie in both safetensors files; None where there is none.
     threads : int
 
     Raises
@@ -30,9 +30,9 @@ class OnnxEngine:
         ONNX Runtime cannot be imported, or cannot load a graph.
     """
 
-    def __init__(self, fields: Path, fine: Path, threads: int) -> None:
+    def __init__(self, fields: Path, fine: Path | None = None, *, threads: int) -> None:
         self._fields = _session(fields, threads)
-        self._fine = _session(fine, threads)
+        self._fine = None if fine is None else _session(fine, threads)
 
     def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
         """See `Engine.fields`."""
@@ -41,6 +41,8 @@ class OnnxEngine:
 
     def fine_words(self, pictures: Bytes2D) -> Floats:
         """See `Engine.fine_words`."""
+        if self._fine is None:
+            raise SetupError("the encoder's weights came without fine words")
         words: Floats = self._fine.run(["fine_words"], {"pictures": pictures})[0]
         return words
 

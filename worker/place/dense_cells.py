@@ -16,7 +16,7 @@ import numpy.typing as npt
 from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
 from worker.place.byte_vectors import Product, float_product, scale
-from worker.place.hough import Correspondences, agreement
+from worker.place.hough import Agreement, Correspondences, agreement
 from worker.place.unit_length import unit
 
 Indices = npt.NDArray[np.intp]
@@ -199,9 +199,7 @@ def correspondences(
     return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
 
 
-def similarity(
-    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product
-) -> tuple[Floats, Indices]:
+def compare(query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
 
     Parameters
@@ -210,21 +208,37 @@ def similarity(
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
     product : Product
 
-    Returns
-    -------
-    scores : float32 of shape (candidates,)
-        0..1, as in `worker.place.hough.Agreement`.
-    shifts : intp of shape (candidates, 2)
-        (rows, columns), likewise.
-
     Raises
     ------
     DescriptorMismatch, ValueError
         As `correspondences`.
     """
     pairs = correspondences(query, candidates, product)
-    found = agreement(pairs, distinctness(query, product=product), (query.shape[0], query.shape[1]), len(candidates))
-    return found.scores, found.shifts
+    return agreement(pairs, distinctness(query, product=product), (query.shape[0], query.shape[1]), len(candidates))
+
+
+def nearness(scales: Floats, penalty: float) -> Floats:
+    """What a similarity is multiplied by for showing the place larger or smaller than the query does.
+
+    Parameters
+    ----------
+    scales : float32 of shape (candidates,)
+        As in `worker.place.hough.Agreement`.
+    penalty : float
+        At least 0.
+
+    Returns
+    -------
+    float32 of shape (candidates,)
+        min(s, 1 / s) ** penalty: 1 at the same scale.
+
+    Notes
+    -----
+    Along a path several views show the same things, and their cells agree nearly as well. The one taken nearest to the
+    query is the one that shows them at the same size.
+    """
+    near: Floats = np.minimum(scales, 1 / scales) ** np.float32(penalty)
+    return near
 
 
 @lru_cache(maxsize=64)

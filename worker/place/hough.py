@@ -14,6 +14,11 @@ Doubles = npt.NDArray[np.float64]
 ZOOMS = (1.0, 0.8, 1.25)
 """How much larger the candidate may show what the query shows; the earlier wins a tie."""
 
+LARGEST_SCALE = 2.0
+
+CERTAINTY = 250.0
+"""Weight of the cells that agree, times their squared distance from their centre, at which a scale is believed half."""
+
 TOLERANCE = 2
 """How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
 
@@ -50,11 +55,15 @@ class Agreement:
         (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells.
     zooms : float32 of shape (candidates,)
         The zoom that fits best; 1 where nothing corresponds.
+    scales : float32 of shape (candidates,)
+        How much larger the candidate shows what the query shows, by the cells that agree, 0.5..2: as `zooms`, but of
+        any size, and the nearer to 1 the less the cells can tell.
     """
 
     scores: Floats
     shifts: Indices
     zooms: Floats
+    scales: Floats
 
 
 def agreement(
@@ -95,7 +104,7 @@ def agreement(
     """
     weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
     roots = np.sqrt(np.array(zooms, np.float64))[:, None]
-    ours, theirs = _centred(pairs.query_cell, shape), _centred(pairs.candidate_cell, shape)
+    ours, theirs = (np.stack(_centred(cell, shape)) for cell in (pairs.query_cell, pairs.candidate_cell))
     displacement = [theirs[axis] / roots - ours[axis] * roots for axis in (0, 1)]
     bins = [np.rint(along).astype(np.intp) for along in displacement]
     heights, peaks = _peaks(pairs.candidate, bins, weight, candidates, shape, tolerance)
@@ -111,11 +120,31 @@ def agreement(
         np.bincount(pairs.candidate[agree], (weight * along[fits, every])[agree], candidates) for along in displacement
     ]
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None] * roots[chosen]
+    scale = _scale(pairs.candidate[agree], ours[:, agree], theirs[:, agree], weight[agree], candidates)
     return Agreement(
         np.sqrt(np.minimum(score / max(float(distinct.sum()), 1e-6), 1)).astype(np.float32),
         np.rint(np.where(score[:, None] > 0, shift, 0)).astype(np.intp),
         np.where(score > 0, np.array(zooms)[chosen], 1).astype(np.float32),
+        np.clip(scale, 1 / LARGEST_SCALE, LARGEST_SCALE).astype(np.float32),
     )
+
+
+def _scale(candidate: Indices, ours: Doubles, theirs: Doubles, weight: Doubles, candidates: int) -> Doubles:
+    """By how much distances between cells grow, float64 (candidates,): ridge regression of `theirs` on `ours`.
+
+    Both are (rows, columns) of cells, float64 (2, pairs). The ridge pulls towards 1.
+    """
+
+    def total(values: Doubles) -> Doubles:
+        return np.bincount(candidate, values, candidates).astype(np.float64)
+
+    whole = np.maximum(total(weight), 1e-9)
+    spread, growth = np.zeros(candidates), np.zeros(candidates)
+    for own, moved in zip(ours, theirs - ours, strict=True):
+        around = own - (total(weight * own) / whole)[candidate]
+        spread += total(weight * around**2)
+        growth += total(weight * around * moved)
+    return 1 + growth / (spread + CERTAINTY)
 
 
 def _centred(cell: Indices, shape: tuple[int, int]) -> tuple[Doubles, Doubles]:

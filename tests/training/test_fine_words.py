@@ -1,0 +1,97 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from training import data
+from training.export import export, network_of
+from training.fine_words import FinePlan, LabelledPixels, main, started_from
+from training.lexicon import ClipWords, Lexicon
+from training.loop import Run
+from training.network import TrainedNetwork
+from training.pictures import Picture
+from training.word_loss import word_loss_of
+
+MIX = data.Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96))
+
+
+class SureOfRoad:
+    def labels(self, picture: Picture) -> Picture:
+        return np.zeros(picture.shape[:2], np.uint8)
+
+
+@pytest.fixture
+def weights(data_folder: Path, tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    saved = {"average": TrainedNetwork().state_dict(), "step": 1, "seconds": 1.0, "plan": {}}
+    torch.save(saved, tmp_path / "whole.pt")
+    export(tmp_path / "whole.pt", data_folder, tmp_path)
+    return tmp_path / "compact.safetensors"
+
+
+def test_the_losses_sink_and_what_places_are_recognised_by_does_not_change(
+    weights: Path, data_folder: Path, tmp_path: Path
+) -> None:
+    shared = network_of(weights)
+    before = {name: tensor.clone() for name, tensor in shared.state_dict().items()}
+    fine = started_from(shared)
+    found, clip = data.sources(data_folder, None), ClipWords(data_folder / data.CLIP_FILE)
+    lexicon = Lexicon(clip, data.classes(data_folder))
+    word_loss = word_loss_of(found, lexicon, torch.randn(len(lexicon.words), 97) / 10)
+    plan = FinePlan(steps=15, trunk_rate=1e-3)
+    run = Run(fine, LabelledPixels(shared, fine, word_loss, plan), plan, tmp_path)
+    batch = data.Batches(found, lexicon, MIX, seed=5)[0]
+    first, parts = run.objective(batch)
+
+    run.train(iter([batch] * 15))
+
+    last, parts_then = run.objective(batch)
+    assert last.item() < first.item()
+    assert all(parts_then[name].item() < parts[name].item() for name in ("word", "overlap"))
+    assert all(torch.equal(before[name], tensor) for name, tensor in shared.state_dict().items())
+
+
+def test_a_batch_of_single_views_has_nothing_else_and_mixes_the_light(data_folder: Path) -> None:
+    found = data.sources(data_folder, None)
+    lexicon = Lexicon(ClipWords(data_folder / data.CLIP_FILE), data.classes(data_folder))
+    batches = data.Batches(found, lexicon, MIX, seed=5)
+
+    assert batches[0].keys() == {"clear_pictures", "clear_meanings", "clear_sets"}
+    assert torch.equal(batches[0]["clear_pictures"], batches[0]["clear_pictures"])
+    in_mild_light = data.Batches(found, lexicon, data.Mix(strong=0, mild=0, clear=3, clear_size=(64, 96)), seed=5)
+    assert not torch.equal(in_mild_light[0]["clear_pictures"], batches[0]["clear_pictures"])
+
+
+def test_a_network_without_some_layer_is_refused() -> None:
+    network = TrainedNetwork()
+    del network.stride16[0]
+
+    with pytest.raises((ValueError, RuntimeError)):
+        started_from(network)
+
+
+def test_the_command_trains_goes_on_and_says_which_weights_it_began_with(
+    weights: Path, data_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("training.fine_words.trunk_state", lambda path: {})
+    monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
+    given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights)]
+    given += ["--out", str(tmp_path / "run"), "--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
+
+    main([*given, "--steps", "1"])
+    main([*given, "--steps", "2", "--resume"])
+
+    saved = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
+    assert saved["step"] == 2
+    assert saved["plan"]["shared"] == json.loads((tmp_path / "compact.json").read_text())["weights"]["sha256"]
+    lines = (tmp_path / "run" / "runs.jsonl").read_text().splitlines()
+    assert [json.loads(line)["from step"] for line in lines] == ["0", "1"]
+
+
+def test_a_run_of_no_length_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--data", "d", "--trunk", "t.npz", "--weights", "w", "--out", str(tmp_path / "o")])
+    assert "say how long" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,59 @@
+"""What the training commands have in common: options, and how a run begins or goes on."""
+
+import argparse
+import json
+import platform
+import signal
+from pathlib import Path
+
+import cv2
+import torch
+
+from training.loop import Plan, Run
+from worker.encoders.memory import keep_freed_memory
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of any run."""
+    parser.add_argument("--data", type=Path, required=True, help="has segmentation/, pairs/, unlabelled/, text/")
+    parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: teacher, maybe start")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run")
+    parser.add_argument("--minutes", type=float, default=0.0, help="length of the run; pauses do not count")
+    parser.add_argument("--steps", type=int, default=0, help="length of the run in steps")
+    parser.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--half", action="store_true", help="bfloat16 where the hardware has it; several times faster")
+    parser.add_argument("--threads", type=int, default=1, help="threads of the training process")
+    parser.add_argument("--loaders", type=int, default=1, help="processes that draw batches")
+    parser.add_argument("--trunk-rate", type=float, default=Plan.trunk_rate)
+    parser.add_argument("--head-rate", type=float, default=Plan.head_rate)
+
+
+def check_run_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Refuse a run of no length."""
+    if not options.minutes and not options.steps:
+        parser.error("say how long: --minutes or --steps")
+
+
+def prepare(options: argparse.Namespace) -> None:
+    """Make the run's folder, and the process repeatable and quick."""
+    keep_freed_memory()
+    cv2.setNumThreads(1)
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    options.out.mkdir(parents=True, exist_ok=True)
+
+
+def begin(run: Run, options: argparse.Namespace) -> None:
+    """Take a run up or write its first checkpoint, note how it was called, and let signals end it in good order."""
+    if options.resume:
+        run.resume()
+    else:
+        run.save()
+    described = {name: str(value) for name, value in vars(options).items()}
+    described |= {"torch": torch.__version__, "machine": platform.machine(), "from step": str(run.step)}
+    with (options.out / "runs.jsonl").open("a") as log:
+        log.write(json.dumps(described) + "\n")
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: run.stop())
