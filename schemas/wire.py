@@ -152,7 +152,9 @@ class DenseMatch(Answer):
     typical: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
     high: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
-    scale: float = Field(description="How much larger the view shows the place than the query does, 0.5..2.")
+    scale: float | None = Field(
+        description="How much larger the view shows the place than the query, 0.5..2; null if not compared in full."
+    )
 
 
 class NodePair(Answer):

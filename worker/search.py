@@ -45,15 +45,15 @@ class Dense:
         map of streets for the picture of another park.
     shift : (int, int)
         (rows, columns) by which the view's grid moved, in cells of the whole grid.
-    scale : float
-        How much larger the view shows the place than the query does, 0.5..2.
+    scale : float or None
+        How much larger the view shows the place than the query does, 0.5..2; None where it was not compared in full.
     """
 
     similarity: float
     typical: float
     high: float
     shift: tuple[int, int]
-    scale: float
+    scale: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,9 +227,9 @@ class Searcher:
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         if description.appearance.coarse.size:
             coarse = np.stack([a.coarse for a in appearances])
-            alike = dense_cells.compare(description.appearance.coarse, coarse, self._product)
+            alike = dense_cells.compare(description.appearance.coarse, coarse, self._product, measured=False)
             evidence.put("dense", rows, alike.scores)
-            evidence.shifts, evidence.scales = alike.shifts * 2, alike.scales
+            evidence.shifts = alike.shifts * 2
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
             description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
@@ -252,8 +252,8 @@ class Searcher:
         cells = np.stack([kept[seq] for seq in seqs])
         alike = dense_cells.compare(description.cells, cells, self._product)
         evidence.put("close", first, alike.scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
-        places = [evidence.place[int(row)] for row in first]
-        evidence.shifts[places], evidence.scales[places] = alike.shifts, alike.scales
+        evidence.shifts[[evidence.place[int(row)] for row in first]] = alike.shifts
+        evidence.scales = dict(zip(first.tolist(), alike.scales.tolist(), strict=True))
         return evidence
 
     def _verify(
@@ -311,7 +311,7 @@ class _Evidence:
         self.rows = rows
         self.place = {int(row): place for place, row in enumerate(rows)}
         self.shifts: npt.NDArray[np.intp] | None = None
-        self.scales: Floats = np.ones(len(rows), np.float32)
+        self.scales: dict[int, float] = {}
         self.graphs: list[ContextGraph] = []
         self.graph: GraphComparison | None = None
         self.verified: dict[int, Verified] = {}
@@ -336,10 +336,9 @@ class _Evidence:
         """The comparison of one candidate's dense cells, if it was made."""
         if row not in self.place or self.shifts is None:
             return None
-        place = self.place[row]
-        down, across = self.shifts[place].tolist()
+        down, across = self.shifts[self.place[row]].tolist()
         typical, high = np.quantile(self.terms["dense"][self.rows], (0.5, HIGH)).tolist()
-        return Dense(float(self.terms["dense"][row]), typical, high, (down, across), float(self.scales[place]))
+        return Dense(float(self.terms["dense"][row]), typical, high, (down, across), self.scales.get(row))
 
     def graph_of(self, row: int) -> GraphEvidence | None:
         """The comparison of one candidate's graph, if it was made."""

@@ -199,7 +199,9 @@ def correspondences(
     return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
 
 
-def compare(query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product) -> Agreement:
+def compare(
+    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product, *, measured: bool = True
+) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
 
     Parameters
@@ -207,6 +209,8 @@ def compare(query: Int8s | Floats, candidates: Int8s | Floats, product: Product 
     query : int8 or float32 of shape (rows, columns, dimensions)
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
     product : Product
+    measured : bool
+        Whether scales are asked for.
 
     Raises
     ------
@@ -214,7 +218,8 @@ def compare(query: Int8s | Floats, candidates: Int8s | Floats, product: Product 
         As `correspondences`.
     """
     pairs = correspondences(query, candidates, product)
-    return agreement(pairs, distinctness(query, product=product), (query.shape[0], query.shape[1]), len(candidates))
+    distinct, shape = distinctness(query, product=product), (query.shape[0], query.shape[1])
+    return agreement(pairs, distinct, shape, len(candidates), measured=measured)
 
 
 def nearness(scales: Floats, penalty: float) -> Floats:

@@ -73,6 +73,8 @@ def agreement(
     candidates: int,
     zooms: Sequence[float] = ZOOMS,
     tolerance: int = TOLERANCE,
+    *,
+    measured: bool = True,
 ) -> Agreement:
     """The largest weight of correspondences that agree on one displacement (a Hough transform).
 
@@ -89,6 +91,8 @@ def agreement(
         Greater than 0.
     tolerance : int
         In cells, at least 0.
+    measured : bool
+        Whether scales are asked for; without, they are all 1.
 
     Returns
     -------
@@ -120,7 +124,9 @@ def agreement(
         np.bincount(pairs.candidate[agree], (weight * along[fits, every])[agree], candidates) for along in displacement
     ]
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None] * roots[chosen]
-    scale = _scale(pairs.candidate[agree], ours[:, agree], theirs[:, agree], weight[agree], candidates)
+    scale = np.ones(candidates)
+    if measured:
+        scale = _scale(pairs.candidate[agree], ours[:, agree], theirs[:, agree], weight[agree], candidates)
     return Agreement(
         np.sqrt(np.minimum(score / max(float(distinct.sum()), 1e-6), 1)).astype(np.float32),
         np.rint(np.where(score[:, None] > 0, shift, 0)).astype(np.intp),
