@@ -105,6 +105,7 @@ def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
 
 # How often each source is drawn, relative to the others.
 CLEAR_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
+FINE_SHARES = {"camvid": 0.34, "labelmefacade": 0.24, "nyuv2": 0.30, "ade_outdoor": 0.06, STREET: 0.06}
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,
@@ -114,7 +115,6 @@ STRONG_SHARES = {
     "indoor": 0.25,
     "aligned": 0.37,
 }
-FINE_SHARES = {"camvid": 0.34, "labelmefacade": 0.24, "nyuv2": 0.30, "ade_outdoor": 0.06, STREET: 0.06}
 MILD_SHARES = {
     "camvid": 0.18,
     "labelmefacade": 0.22,

@@ -23,7 +23,7 @@ _NEVER = -1e4
 
 
 class WordLoss(nn.Module):
-    """Cross-entropy over the words that a picture's data set knows.
+    """Cross-entropy over the words that a label speaks for or against.
 
     Parameters
     ----------

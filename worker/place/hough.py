@@ -15,6 +15,7 @@ ZOOMS = (1.0, 0.8, 1.25)
 """How much larger the candidate may show what the query shows; the earlier wins a tie."""
 
 LARGEST_SCALE = 2.0
+"""Scales are cut off here, and at its inverse: what few cells tell beyond is noise."""
 
 CERTAINTY = 250.0
 """Weight of the cells that agree, times their squared distance from their centre, at which a scale is believed half."""
