@@ -62,13 +62,14 @@ class Source:
         return scene[first], scene[second]
 
 
-def sources(data: Path, teacher_labels: Path | None) -> dict[str, Source]:
-    """Find everything to train on below `data`; test and validation pictures are left alone."""
+def sources(data: Path, teacher_labels: Path | None, splits: Sequence[str] = ("train",)) -> dict[str, Source]:
+    """Find everything to train on below `data`: of labelled sets the pictures of `splits`, never the test pictures."""
     found: dict[str, Source] = {}
     for data_set in LABELLED:
         shots = [
             Shot(picture, labels_of(picture), data_set)
-            for picture in training_pictures(data / "segmentation", data_set)
+            for split in splits
+            for picture in pictures_of(data / "segmentation", data_set, split)
         ]
         found[data_set] = _evenly(data_set, [[shot] for shot in shots])
     if teacher_labels is not None:
@@ -98,14 +99,19 @@ def classes(data: Path) -> dict[str, dict[int, Sequence[str]]]:
     return said | {STREET: {value: (word,) for value, word in enumerate(STREET_WORDS)}}
 
 
+def pictures_of(segmentation: Path, data_set: str, split: str) -> list[Path]:
+    """List the pictures of a labelled set that belong to a split: ``train``, ``val`` or ``test``."""
+    return sorted((segmentation / data_set / split / "images").glob("*"))
+
+
 def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
     """List the training pictures of a labelled set."""
-    return sorted((segmentation / data_set / "train" / "images").glob("*"))
+    return pictures_of(segmentation, data_set, "train")
 
 
 # How often each source is drawn, relative to the others.
 CLEAR_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
-FINE_SHARES = {"camvid": 0.34, "labelmefacade": 0.24, "nyuv2": 0.30, "ade_outdoor": 0.06, STREET: 0.06}
+FINE_SHARES = {"camvid": 0.44, "labelmefacade": 0.24, "nyuv2": 0.24, "ade_outdoor": 0.04, STREET: 0.04}
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,
@@ -144,6 +150,8 @@ class Mix:
         How often each labelled set is drawn for them, relative to the others.
     size, clear_size
         Height and width of a view in pixels, multiples of 32.
+    clear_stride
+        Pixels of a single view for each label along either side.
     """
 
     strong: int = 4
@@ -155,6 +163,7 @@ class Mix:
     clear_shares: Mapping[str, float] = field(default_factory=lambda: CLEAR_SHARES)
     size: tuple[int, int] = (192, 256)
     clear_size: tuple[int, int] = (288, 384)
+    clear_stride: int = 4
 
 
 class Batches(Dataset[dict[str, Tensor]]):
@@ -168,8 +177,8 @@ class Batches(Dataset[dict[str, Tensor]]):
     - ``cells``: int64 (n, POINTS) and ``positions``: float32 (n, POINTS, 2), see `shared_cells`;
     - ``matched``: bool (n,), whether those can be used;
     - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
-    - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views; these alone, where
-      the mix has no pairs.
+    - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views, with labels at the
+      mix's own stride; these alone, where the mix has no pairs.
     """
 
     def __init__(self, found: Mapping[str, Source], lexicon: Lexicon, mix: Mix, seed: int) -> None:
@@ -224,14 +233,17 @@ class Batches(Dataset[dict[str, Tensor]]):
             seen = light.strong(seen, rng)
         elif rng.random() < MILDLY_LIT:
             seen = light.mild(seen, rng)
-        return seen, self._meanings(shot, picture, view, self._mix.clear_size), source.name
+        meanings = self._meanings(shot, picture, view, self._mix.clear_size, self._mix.clear_stride)
+        return seen, meanings, source.name
 
-    def _meanings(self, shot: Shot, picture: Picture, view: View, size: tuple[int, int]) -> npt.NDArray[np.int16]:
+    def _meanings(
+        self, shot: Shot, picture: Picture, view: View, size: tuple[int, int], stride: int = 4
+    ) -> npt.NDArray[np.int16]:
         height, width = size
         if shot.labels is None or shot.data_set is None:
-            return np.full((height // 4, width // 4), -1, np.int16)
+            return np.full((height // stride, width // stride), -1, np.int16)
         labels = view.cut(training_labels(shot.labels, picture.shape[:2]), size, labels=True)
-        return self._tables[shot.data_set][labels[2::4, 2::4]]
+        return self._tables[shot.data_set][labels[stride // 2 :: stride, stride // 2 :: stride]]
 
     def _pair(self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool) -> "_Pair":
         shots = self._source(rng, shares).draw(rng)

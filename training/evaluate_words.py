@@ -4,19 +4,18 @@ As LSeg is judged: the words of a set's own classes are put to the network, a cl
 pixel takes the best class. CamVid has 11 classes, LabelMeFacade 8; of NYUv2's 37 the 13 with most labelled pixels in
 its training pictures are taken and pixels of the others are left out.
 
-Judged are the fine words (``--fine FILE``), which segmentations are drawn from, and without that option the words field
-that descriptions are made of, on pictures at two sizes: as the service sees them, 480 on the longer side (``service``),
-and at their own, times ``--scale`` (``own``). Scores are enlarged to the labels' size before the best class is taken.
+Judged are the fine words (``--fine FILE``), which segmentations are drawn from, as the service has them
+(`worker.encoders.compact.looked_at`), and without that option the words field that descriptions are made of. Pictures
+come at two sizes: as the service sees them, 480 on the longer side (``service``), and at their own, times ``--scale``
+(``own``). Scores are enlarged to the labels' size before the best class is taken.
 """
 
 import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -26,9 +25,9 @@ from torch import Tensor
 
 from training import data
 from training.export import basis_of, network_of
-from training.lexicon import ClipWords, class_words
+from training.lexicon import ClipWords, Floats, class_words
 from training.pictures import Picture, read_labels, read_rgb
-from worker.encoders.compact import resized
+from worker.encoders.compact import LONGEST, looked_at, resized
 from worker.encoders.compact_fine import FineWords
 from worker.encoders.compact_network import CompactNetwork
 from worker.encoders.memory import keep_freed_memory
@@ -36,11 +35,8 @@ from worker.encoders.memory import keep_freed_memory
 JUDGED = {"camvid": 11, "labelmefacade": 8, "nyuv2": 13}
 """Sets, and how many of their classes are judged: the most common ones."""
 
-Embed = Callable[[Tensor], Tensor]
-"""Pictures, float (n, 3, height, width), to words embeddings, float (n, channels, rows, columns)."""
-
-Resize = Callable[[Picture], Picture]
-"""Brings a picture to the size at which it is judged."""
+Embed = Callable[[Picture, float], Floats]
+"""A picture, uint8 (height, width, 3), and its longer side as judged, to float32 (rows, columns, channels)."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +67,12 @@ def task(segmentation: Path, data_set: str, clip: ClipWords) -> Task:
 
 @torch.inference_mode()
 def confusion(
-    embed: Embed, basis: Tensor, judged: Task, pictures: Sequence[Path], resize: Resize
+    embed: Embed, basis: Tensor, judged: Task, pictures: Sequence[Path], scale: float | None = None
 ) -> npt.NDArray[np.int64]:
-    """Count pixels by true class (rows) and answered class (columns)."""
+    """Count pixels by true class (rows) and answered class (columns).
+
+    Pictures are judged as the service sees them or, with a `scale`, at so many times their own size.
+    """
     size = len(judged.values)
     index = np.full(256, -1)
     index[judged.values] = np.arange(size)
@@ -81,9 +80,9 @@ def confusion(
     counts = np.zeros((size, size), np.int64)
     for path in pictures:
         truth = index[read_labels(data.labels_of(path))]
-        x = torch.from_numpy(resize(read_rgb(path))).permute(2, 0, 1)[None].float() / 255
-        field = embed(x.contiguous(memory_format=torch.channels_last))
-        cosines = torch.einsum("nchw,kc->nkhw", field, vectors)
+        picture = read_rgb(path)
+        field = torch.from_numpy(embed(picture, LONGEST if scale is None else scale * max(picture.shape[:2])))
+        cosines = torch.einsum("hwc,kc->khw", field, vectors)[None]
         best = torch.stack([cosines[:, rows].amax(dim=1) for rows in judged.rows], dim=1)
         best = F.interpolate(best, size=truth.shape, mode="bilinear", align_corners=False)
         answer = best.argmax(dim=1)[0].numpy()
@@ -99,23 +98,18 @@ def intersections_over_unions(counts: npt.NDArray[np.int64]) -> npt.NDArray[np.f
     return np.where(counts.sum(axis=1) > 0, hits / np.maximum(unions, 1), np.nan)
 
 
-def scaled(picture: Picture, scale: float) -> Picture:
-    """Enlarge a picture `scale` times."""
-    if scale == 1:
-        return picture
-    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale), np.uint8)
-
-
 def embedding(network: CompactNetwork, fine: FineWords | None) -> Embed:
-    """The fine words, meant with the mirror image's as the service does, or the words field where there are none."""
+    """The fine words as the service makes them, or the words field where there are none."""
+
+    def words(pixels: Picture) -> Floats:
+        x = torch.from_numpy(pixels).permute(2, 0, 1)[None].float() / 255
+        x = x.contiguous(memory_format=torch.channels_last)
+        field = network(x)[0] if fine is None else fine(*network.levels(x))
+        return np.asarray(field[0].permute(1, 2, 0))
+
     if fine is None:
-        return lambda pictures: network(pictures)[0]
-
-    def both_ways(pictures: Tensor) -> Tensor:
-        words, mirrored = (fine(*network.levels(seen)) for seen in (pictures, pictures.flip(3)))
-        return F.normalize(words + mirrored.flip(3), dim=1)
-
-    return both_ways
+        return lambda picture, longest: words(resized(picture, longest))
+    return lambda picture, longest: looked_at(picture, words, longest)
 
 
 def fine_words_of(path: Path) -> FineWords:
@@ -126,16 +120,19 @@ def fine_words_of(path: Path) -> FineWords:
 
 
 def evaluate(
-    embed: Embed, basis: Tensor, data_folder: Path, resize: Resize, *, split: str = "test", every: int = 1
+    embed: Embed, basis: Tensor, data_folder: Path, scale: float | None, *, split: str = "test", every: int = 1
 ) -> dict[str, dict[str, float]]:
-    """Judge all sets: for each, the intersection over union of each class, and under ``mean`` their mean."""
+    """Judge all sets: for each, the intersection over union of each class, and under ``mean`` their mean.
+
+    `scale` is that of `confusion`.
+    """
     segmentation = data_folder / "segmentation"
     clip = ClipWords(data_folder / data.CLIP_FILE)
     answers = {}
     for data_set in JUDGED:
         judged = task(segmentation, data_set, clip)
-        pictures = sorted((segmentation / data_set / split / "images").glob("*"))[::every]
-        shares = intersections_over_unions(confusion(embed, basis, judged, pictures, resize))
+        pictures = data.pictures_of(segmentation, data_set, split)[::every]
+        shares = intersections_over_unions(confusion(embed, basis, judged, pictures, scale))
         row = {name: round(float(share), 4) for name, share in zip(judged.names, shares, strict=True)}
         answers[data_set] = {"mean": round(float(np.nanmean(shares)), 4)} | row
     return answers
@@ -156,12 +153,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     keep_freed_memory()
     torch.set_num_threads(options.threads)
     network, basis = network_of(options.network), basis_of(options.network)
-    resizes: dict[str, Resize] = {"service": resized, "own": partial(scaled, scale=options.scale)}
     embed = embedding(network, options.fine and fine_words_of(options.fine))
     answers = {}
     for size in options.size:
-        name = f"own x {options.scale:g}" if size == "own" else size
-        answers[name] = evaluate(embed, basis, options.data, resizes[size], split=options.split, every=options.every)
+        name, scale = (f"own x {options.scale:g}", options.scale) if size == "own" else (size, None)
+        answers[name] = evaluate(embed, basis, options.data, scale, split=options.split, every=options.every)
     print(json.dumps(answers, indent=1))
 
 

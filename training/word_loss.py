@@ -5,7 +5,6 @@ a label speaks for or against take part; and, beside it, a soft IoU.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from training.lexicon import Lexicon
 
 WORD_TEMPERATURE = 0.07
 RARITY = -0.4
-"""A pixel counts as its meaning's share of all labelled pixels, to this power: a pole four times as much as road."""
+"""A pixel counts as its meaning's share of all labelled pixels to this power: a pole four times as much as road."""
 
 _NEVER = -1e4
 
@@ -71,17 +70,25 @@ class WordLoss(nn.Module):
         float, a scalar
             Mean of -log p(one of the allowed words), weighted; 0 when no pixel has a label.
         """
-        taught = self._scored(joined, head, meanings, sets)
-        if taught is None:
+        step = meanings.shape[-1] // joined.shape[-1]
+        meanings = meanings[:, step // 2 :: step, step // 2 :: step]
+        taught = (meanings >= 0) & (sets >= 0)[:, None, None]
+        if not bool(taught.any()):
             return joined.sum() * 0
-        allowed = torch.logsumexp(taught.scores + self.members[taught.target], dim=1)
-        entropy = torch.logsumexp(taught.scores + taught.unknown, dim=1) - allowed
-        return self._weighed(entropy, taught.target)
+        target = meanings[taught].long()
+        scores = self._scores(joined.permute(0, 2, 3, 1)[taught], head)
+        allowed = torch.logsumexp(scores + self.members[target], dim=1)
+        return self._weighed(torch.logsumexp(scores + self._unknown(target), dim=1) - allowed, target)
 
-    def with_overlap(self, joined: Tensor, head: nn.Conv2d, meanings: Tensor, sets: Tensor) -> tuple[Tensor, Tensor]:
+    def with_overlap(self, embeddings: Tensor, target: Tensor, owner: Tensor) -> tuple[Tensor, Tensor]:
         """Give beside that loss how little answers and labels overlap: what a mean IoU is made of, pixel by pixel soft.
 
-        Parameters are those of `forward`.
+        Parameters
+        ----------
+        embeddings : float of shape (pixels, channels)
+            What the cosines are read from: unit length, or an interpolation of such.
+        target, owner : int64 of shape (pixels,)
+            Each pixel's meaning, and the set that its picture belongs to.
 
         Returns
         -------
@@ -91,67 +98,55 @@ class WordLoss(nn.Module):
             1 less the mean of the soft IoU (sum of p over the right pixels by the sum of p or right), over the meanings
             that the batch shows. A meaning's p is the sum over its words; pixels of other sets do not count.
         """
-        taught = self._scored(joined, head, meanings, sets)
-        if taught is None:
-            return joined.sum() * 0, joined.sum() * 0
-        likely = (taught.scores + taught.unknown).softmax(dim=1) @ (self.members == 0).to(taught.scores).T
-        entropy = -likely.gather(1, taught.target[:, None])[:, 0].clamp_min(1e-20).log()
-        right = F.one_hot(taught.target, likely.shape[1]).to(likely)
+        if not len(target):
+            return embeddings.sum() * 0, embeddings.sum() * 0
+        scores = embeddings @ (self.vectors.T / self.temperature)
+        likely = (scores + self._unknown(target)).softmax(dim=1) @ (self.members == 0).to(scores).T
+        entropy = -likely.gather(1, target[:, None])[:, 0].clamp_min(1e-20).log()
+        right = F.one_hot(target, likely.shape[1]).to(likely)
         shown = right.sum(dim=0)
         hits = (likely * right).sum(dim=0)
-        owners = F.one_hot(taught.owner).to(likely)
+        owners = F.one_hot(owner).to(likely)
         answered = owners.T @ likely  # of each meaning, on the pixels of each set
         belongs = (owners.T @ right) > 0
         union = (answered * belongs).sum(dim=0) + shown - hits
         present = shown > 0
-        return self._weighed(entropy, taught.target), 1 - (hits[present] / union[present]).mean()
+        return self._weighed(entropy, target), 1 - (hits[present] / union[present]).mean()
 
     def _weighed(self, entropy: Tensor, target: Tensor) -> Tensor:
         weight = self.weights[target]
         return (weight * entropy).sum() / weight.sum().clamp_min(1e-9)
 
-    def _scored(self, joined: Tensor, head: nn.Conv2d, meanings: Tensor, sets: Tensor) -> "_Scored | None":
-        """Score every labelled pixel against all words, without making its embedding; None when there is no such pixel.
+    def _unknown(self, target: Tensor) -> Tensor:
+        return (self.known.logical_not() * _NEVER)[target]
+
+    def _scores(self, y: Tensor, head: nn.Conv2d) -> Tensor:
+        """Score pixels, float (pixels, inputs), against all words without making their embeddings.
 
         The embedding is e = [W b] [y; 1], so its length is the root of [y; 1]' G [y; 1] with G = [W b]' [W b], and
         its products with the words need only ``vectors`` [W b]: 97 channels instead of 512.
         """
-        step = meanings.shape[-1] // joined.shape[-1]
-        meanings = meanings[:, step // 2 :: step, step // 2 :: step]
-        taught = (meanings >= 0) & (sets >= 0)[:, None, None]
-        if not bool(taught.any()):
-            return None
-        y = joined.permute(0, 2, 3, 1)[taught]
         y = torch.cat([y, torch.ones_like(y[:, :1])], dim=1)
         assert head.bias is not None
         whole = torch.cat([head.weight.flatten(1), head.bias[:, None]], dim=1)
         squares = (y * (y @ (whole.T @ whole))).sum(dim=1, keepdim=True)
-        y = y / (squares.clamp_min(1e-12).sqrt() * self.temperature)
-        owner = sets[:, None, None].expand_as(taught)[taught]
-        target = meanings[taught].long()
-        unknown = (self.known.logical_not() * _NEVER)[target]
-        return _Scored(y @ (self.vectors @ whole).T, unknown, target, owner)
+        return (y / (squares.clamp_min(1e-12).sqrt() * self.temperature)) @ (self.vectors @ whole).T
 
 
-class _Scored(NamedTuple):
-    """Labelled pixels: scores and what is added for unknown words (pixels, words), meanings and sets (pixels,)."""
-
-    scores: Tensor
-    unknown: Tensor
-    target: Tensor
-    owner: Tensor
-
-
-def word_loss_of(found: Mapping[str, data.Source], lexicon: Lexicon, vectors: Tensor) -> WordLoss:
+def word_loss_of(
+    found: Mapping[str, data.Source], lexicon: Lexicon, vectors: Tensor, *, rarity: float = RARITY
+) -> WordLoss:
     """Build the loss for what is to be trained on.
 
     Parameters
     ----------
     vectors : float32 of shape (n_words, channels)
         Of the lexicon's words, in the space of the words head.
+    rarity
+        A pixel counts as its meaning's share of all labelled pixels, to this power.
     """
     shares = data.meaning_shares(found, lexicon)
-    weights = (shares + 1e-4) ** RARITY
+    weights = (shares + 1e-4) ** rarity
     return WordLoss(
         vectors,
         torch.from_numpy(lexicon.members()),

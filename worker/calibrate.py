@@ -79,12 +79,15 @@ class Learned:
         All left-out probabilities pooled.
     constant : Judgement
         The same for a curve that knows only how often answers are right elsewhere: what knowing nothing costs.
+    matched : pair of float
+        Shares of the right and of the wrong left-out answers that come out as matched.
     """
 
     calibration: Calibration
     by_set: Mapping[str, Judgement]
     together: Judgement
     constant: Judgement
+    matched: tuple[float, float]
 
 
 def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, penalty: float = 1.0) -> Learned:
@@ -132,7 +135,9 @@ def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, penal
     )
     matched = min(threshold_for_precision(unseen, right, MATCHED_PRECISION), 1.0)
     limits = Thresholds(matched=matched, ambiguous=min(AMBIGUOUS, matched))
-    return Learned(Calibration(tuple(names), curve, limits, source), by_set, together, constant)
+    claimed = unseen >= matched
+    shares = (float(claimed[right].mean()), float(claimed[~right].mean()))
+    return Learned(Calibration(tuple(names), curve, limits, source), by_set, together, constant, shares)
 
 
 def as_markdown(learned: Learned) -> str:
@@ -195,6 +200,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(as_markdown(learned))
     limits = learned.calibration.thresholds
     print(f"\nthresholds: matched from {limits.matched:.3f}, ambiguous from {limits.ambiguous:.3f}")
+    print("matched are {:.0%} of the right answers and {:.0%} of the wrong ones".format(*learned.matched))
     if options.write:
         options.write.write_text(learned.calibration.to_json() + "\n")
     return 0

@@ -39,6 +39,10 @@ def test_matched_is_right_as_often_as_promised() -> None:
     claimed = p >= learned.calibration.thresholds.matched
     assert fresh.right[claimed].mean() > 0.92
     assert claimed.mean() > 0.1
+    of_right, of_wrong = learned.matched
+    assert of_right == pytest.approx(claimed[fresh.right].mean(), abs=0.1)
+    assert of_wrong == pytest.approx(claimed[~fresh.right].mean(), abs=0.05)
+    assert of_wrong < 0.1 < of_right
 
 
 def test_evidence_of_a_run_leaves_out_what_was_not_answered(tmp_path: Path) -> None:

@@ -1,20 +1,22 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812
 
 from training import data
 from training.export import export, network_of
-from training.fine_words import FinePlan, LabelledPixels, main, started_from
+from training.fine_words import FinePlan, LabelledPixels, drawn_points, main, started_from
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
 from training.network import TrainedNetwork
 from training.pictures import Picture
 from training.word_loss import word_loss_of
 
-MIX = data.Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96))
+MIX = data.Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
 
 
 class SureOfRoad:
@@ -62,6 +64,46 @@ def test_a_batch_of_single_views_has_nothing_else_and_mixes_the_light(data_folde
     assert torch.equal(batches[0]["clear_pictures"], batches[0]["clear_pictures"])
     in_mild_light = data.Batches(found, lexicon, data.Mix(strong=0, mild=0, clear=3, clear_size=(64, 96)), seed=5)
     assert not torch.equal(in_mild_light[0]["clear_pictures"], batches[0]["clear_pictures"])
+
+
+def test_what_is_learned_of_a_pixel_is_what_a_segmentation_reads_there() -> None:
+    torch.manual_seed(0)
+    embeddings = F.normalize(torch.randn(2, 5, 7, 3), dim=3)
+    meanings = torch.arange(2 * 20 * 28).reshape(2, 20, 28)  # every pixel a meaning of its own
+    meanings[:, :4] = -1
+
+    read, target, owner = drawn_points(embeddings, meanings, torch.tensor([3, 4]), 500)
+
+    enlarged = F.interpolate(embeddings.permute(0, 3, 1, 2), size=(20, 28), mode="bilinear", align_corners=False)
+    expected = enlarged.permute(0, 2, 3, 1).flatten(0, 2)[target]
+    assert torch.allclose(read, expected, atol=1e-6)
+    assert torch.equal(owner, torch.where(target < 20 * 28, 3, 4))
+    assert 700 < len(target) < 900  # a fifth of the pixels has no label
+
+
+def test_pictures_of_no_labelled_set_are_not_drawn_from() -> None:
+    embeddings, meanings = torch.zeros(1, 2, 2, 3), torch.zeros(1, 8, 8, dtype=torch.int16)
+
+    read, target, _ = drawn_points(embeddings, meanings, torch.tensor([-1]), 10)
+
+    assert len(read) == len(target) == 0
+
+
+def test_validation_pictures_are_learned_from_only_when_asked_for(data_folder: Path) -> None:
+    folder = data_folder / "segmentation" / "camvid"
+    for kind in ("images", "labels"):
+        (folder / "val" / kind).mkdir(parents=True)
+        first = sorted((folder / "train" / kind).glob("*"))[0]
+        shutil.copy(first, folder / "val" / kind / first.name)
+
+    usual, more = (
+        data.sources(data_folder, None, splits)["camvid"].scenes for splits in (("train",), ("train", "val"))
+    )
+
+    assert len(more) == len(usual) + 1
+    assert more[-1][0].picture.parent == folder / "val" / "images"
+    assert more[-1][0].labels is not None
+    assert more[-1][0].labels.exists()
 
 
 def test_a_network_without_some_layer_is_refused() -> None:

@@ -76,7 +76,8 @@ def test_pictures_and_pixels_without_labels_teach_nothing() -> None:
     assert float(loss(pixel, plain_head(), torch.zeros(1, 2, 2, dtype=torch.int16), torch.tensor([-1]))) == 0
     nothing = torch.full((1, 2, 2), -1, dtype=torch.int16)
     assert float(loss(pixel, plain_head(), nothing, torch.tensor([0]))) == 0
-    assert [float(part) for part in loss.with_overlap(pixel, plain_head(), nothing, torch.tensor([0]))] == [0, 0]
+    none = torch.zeros(0, dtype=torch.int64)
+    assert [float(part) for part in loss.with_overlap(torch.zeros(0, 3), none, none)] == [0, 0]
 
 
 def test_beside_the_word_loss_stands_how_little_answers_and_labels_overlap() -> None:
@@ -88,7 +89,10 @@ def test_beside_the_word_loss_stands_how_little_answers_and_labels_overlap() -> 
     meanings = torch.tensor([[[0, 1], [1, -1]], [[2, 2], [-1, -1]]], dtype=torch.int16)
     joined = torch.randn(2, 3, 2, 2)
 
-    entropy, overlap = loss.with_overlap(joined, plain_head(), meanings, owners)
+    taught = meanings >= 0
+    embeddings = F.normalize(joined, dim=1).permute(0, 2, 3, 1)[taught]
+    sets = owners[:, None, None].expand_as(meanings)[taught]
+    entropy, overlap = loss.with_overlap(embeddings, meanings[taught].long(), sets)
 
     scores = (F.normalize(joined, dim=1) / 0.5).exp()
     first = scores[0, :, [0, 0, 1], [0, 1, 0]] / scores[0, :, [0, 0, 1], [0, 1, 0]].sum(dim=0)

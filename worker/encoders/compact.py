@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Protocol
@@ -25,7 +25,13 @@ LONGEST = 480
 MULTIPLE = 32
 """Sides become multiples of the network's deepest stride, so that nothing is padded."""
 
+FINE_STRIDE = 4
+"""Pixels, along either side, for each cell of the fine words."""
+
 DETAIL = "detail"
+
+FINE_LOOKS = ((0.75, True), (1.25, False))
+"""How often the fine words look: how much larger than LONGEST a picture is then, and whether as its mirror image."""
 
 
 class Engine(Protocol):
@@ -95,12 +101,11 @@ class CompactEncoder:
             yield PixelField({SEMANTIC: words, DETAIL: detail}, picture.extent)
 
     def fine(self, picture: Picture) -> PixelField:
-        """Words alone, per 4 x 4 pixels: the mean of the picture's and its mirror image's; see `Encoder.fine`."""
+        """Words alone, per 4 x 4 pixels: the mean of several looks at the picture; see `Encoder.fine`."""
         if not self._fine:
             return next(self._encode([picture]))
-        pixels = resized(picture.pixels)
-        words, mirrored = self._engine.fine_words(np.stack([pixels, pixels[:, ::-1]]))
-        return PixelField({SEMANTIC: unit(words + mirrored[:, ::-1])}, picture.extent)
+        words = looked_at(picture.pixels, lambda seen: self._engine.fine_words(seen[None])[0])
+        return PixelField({SEMANTIC: words}, picture.extent)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""
@@ -123,17 +128,43 @@ class CompactEncoder:
         return [Meaning(entry["word"], tuple(entry["clip"]), bool(entry["trained"])) for entry in entries]
 
 
-def network_size(width: int, height: int) -> tuple[int, int]:
-    """(width, height) at which the network sees a picture: longer side LONGEST, both multiples of MULTIPLE."""
-    scale = LONGEST / max(width, height)
+def looked_at(pixels: Bytes2D, look: Callable[[Bytes2D], Floats], longest: float = LONGEST) -> Floats:
+    """Give the mean of what is seen of a picture at the sizes of FINE_LOOKS.
+
+    Parameters
+    ----------
+    pixels : uint8 of shape (height, width, 3)
+    look
+        From such a picture, sides multiples of MULTIPLE, to float32 of shape (height / 4, width / 4, channels).
+    longest
+        The longer side that the looks' sizes are relative to.
+
+    Returns
+    -------
+    float32 of shape (rows, columns, channels)
+        Unit length; a cell for every 4 x 4 pixels of the picture ``resized`` to `longest`.
+    """
+    across, down = (side // FINE_STRIDE for side in network_size(pixels.shape[1], pixels.shape[0], longest))
+    total = np.zeros(())
+    for scale, mirrored in FINE_LOOKS:
+        seen = resized(pixels, scale * longest)
+        words = look(np.ascontiguousarray(seen[:, ::-1]) if mirrored else seen)
+        words = cv2.resize(words, (across, down), interpolation=cv2.INTER_LINEAR)
+        total = total + (words[:, ::-1] if mirrored else words)
+    return unit(total)
+
+
+def network_size(width: int, height: int, longest: float = LONGEST) -> tuple[int, int]:
+    """(width, height) at which the network sees a picture: longer side about `longest`, both multiples of MULTIPLE."""
+    scale = longest / max(width, height)
     across, down = (max(3, round(side * scale / MULTIPLE)) * MULTIPLE for side in (width, height))
     return across, down
 
 
-def resized(pixels: Bytes2D) -> Bytes2D:
+def resized(pixels: Bytes2D, longest: float = LONGEST) -> Bytes2D:
     """Bring a picture, uint8 of shape (height, width, 3), to the size at which the network sees it."""
     height, width = pixels.shape[:2]
-    size = network_size(width, height)
+    size = network_size(width, height, longest)
     how = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(pixels, size, interpolation=how), np.uint8)
 
