@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader, Dataset
 from training import light
 from training.lexicon import STREET_WORDS, Lexicon, class_words
 from training.pictures import Picture, read_labels, read_rgb
-from training.teacher import label_name
+from training.teacher import OPINION_CELLS, label_name, opinion_name
 from training.viewpoint import FOR_DETAIL, FOR_LABELS, FOR_WORDS, Freedom, View, draw_views, shared_cells
 from worker.encoders.compact_network import STRIDE
 
@@ -111,7 +111,7 @@ def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
 
 # How often each source is drawn, relative to the others.
 CLEAR_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
-FINE_SHARES = {"camvid": 0.44, "labelmefacade": 0.24, "nyuv2": 0.24, "ade_outdoor": 0.04, STREET: 0.04}
+FINE_SHARES = {"camvid": 0.40, "labelmefacade": 0.30, "nyuv2": 0.24, "ade_outdoor": 0.06}
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,
@@ -178,14 +178,20 @@ class Batches(Dataset[dict[str, Tensor]]):
     - ``matched``: bool (n,), whether those can be used;
     - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
     - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views, with labels at the
-      mix's own stride; these alone, where the mix has no pairs.
+      mix's own stride; these alone, where the mix has no pairs;
+    - ``clear_opinions``: float16 (n, 19, rows, columns), a teacher's opinions of the pictures that those were cut from,
+      0 where it has none, and ``clear_views``: float32 (n, 3, 3), from a view to its picture; where there is a folder
+      of opinions.
     """
 
-    def __init__(self, found: Mapping[str, Source], lexicon: Lexicon, mix: Mix, seed: int) -> None:
+    def __init__(
+        self, found: Mapping[str, Source], lexicon: Lexicon, mix: Mix, seed: int, opinions: Path | None = None
+    ) -> None:
         self._found = dict(found)
         self._tables = {name: lexicon.table(name) for name in lexicon.sets}
         self._set_index = {name: index for index, name in enumerate(lexicon.sets)}
         self._mix = mix
+        self._opinions = opinions
         self._seed = seed
 
     def __getitem__(self, step: int) -> dict[str, Tensor]:
@@ -194,11 +200,15 @@ class Batches(Dataset[dict[str, Tensor]]):
         rng = np.random.default_rng([self._seed, step])
         batch = self._pairs(rng) if self._mix.strong or self._mix.mild else {}
         clear = [self._clear(rng) for _ in range(self._mix.clear)]
-        return batch | {
-            "clear_pictures": _stacked([picture for picture, _, _ in clear]),
-            "clear_meanings": torch.from_numpy(np.stack([meanings for _, meanings, _ in clear])),
-            "clear_sets": torch.tensor([self._set_index.get(data_set, -1) for _, _, data_set in clear]),
+        batch |= {
+            "clear_pictures": _stacked([one.picture for one in clear]),
+            "clear_meanings": torch.from_numpy(np.stack([one.meanings for one in clear])),
+            "clear_sets": torch.tensor([self._set_index.get(one.data_set, -1) for one in clear]),
         }
+        if self._opinions is not None:
+            batch["clear_opinions"] = torch.from_numpy(np.stack([one.opinions for one in clear]))
+            batch["clear_views"] = torch.from_numpy(np.stack([one.view.to_source for one in clear])).float()
+        return batch
 
     def _pairs(self, rng: np.random.Generator) -> dict[str, Tensor]:
         mix = self._mix
@@ -223,7 +233,7 @@ class Batches(Dataset[dict[str, Tensor]]):
         odds = np.array([shares[name] for name in names])
         return self._found[names[rng.choice(len(names), p=odds / odds.sum())]]
 
-    def _clear(self, rng: np.random.Generator) -> tuple[Picture, npt.NDArray[np.int16], str]:
+    def _clear(self, rng: np.random.Generator) -> "_Single":
         source = self._source(rng, self._mix.clear_shares)
         shot, _ = source.draw(rng)
         picture = training_picture(shot.picture)
@@ -234,7 +244,9 @@ class Batches(Dataset[dict[str, Tensor]]):
         elif rng.random() < MILDLY_LIT:
             seen = light.mild(seen, rng)
         meanings = self._meanings(shot, picture, view, self._mix.clear_size, self._mix.clear_stride)
-        return seen, meanings, source.name
+        folder = self._opinions
+        opinions = np.zeros(0, np.float16) if folder is None else opinions_of(folder / opinion_name(shot.picture))
+        return _Single(seen, meanings, source.name, view, opinions)
 
     def _meanings(
         self, shot: Shot, picture: Picture, view: View, size: tuple[int, int], stride: int = 4
@@ -257,6 +269,15 @@ class Batches(Dataset[dict[str, Tensor]]):
             seen = light.mild(seen, rng) if mild else light.strong(seen, rng)
             ready.append((seen, self._meanings(shot, picture, view, (height, width))))
         return _Pair(ready[0], ready[1], shots[0].data_set, cells, positions, matched)
+
+
+@dataclass(frozen=True)
+class _Single:
+    picture: Picture
+    meanings: npt.NDArray[np.int16]
+    data_set: str
+    view: View
+    opinions: npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True)
@@ -331,6 +352,14 @@ def training_labels(path: Path, shape: tuple[int, int]) -> Picture:
     if labels.shape != shape:
         labels = np.asarray(cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST), np.uint8)
     return labels
+
+
+@functools.lru_cache(maxsize=4096)
+def opinions_of(path: Path) -> npt.NDArray[np.float16]:
+    """Read a teacher's opinions, all 0 where there is no such file."""
+    if path.exists():
+        return np.asarray(np.load(path), np.float16)
+    return np.zeros((len(STREET_WORDS), *OPINION_CELLS), np.float16)
 
 
 def labels_of(picture: Path) -> Path:

@@ -125,13 +125,17 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
         "graph": named(write_fields_graph(weights)),
         "stride": STRIDE,
         "channels": {"words": REDUCED_CHANNELS, "detail": DETAIL_CHANNELS, "clip": CLIP_CHANNELS},
-        "provenance": ORIGIN
-        | {"training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]}}
-        | ({"blended with the run before": saved["blended"]} if "blended" in saved else {}),
+        "provenance": ORIGIN | history(saved),
         "words": words,
     }
     lines = json.dumps(described, indent=1, ensure_ascii=False)
     (folder / f"{name}.json").write_text(lines + "\n")
+
+
+def history(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """How long a checkpoint was trained and by what plan, and what run it was averaged with, if with any."""
+    run = {"training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]}}
+    return run | ({"blended with another run": saved["blended"]} if "blended" in saved else {})
 
 
 def named(path: Path) -> dict[str, str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from safetensors.torch import save_file
 
-from training.export import named
+from training.export import history, named
 from training.export_onnx import write_fine_graph
 
 
@@ -36,8 +36,7 @@ def export_fine(checkpoint: Path, folder: Path, name: str = "compact") -> None:
     facts["fine"] = {
         "weights": named(fine),
         "graph": named(write_fine_graph(folder / facts["weights"]["file"], fine)),
-        "training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]},
-    }
+    } | history(saved)
     described.write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
 
 

@@ -14,15 +14,16 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training import data
+from training import data, points
 from training.command import add_run_options, begin, check_run_options, prepare
 from training.depthwise import quicken
 from training.evaluate_words import fine_words_of
 from training.export import basis_of, named, network_of
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Plan, Run
+from training.opinions import OpinionLoss, opinion_loss_of
 from training.start import trunk_state
-from training.teacher import Teacher, write_labels
+from training.teacher import Teacher, write_opinions
 from training.word_loss import WordLoss, word_loss_of
 from worker.encoders.compact_fine import FineWords
 from worker.encoders.compact_network import CompactNetwork
@@ -40,6 +41,8 @@ class FinePlan(Plan):
         A pixel counts as its meaning's share of all labelled pixels, to this power.
     overlap
         Weight of the soft IoU beside the word loss.
+    opinion
+        Weight of the difference from what the untouched trunk says.
     points
         How many pixels of each view are drawn to be judged.
     """
@@ -47,6 +50,7 @@ class FinePlan(Plan):
     shared: str = ""
     rarity: float = -0.25
     overlap: float = 2.0
+    opinion: float = 0.5
     points: int = 3072
 
 
@@ -59,69 +63,34 @@ class LabelledPixels(nn.Module):
         Frozen; its shallow layers are read.
     """
 
-    def __init__(self, shared: CompactNetwork, fine: FineWords, word_loss: WordLoss, plan: FinePlan) -> None:
+    def __init__(
+        self, shared: CompactNetwork, fine: FineWords, word_loss: WordLoss, opinion_loss: OpinionLoss, plan: FinePlan
+    ) -> None:
         super().__init__()
-        self.shared, self.fine, self.word_loss, self.plan = shared, fine, word_loss, plan
+        self.shared, self.fine, self.plan = shared, fine, plan
+        self.word_loss, self.opinion_loss = word_loss, opinion_loss
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Give the weighted sum of both losses, and each of them."""
+        """Give the weighted sum of the losses, and each of them."""
         pictures = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
         with torch.autocast(pictures.device.type, torch.bfloat16, enabled=self.plan.half):
             with torch.no_grad():
                 levels = self.shared.levels(pictures)
             joined = self.fine.joined(*levels)
+        words = self.fine.words
+        cells = F.linear(joined.float().permute(0, 2, 3, 1), words.weight.flatten(1), words.bias)
+
         meanings, sets = batch["clear_meanings"], batch["clear_sets"]
-        words, points = self.fine.words, self.plan.points
-        cells = joined.float().permute(0, 2, 3, 1)
-        embeddings = F.normalize(F.linear(cells, words.weight.flatten(1), words.bias), dim=3)
-        entropy, overlap = self.word_loss.with_overlap(*drawn_points(embeddings, meanings, sets, points))
-        return entropy + self.plan.overlap * overlap, {"word": entropy, "overlap": overlap}
-
-
-def drawn_points(embeddings: Tensor, meanings: Tensor, sets: Tensor, points: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Draw labelled pixels, and interpolate what is said of them as a segmentation does.
-
-    Parameters
-    ----------
-    embeddings : float of shape (n, h, w, channels)
-        Unit length.
-    meanings : int of shape (n, k h, k w)
-        -1 where nothing is known.
-    sets : int64 of shape (n,)
-        -1 for pictures without labels.
-    points
-        How many pixels are drawn of each picture; those without a label are left out.
-
-    Returns
-    -------
-    tensors of shapes (m, channels), (m,), (m,)
-        Embeddings (bilinear), meanings and sets of m <= n x points pixels.
-    """
-    count, height, width = meanings.shape
-    picture = torch.arange(count, device=meanings.device)[:, None].expand(count, points)
-    row = torch.randint(height, (count, points), device=meanings.device)
-    column = torch.randint(width, (count, points), device=meanings.device)
-    target = meanings[picture, row, column].long()
-    taught = (target >= 0) & (sets >= 0)[:, None]
-    picture, row, column, target = (each[taught] for each in (picture, row, column, target))
-    (above, below, down), (left, right, across) = (
-        _neighbours(pixel, size, cells)
-        for pixel, size, cells in zip((row, column), (height, width), embeddings.shape[1:3], strict=True)
-    )
-    cells = torch.stack(
-        [(picture * embeddings.shape[1] + y) * embeddings.shape[2] + x for y in (above, below) for x in (left, right)],
-        dim=1,
-    )
-    shares = torch.stack([y * x for y in (1 - down, down) for x in (1 - across, across)], dim=1)
-    drawn = F.embedding_bag(cells, embeddings.flatten(0, 2), mode="sum", per_sample_weights=shares)
-    return drawn, target, sets[picture]
-
-
-def _neighbours(pixel: Tensor, size: int, cells: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Name the two cells whose centres a pixel's centre lies between, along one side, and the second one's share."""
-    at = ((pixel + 0.5) * (cells / size) - 0.5).clamp(0, cells - 1)
-    first = at.floor().long().clamp(max=cells - 2)
-    return first, first + 1, at - first
+        size = (meanings.shape[1], meanings.shape[2])
+        drawn = points.draw(len(pictures), size, self.plan.points, pictures.device)
+        embeddings = points.interpolated(F.normalize(cells, dim=3), drawn, size)
+        target, owner = meanings[drawn.view, drawn.row, drawn.column].long(), sets[drawn.view]
+        taught = (target >= 0) & (owner >= 0)
+        entropy, overlap = self.word_loss.with_overlap(embeddings[taught], target[taught], owner[taught])
+        opinions, inside = points.read_in_source(batch["clear_opinions"].float(), batch["clear_views"], drawn, size)
+        opinion = self.opinion_loss(embeddings[inside], opinions[inside], target[inside])
+        total = entropy + self.plan.overlap * overlap + self.plan.opinion * opinion
+        return total, {"word": entropy, "overlap": overlap, "opinion": opinion}
 
 
 def started_from(shared: CompactNetwork, earlier: Path | None = None) -> FineWords:
@@ -140,12 +109,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Train, or go on training, and leave a checkpoint and a log in the run's folder."""
     options = _options(arguments)
     prepare(options)
-    teacher_labels = options.out / "teacher"
-    segmentation = options.data / "segmentation"
-    outdoor = [path for name in data.OUTDOOR for path in data.training_pictures(segmentation, name)]
-    write_labels(Teacher(trunk_state(options.trunk)), outdoor, teacher_labels)
+    opinions = options.out / "opinions"
     splits = ("train", "val") if options.validation_too else ("train",)
-    found = data.sources(options.data, teacher_labels, splits)
+    found = data.sources(options.data, None, splits)
+    outdoor = [scene[0].picture for name in data.OUTDOOR if name in found for scene in found[name].scenes]
+    write_opinions(Teacher(trunk_state(options.trunk)), outdoor, opinions)
     lexicon = Lexicon(ClipWords(options.data / data.CLIP_FILE), data.classes(options.data))
 
     shared = network_of(options.weights)
@@ -154,6 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         quicken(fine)
     vectors = torch.from_numpy(lexicon.vectors) @ basis_of(options.weights)
     word_loss = word_loss_of(found, lexicon, vectors, rarity=options.rarity)
+    opinion_loss = opinion_loss_of(lexicon, vectors)
     plan = FinePlan(
         minutes=options.minutes,
         steps=options.steps,
@@ -162,10 +131,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         shared=named(options.weights)["sha256"],
         overlap=options.overlap,
         rarity=options.rarity,
+        opinion=options.opinion,
         points=options.points,
         half=options.half,
     )
-    run = Run(fine, LabelledPixels(shared, fine, word_loss, plan), plan, options.out, device=options.device)
+    run = Run(
+        fine, LabelledPixels(shared, fine, word_loss, opinion_loss, plan), plan, options.out, device=options.device
+    )
     begin(run, options)
     mix = data.Mix(
         strong=0,
@@ -176,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         clear_size=(options.height, options.width),
         clear_stride=1,
     )
-    run.train(data.stream(data.Batches(found, lexicon, mix, options.seed), run.step, options.loaders))
+    run.train(data.stream(data.Batches(found, lexicon, mix, options.seed, opinions), run.step, options.loaders))
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -193,6 +165,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--points", type=int, default=FinePlan.points, help="pixels judged of a view")
     parser.add_argument("--height", type=int, default=288)
     parser.add_argument("--width", type=int, default=384)
+    parser.add_argument("--opinion", type=float, default=FinePlan.opinion, help="weight of what the trunk says")
     parser.add_argument("--overlap", type=float, default=FinePlan.overlap, help="weight of the soft IoU")
     options = parser.parse_args(arguments)
     check_run_options(parser, options)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
@@ -16,7 +17,12 @@ from worker.encoders.compact_network import CompactNetwork, fused
 SURE = 0.7
 """Least probability at which the teacher's word is taken as a label."""
 
+OPINION_CELLS = (40, 40)
+"""Rows and columns that a picture's opinions are kept in, whatever its shape: about the teacher's own."""
+
 _LONG_SIDE = 640
+
+Floats16 = npt.NDArray[np.float16]
 
 
 class Shallow(nn.Module):
@@ -60,15 +66,22 @@ class Teacher(nn.Module):
     @torch.inference_mode()
     def labels(self, picture: Picture) -> Picture:
         """Label an RGB picture: uint8 of its height and width, 255 where the teacher is unsure."""
+        surest, word = self._probabilities(picture, picture.shape[:2]).max(0)
+        return np.asarray(torch.where(surest > SURE, word, 255).byte().numpy(), np.uint8)
+
+    @torch.inference_mode()
+    def opinions(self, picture: Picture) -> Floats16:
+        """Say how likely each of the 19 words is, in cells of the whole picture: float16 (19, *OPINION_CELLS)."""
+        return np.asarray(self._probabilities(picture, OPINION_CELLS).half().numpy(), np.float16)
+
+    def _probabilities(self, picture: Picture, size: tuple[int, ...]) -> Tensor:
         height, width = picture.shape[:2]
         scale = _LONG_SIDE / max(height, width)
-        size = (round(width * scale / 32) * 32, round(height * scale / 32) * 32)
-        x = torch.from_numpy(cv2.resize(picture, size)).permute(2, 0, 1)[None].float() / 255
+        across, down = (round(side * scale / 32) * 32 for side in (width, height))
+        x = torch.from_numpy(cv2.resize(picture, (across, down))).permute(2, 0, 1)[None].float() / 255
         x = x.contiguous(memory_format=torch.channels_last)
         scores = (self(x) + self(x.flip(3)).flip(3)) / 2
-        scores = F.interpolate(scores, size=(height, width), mode="bilinear", align_corners=False)
-        surest, word = scores.softmax(1)[0].max(0)
-        return np.asarray(torch.where(surest > SURE, word, 255).byte().numpy(), np.uint8)
+        return F.interpolate(scores, size=size, mode="bilinear", align_corners=False).softmax(1)[0]
 
 
 def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
@@ -79,6 +92,20 @@ def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> No
         if not target.exists():
             picture = read_rgb(path)
             cv2.imwrite(str(target), teacher.labels(picture))
+
+
+def write_opinions(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
+    """Write the teacher's opinions of each picture as ``<folder>/<set>__<name>.npy``; what is there is kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in pictures:
+        target = folder / opinion_name(path)
+        if not target.exists():
+            np.save(target, teacher.opinions(read_rgb(path)))
+
+
+def opinion_name(picture: Path) -> str:
+    """Name the file of opinions of ``<set>/<split>/images/<name>``."""
+    return f"{picture.parents[2].name}__{picture.stem}.npy"
 
 
 def label_name(picture: Path) -> str:

@@ -92,13 +92,17 @@ def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_othe
     began_with = json.loads((tmp_path / "compact.json").read_text())["weights"]["sha256"]
     fine = started_from(network_of(tmp_path / "compact.safetensors"))
     saved = {"average": fine.state_dict(), "step": 3, "seconds": 60.0, "plan": {"shared": began_with}}
-    torch.save(saved, tmp_path / "fine.pt")
+    twin = {"share": 0.5, "steps": 7, "minutes": 2}
+    torch.save(saved | {"blended": twin}, tmp_path / "fine.pt")
     torch.save(saved | {"plan": {"shared": "0" * 64}}, tmp_path / "stranger.pt")
 
     with pytest.raises(ValueError, match="began with weights of SHA-256 00000000"):
         export_fine(tmp_path / "stranger.pt", tmp_path)
     export_fine(tmp_path / "fine.pt", tmp_path)
 
+    described = json.loads((tmp_path / "compact.json").read_text())["fine"]
+    assert described["training"]["steps"] == 3
+    assert described["blended with another run"] == twin
     answered = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(
         Picture.of(np.zeros((64, 96, 3), np.uint8))
     )

@@ -5,23 +5,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F  # noqa: N812
+from torch import nn
 
 from training import data
 from training.export import export, network_of
-from training.fine_words import FinePlan, LabelledPixels, drawn_points, main, started_from
+from training.fine_words import FinePlan, LabelledPixels, main, started_from
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
 from training.network import TrainedNetwork
+from training.opinions import opinion_loss_of
 from training.pictures import Picture
+from training.teacher import OPINION_CELLS, Floats16, Teacher, write_opinions
 from training.word_loss import word_loss_of
 
 MIX = data.Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
 
 
-class SureOfRoad:
-    def labels(self, picture: Picture) -> Picture:
-        return np.zeros(picture.shape[:2], np.uint8)
+class SureOfRoad(Teacher):
+    def __init__(self) -> None:
+        nn.Module.__init__(self)
+
+    def opinions(self, picture: Picture) -> Floats16:
+        said = np.zeros((19, *OPINION_CELLS), np.float16)
+        said[0] = 1
+        return said
 
 
 @pytest.fixture
@@ -41,17 +48,19 @@ def test_the_losses_sink_and_what_places_are_recognised_by_does_not_change(
     fine = started_from(shared)
     found, clip = data.sources(data_folder, None), ClipWords(data_folder / data.CLIP_FILE)
     lexicon = Lexicon(clip, data.classes(data_folder))
-    word_loss = word_loss_of(found, lexicon, torch.randn(len(lexicon.words), 97) / 10)
+    vectors = torch.randn(len(lexicon.words), 97) / 10
+    losses = word_loss_of(found, lexicon, vectors), opinion_loss_of(lexicon, vectors)
     plan = FinePlan(steps=15, trunk_rate=1e-3)
-    run = Run(fine, LabelledPixels(shared, fine, word_loss, plan), plan, tmp_path)
-    batch = data.Batches(found, lexicon, MIX, seed=5)[0]
+    run = Run(fine, LabelledPixels(shared, fine, *losses, plan), plan, tmp_path)
+    write_opinions(SureOfRoad(), [scene[0].picture for scene in found["camvid"].scenes], tmp_path)
+    batch = data.Batches(found, lexicon, MIX, 5, tmp_path)[0]
     first, parts = run.objective(batch)
 
     run.train(iter([batch] * 15))
 
     last, parts_then = run.objective(batch)
     assert last.item() < first.item()
-    assert all(parts_then[name].item() < parts[name].item() for name in ("word", "overlap"))
+    assert all(parts_then[name].item() < parts[name].item() for name in ("word", "overlap", "opinion"))
     assert all(torch.equal(before[name], tensor) for name, tensor in shared.state_dict().items())
 
 
@@ -64,29 +73,6 @@ def test_a_batch_of_single_views_has_nothing_else_and_mixes_the_light(data_folde
     assert torch.equal(batches[0]["clear_pictures"], batches[0]["clear_pictures"])
     in_mild_light = data.Batches(found, lexicon, data.Mix(strong=0, mild=0, clear=3, clear_size=(64, 96)), seed=5)
     assert not torch.equal(in_mild_light[0]["clear_pictures"], batches[0]["clear_pictures"])
-
-
-def test_what_is_learned_of_a_pixel_is_what_a_segmentation_reads_there() -> None:
-    torch.manual_seed(0)
-    embeddings = F.normalize(torch.randn(2, 5, 7, 3), dim=3)
-    meanings = torch.arange(2 * 20 * 28).reshape(2, 20, 28)  # every pixel a meaning of its own
-    meanings[:, :4] = -1
-
-    read, target, owner = drawn_points(embeddings, meanings, torch.tensor([3, 4]), 500)
-
-    enlarged = F.interpolate(embeddings.permute(0, 3, 1, 2), size=(20, 28), mode="bilinear", align_corners=False)
-    expected = enlarged.permute(0, 2, 3, 1).flatten(0, 2)[target]
-    assert torch.allclose(read, expected, atol=1e-6)
-    assert torch.equal(owner, torch.where(target < 20 * 28, 3, 4))
-    assert 700 < len(target) < 900  # a fifth of the pixels has no label
-
-
-def test_pictures_of_no_labelled_set_are_not_drawn_from() -> None:
-    embeddings, meanings = torch.zeros(1, 2, 2, 3), torch.zeros(1, 8, 8, dtype=torch.int16)
-
-    read, target, _ = drawn_points(embeddings, meanings, torch.tensor([-1]), 10)
-
-    assert len(read) == len(target) == 0
 
 
 def test_validation_pictures_are_learned_from_only_when_asked_for(data_folder: Path) -> None:
