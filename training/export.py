@@ -12,7 +12,8 @@ Three files come out, and one command makes all of them, so they cannot drift ap
 ``compact.json``
     ``weights`` and ``graph``: name and SHA-256 of either file; ``words``: for each its CLIP words (`clip`: several mean
     their unit mean), whether labelled pixels could mean it in training (`trained`) and whether some could mean only it
-    (`alone`); ``provenance``. `training.export_fine` adds ``fine``: what other shallow layers gave is not kept.
+    (`alone`); ``provenance``. `training.export_fine` adds ``fine``, which is kept as long as the shallow layers and the
+    basis stay what they were.
 
 The cosine of a cell's embedding z (unit length) with word i is ``text.vectors[i] @ z``: the rows are shorter than 1
 by what of CLIP's vector lies outside the network's 97 dimensions, and must not be scaled.
@@ -30,7 +31,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from training import data
-from training.export_onnx import shipped_network, write_fields_graph
+from training.export_onnx import shipped_network, write_fields_graph, write_fine_graph
 from training.lexicon import ClipWords, Lexicon
 from training.network import TAUGHT_THROUGH
 from worker.encoders.compact_network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
@@ -119,6 +120,8 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
     weights = folder / f"{name}.safetensors"
     save_file(tensors, weights)
     weights.chmod(0o644)
+    path = folder / f"{name}.json"
+    earlier = json.loads(path.read_text()).get("fine") if path.exists() else None
     described = {
         "format": 2,
         "weights": named(weights),
@@ -128,8 +131,20 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
         "provenance": ORIGIN | history(saved),
         "words": words,
     }
-    lines = json.dumps(described, indent=1, ensure_ascii=False)
-    (folder / f"{name}.json").write_text(lines + "\n")
+    if earlier is not None and earlier["training"]["plan"]["shared"] == shared_digest(tensors):
+        fine = folder / earlier["weights"]["file"]
+        described["fine"] = earlier | {"graph": named(write_fine_graph(weights, fine))}
+    path.write_text(json.dumps(described, indent=1, ensure_ascii=False) + "\n")
+
+
+def shared_digest(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 of the exported tensors that fine words build on: the shallow layers and the basis."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        if name.startswith(("stride2.", "stride4.", "stride8.", "text.basis")):
+            digest.update(name.encode())
+            digest.update(tensors[name].contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def history(saved: Mapping[str, Any]) -> dict[str, Any]:

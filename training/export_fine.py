@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
-from training.export import history, named
+from training.export import history, named, shared_digest
 from training.export_onnx import write_fine_graph
 
 
@@ -27,15 +27,18 @@ def export_fine(checkpoint: Path, folder: Path, name: str = "compact") -> None:
     saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
     described = folder / f"{name}.json"
     facts = json.loads(described.read_text())
-    began, found = saved["plan"]["shared"], facts["weights"]["sha256"]
+    weights = folder / facts["weights"]["file"]
+    began, found = saved["plan"]["shared"], shared_digest(load_file(weights))
     if began != found:
-        raise ValueError(f"{checkpoint} began with weights of SHA-256 {began[:16]}..., {described} has {found[:16]}...")
+        raise ValueError(
+            f"{checkpoint} began with shallow layers of SHA-256 {began[:16]}..., {weights} has {found[:16]}..."
+        )
     fine = folder / f"{name}-fine.safetensors"
     save_file({key: tensor.half().contiguous() for key, tensor in saved["average"].items()}, fine)
     fine.chmod(0o644)
     facts["fine"] = {
         "weights": named(fine),
-        "graph": named(write_fine_graph(folder / facts["weights"]["file"], fine)),
+        "graph": named(write_fine_graph(weights, fine)),
     } | history(saved)
     described.write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
 

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import torch
 import torch.nn.functional as F  # noqa: N812
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from training import data, points
 from training.command import add_run_options, begin, check_run_options, prepare
 from training.depthwise import quicken
 from training.evaluate_words import fine_words_of
-from training.export import basis_of, named, network_of
+from training.export import basis_of, network_of, shared_digest
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Plan, Run
 from training.opinions import OpinionLoss, opinion_loss_of
@@ -36,7 +37,7 @@ class FinePlan(Plan):
     Attributes
     ----------
     shared
-        SHA-256 of the exported weights whose shallow layers are read.
+        `training.export.shared_digest` of the exported weights whose shallow layers are read.
     rarity
         A pixel counts as its meaning's share of all labelled pixels, to this power.
     overlap
@@ -128,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         steps=options.steps,
         trunk_rate=options.trunk_rate,
         head_rate=options.head_rate,
-        shared=named(options.weights)["sha256"],
+        shared=shared_digest(load_file(options.weights)),
         overlap=options.overlap,
         rarity=options.rarity,
         opinion=options.opinion,

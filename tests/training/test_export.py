@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import load_file
 
 from schemas.picture import Picture
-from training.export import WORDS_TO_SHIP, export, network_of, reduced
+from training.export import WORDS_TO_SHIP, export, network_of, reduced, shared_digest
 from training.export_fine import export_fine
 from training.fine_words import started_from
 from training.network import TrainedNetwork
@@ -87,16 +87,16 @@ def test_the_words_file_says_where_each_word_comes_from(data_folder: Path, tmp_p
 def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_others(
     data_folder: Path, tmp_path: Path
 ) -> None:
-    checkpoint, _ = checkpoint_in(tmp_path)
+    checkpoint, network = checkpoint_in(tmp_path)
     export(checkpoint, data_folder, tmp_path)
-    began_with = json.loads((tmp_path / "compact.json").read_text())["weights"]["sha256"]
+    began_with = shared_digest(load_file(tmp_path / "compact.safetensors"))
     fine = started_from(network_of(tmp_path / "compact.safetensors"))
     saved = {"average": fine.state_dict(), "step": 3, "seconds": 60.0, "plan": {"shared": began_with}}
     twin = {"share": 0.5, "steps": 7, "minutes": 2}
     torch.save(saved | {"blended": twin}, tmp_path / "fine.pt")
     torch.save(saved | {"plan": {"shared": "0" * 64}}, tmp_path / "stranger.pt")
 
-    with pytest.raises(ValueError, match="began with weights of SHA-256 00000000"):
+    with pytest.raises(ValueError, match="began with shallow layers of SHA-256 00000000"):
         export_fine(tmp_path / "stranger.pt", tmp_path)
     export_fine(tmp_path / "fine.pt", tmp_path)
 
@@ -107,7 +107,19 @@ def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_othe
         Picture.of(np.zeros((64, 96, 3), np.uint8))
     )
     assert answered.shape == (2 * 320 // 8, 480 // 4)
-    export(checkpoint, data_folder, tmp_path)
+
+    def exported_again(changed: str) -> CompactEncoder:
+        with torch.no_grad():
+            network.get_parameter(changed).add_(0.01)
+        torch.save(torch.load(checkpoint) | {"average": network.state_dict()}, checkpoint)
+        export(checkpoint, data_folder, tmp_path)
+        return CompactEncoder(weights=tmp_path / "compact.safetensors")
+
+    picture = Picture.of(np.full((64, 96, 3), 90, np.uint8))
+    then = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(picture)
+    deeper = exported_again("stride16.0.convolutions.0.convolution.weight")
+    assert np.array_equal(deeper.fine(picture).semantic, then.semantic)
+    exported_again("stride8.0.convolutions.0.convolution.weight")
     assert "fine" not in json.loads((tmp_path / "compact.json").read_text())
 
 
@@ -123,7 +135,9 @@ class TestShippedWeights:
     def test_the_fine_words_belong_to_them(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
 
-        assert described["fine"]["training"]["plan"]["shared"] == described["weights"]["sha256"]
+        assert described["fine"]["training"]["plan"]["shared"] == shared_digest(
+            load_file(WEIGHTS / "compact.safetensors")
+        )
 
     def test_every_word_has_a_row(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())

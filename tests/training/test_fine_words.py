@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 from torch import nn
 
 from training import data
-from training.export import export, network_of
+from training.export import export, network_of, shared_digest
 from training.fine_words import FinePlan, LabelledPixels, main, started_from
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
@@ -113,7 +114,7 @@ def test_the_command_trains_goes_on_and_says_which_weights_it_began_with(
 
     saved = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     assert saved["step"] == 2
-    assert saved["plan"]["shared"] == json.loads((tmp_path / "compact.json").read_text())["weights"]["sha256"]
+    assert saved["plan"]["shared"] == shared_digest(load_file(weights))
     lines = (tmp_path / "run" / "runs.jsonl").read_text().splitlines()
     assert [json.loads(line)["from step"] for line in lines] == ["0", "1"]
 
