@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from training import data
-from training.command import add_run_options, begin, check_run_options, prepare
+from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
 from training.detail_start import EarlierDetail, SpreadFeatures, fit_detail_head, spread_detail_head
 from training.lexicon import ClipWords, Lexicon
@@ -41,13 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.device == "cpu":
         quicken(network)
     plan = TwoChannelPlan(
-        minutes=options.minutes,
-        steps=options.steps,
-        trunk_rate=options.trunk_rate,
-        head_rate=options.head_rate,
+        **run_numbers(options),
         strong_word=options.strong_word,
         words_two_view=options.words_two_view,
-        half=options.half,
     )
     word_loss = word_loss_of(found, lexicon, torch.from_numpy(lexicon.vectors))
     objective = TwoChannels(network, word_loss, SpreadFeatures(Shallow(trunk), sample), plan)

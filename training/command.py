@@ -5,6 +5,7 @@ import json
 import platform
 import signal
 from pathlib import Path
+from typing import Any
 
 import cv2
 import torch
@@ -34,6 +35,11 @@ def check_run_options(parser: argparse.ArgumentParser, options: argparse.Namespa
     """Refuse a run of no length."""
     if not options.minutes and not options.steps:
         parser.error("say how long: --minutes or --steps")
+
+
+def run_numbers(options: argparse.Namespace) -> dict[str, Any]:
+    """Give the numbers of a `Plan` that these options set."""
+    return {name: getattr(options, name) for name in ("minutes", "steps", "trunk_rate", "head_rate", "half")}
 
 
 def prepare(options: argparse.Namespace) -> None:

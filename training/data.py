@@ -63,7 +63,7 @@ class Source:
 
 
 def sources(data: Path, teacher_labels: Path | None, splits: Sequence[str] = ("train",)) -> dict[str, Source]:
-    """Find everything to train on below `data`: of labelled sets the pictures of `splits`, never the test pictures."""
+    """Find everything to train on below `data`: of labelled sets the pictures of `splits`."""
     found: dict[str, Source] = {}
     for data_set in LABELLED:
         shots = [

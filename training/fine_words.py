@@ -1,8 +1,8 @@
 """Train the fine words: ``python -m training.fine_words --weights FILE --data DATA --trunk FILE --out runs/NAME``.
 
 They begin as a copy of an exported network's deep layers and words head, whose shallow layers they share and do not
-change: places are recognised as before. Labels are all that they are trained on, on single views, and their embeddings
-lie in that network's space: 97 dimensions, the same text vectors.
+change: places are recognised as before. They learn on single views, from labels and from what the untouched trunk says,
+and their embeddings lie in that network's space: 97 dimensions, the same text vectors.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from training import data, points
-from training.command import add_run_options, begin, check_run_options, prepare
+from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
 from training.evaluate_words import fine_words_of
 from training.export import basis_of, network_of, shared_digest
@@ -125,16 +125,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     word_loss = word_loss_of(found, lexicon, vectors, rarity=options.rarity)
     opinion_loss = opinion_loss_of(lexicon, vectors)
     plan = FinePlan(
-        minutes=options.minutes,
-        steps=options.steps,
-        trunk_rate=options.trunk_rate,
-        head_rate=options.head_rate,
+        **run_numbers(options),
         shared=shared_digest(load_file(options.weights)),
         overlap=options.overlap,
         rarity=options.rarity,
         opinion=options.opinion,
         points=options.points,
-        half=options.half,
     )
     run = Run(
         fine, LabelledPixels(shared, fine, word_loss, opinion_loss, plan), plan, options.out, device=options.device

@@ -67,22 +67,9 @@ SKY = frozenset(("sky", "clouds"))
 
 BEHIND = SKY | frozenset(
     (
-        *(
-            "tree",
-            "vegetation",
-            "bush",
-            "hedge",
-            "plant",
-            "grass",
-            "field",
-            "terrain",
-            "earth",
-            "dirt",
-            "ground",
-            "gravel",
-        ),
-        *("road", "street", "lane marking", "sidewalk", "pavement", "parking", "path", "dirt track", "sand", "snow"),
-        *("rock", "mountain", "hill", "water", "river", "lake", "sea", "waterfall", "floor", "ceiling"),
+        *("tree", "vegetation", "bush", "hedge", "plant", "grass", "field", "terrain", "earth", "dirt", "ground"),
+        *("gravel", "road", "street", "lane marking", "sidewalk", "pavement", "parking", "path", "dirt track", "sand"),
+        *("snow", "rock", "mountain", "hill", "water", "river", "lake", "sea", "waterfall", "floor", "ceiling"),
     )
 )
 """Words of what lies behind: a pixel labelled so shows none of `IN_FRONT`, whether or not its set labels those."""
@@ -90,22 +77,11 @@ BEHIND = SKY | frozenset(
 IN_FRONT = frozenset(
     (
         *("traffic sign", "traffic light", "signboard", "pole", "column", "fence", "railing", "person", "pedestrian"),
-        *(
-            "animal",
-            "cyclist",
-            "rider",
-            "motorcyclist",
-            "bicycle",
-            "motorcycle",
-            "car",
-            "van",
-            "truck",
-            "bus",
-            "vehicle",
-        ),
-        *("train",),
+        *("animal", "cyclist", "rider", "motorcyclist", "bicycle", "motorcycle", "car", "van", "truck", "bus"),
+        *("vehicle", "train"),
     )
 )
+"""Words of what stands in front."""
 
 
 class ClipWords:

@@ -1,6 +1,7 @@
 """The untouched trunk as a teacher: labels where it is sure, and features that tolerate a change of distance."""
 
-from collections.abc import Iterable
+import io
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import cv2
@@ -86,21 +87,33 @@ class Teacher(nn.Module):
 
 def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
     """Write the teacher's labels of each picture as ``<folder>/<set>__<name>.png``; what is there is kept."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in pictures:
-        target = folder / label_name(path)
-        if not target.exists():
-            picture = read_rgb(path)
-            cv2.imwrite(str(target), teacher.labels(picture))
+    _write_each(
+        pictures, folder, label_name, lambda picture: cv2.imencode(".png", teacher.labels(picture))[1].tobytes()
+    )
 
 
 def write_opinions(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
     """Write the teacher's opinions of each picture as ``<folder>/<set>__<name>.npy``; what is there is kept."""
+
+    def content(picture: Picture) -> bytes:
+        file = io.BytesIO()
+        np.save(file, teacher.opinions(picture))
+        return file.getvalue()
+
+    _write_each(pictures, folder, opinion_name, content)
+
+
+def _write_each(
+    pictures: Iterable[Path], folder: Path, name: Callable[[Path], str], content: Callable[[Picture], bytes]
+) -> None:
+    """Write a file for each picture, whole or not at all: a run that was killed is taken up with what is there."""
     folder.mkdir(parents=True, exist_ok=True)
     for path in pictures:
-        target = folder / opinion_name(path)
+        target = folder / name(path)
         if not target.exists():
-            np.save(target, teacher.opinions(read_rgb(path)))
+            partial = target.with_suffix(".partial")
+            partial.write_bytes(content(read_rgb(path)))
+            partial.replace(target)
 
 
 def opinion_name(picture: Path) -> str:

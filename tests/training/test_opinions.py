@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from training import data, points
 from training.lexicon import STREET_WORDS, ClipWords, Lexicon
 from training.opinions import OpinionLoss, opinion_loss_of
-from training.pictures import read_rgb
-from training.teacher import OPINION_CELLS, Teacher, opinion_name, write_opinions
+from training.pictures import Picture, read_labels, read_rgb
+from training.teacher import OPINION_CELLS, Floats16, Teacher, label_name, opinion_name, write_labels, write_opinions
 
 ROAD, SKY = STREET_WORDS.index("road"), STREET_WORDS.index("sky")
 AGREES = torch.tensor([[True, False, False], [False, True, True]])
@@ -124,3 +124,31 @@ def test_a_teachers_opinions_are_probabilities_over_the_whole_picture_and_are_ma
     stamp = (tmp_path / opinion_name(pictures[0])).stat().st_mtime_ns
     write_opinions(BrightIsSky(), pictures, tmp_path)
     assert (tmp_path / opinion_name(pictures[0])).stat().st_mtime_ns == stamp
+
+
+def test_a_teacher_that_is_stopped_leaves_no_half_written_opinions(data_folder: Path, tmp_path: Path) -> None:
+    class Stopped(BrightIsSky):
+        def opinions(self, picture: Picture) -> Floats16:
+            raise KeyboardInterrupt
+
+    pictures = data.training_pictures(data_folder / "segmentation", "camvid")
+    with pytest.raises(KeyboardInterrupt):
+        write_opinions(Stopped(), pictures, tmp_path)
+    (tmp_path / opinion_name(pictures[0])).with_suffix(".partial").write_bytes(b"half")  # killed while it was written
+
+    write_opinions(BrightIsSky(), pictures, tmp_path)
+
+    assert sorted(p.name for p in tmp_path.glob("camvid__*")) == sorted(map(opinion_name, pictures))
+    assert all(np.load(tmp_path / opinion_name(path)).shape == (19, *OPINION_CELLS) for path in pictures)
+
+
+def test_a_teachers_labels_are_the_words_it_is_sure_of(data_folder: Path, tmp_path: Path) -> None:
+    pictures = data.training_pictures(data_folder / "segmentation", "camvid")
+
+    write_labels(BrightIsSky(), pictures, tmp_path)
+
+    labels = read_labels(tmp_path / label_name(pictures[0]))
+    assert labels.shape == (96, 128)
+    assert set(np.unique(labels[:40])) <= {SKY, 255}
+    assert set(np.unique(labels[56:])) <= {ROAD, 255}
+    assert (labels[:40] == SKY).mean() > 0.5

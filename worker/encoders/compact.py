@@ -31,7 +31,7 @@ FINE_STRIDE = 4
 DETAIL = "detail"
 
 FINE_LOOKS = ((0.75, True), (1.25, False))
-"""How often the fine words look: how much larger than LONGEST a picture is then, and whether as its mirror image."""
+"""The looks that fine words take at a picture: how much larger than LONGEST it is, and whether as its mirror image."""
 
 
 class Engine(Protocol):
