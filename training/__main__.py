@@ -7,11 +7,12 @@ from pathlib import Path
 import torch
 
 from training import data
-from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
+from training.command import add_run_options, add_trunk_option, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
 from training.detail_start import EarlierDetail, SpreadFeatures, fit_detail_head, spread_detail_head
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
+from training.mix import Mix
 from training.start import started, trunk_state
 from training.teacher import Shallow, Teacher, write_labels
 from training.two_channels import TwoChannelPlan, TwoChannels
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     objective = TwoChannels(network, word_loss, SpreadFeatures(Shallow(trunk), sample), plan)
     run = Run(network, objective, plan, options.out, device=options.device)
     begin(run, options)
-    mix = data.Mix(strong=options.strong, mild=options.mild, clear=options.clear, size=(options.height, options.width))
+    mix = Mix(strong=options.strong, mild=options.mild, clear=options.clear, size=(options.height, options.width))
     batches = data.Batches(found, lexicon, mix, options.seed)
     run.train(data.stream(batches, run.step, options.loaders))
 
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m training", description="Train the built-in encoder.")
     add_run_options(parser)
+    add_trunk_option(parser)
     parser.add_argument("--pretrained", type=Path, required=True, help="start: the trunk or an earlier network")
     parser.add_argument("--detail", type=Path, help="an earlier detail network to start the detail head from")
     parser.add_argument("--strong", type=int, default=4, help="pairs a step under strongly changed light")

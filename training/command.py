@@ -17,7 +17,6 @@ from worker.encoders.memory import keep_freed_memory
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of any run."""
     parser.add_argument("--data", type=Path, required=True, help="has segmentation/, pairs/, unlabelled/, text/")
-    parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: teacher, maybe start")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--minutes", type=float, default=0.0, help="length of the run; pauses do not count")
     parser.add_argument("--steps", type=int, default=0, help="length of the run in steps")
@@ -29,6 +28,11 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loaders", type=int, default=1, help="processes that draw batches")
     parser.add_argument("--trunk-rate", type=float, default=Plan.trunk_rate)
     parser.add_argument("--head-rate", type=float, default=Plan.head_rate)
+
+
+def add_trunk_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option of runs that learn from the untouched trunk."""
+    parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: teacher, maybe start")
 
 
 def check_run_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

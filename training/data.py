@@ -5,7 +5,7 @@ A batch is a function of (seed, step) alone, so a run that is resumed sees what 
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from training import light
-from training.lexicon import STREET_WORDS, Lexicon, class_words
+from training.lexicon import IN_FRONT, STREET_WORDS, Lexicon, class_words
+from training.mix import STREET, Mix
 from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import OPINION_CELLS, label_name, opinion_name
 from training.viewpoint import FOR_DETAIL, FOR_LABELS, FOR_WORDS, Freedom, View, draw_views, shared_cells
@@ -24,7 +25,6 @@ from worker.encoders.compact_network import STRIDE
 
 LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor")
 OUTDOOR = ("camvid", "labelmefacade", "ade_outdoor")
-STREET = "street words of the trunk"
 CLIP_FILE = Path("text") / "words_ViT-B-16.npz"
 POINTS = 128
 """Cells drawn from each pair of views."""
@@ -109,63 +109,6 @@ def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
     return pictures_of(segmentation, data_set, "train")
 
 
-# How often each source is drawn, relative to the others.
-CLEAR_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
-FINE_SHARES = {"camvid": 0.40, "labelmefacade": 0.30, "nyuv2": 0.24, "ade_outdoor": 0.06}
-STRONG_SHARES = {
-    "camvid": 0.22,
-    "labelmefacade": 0.22,
-    "nyuv2": 0.20,
-    "ade_outdoor": 0.08,
-    STREET: 0.16,
-    "indoor": 0.25,
-    "aligned": 0.37,
-}
-MILD_SHARES = {
-    "camvid": 0.18,
-    "labelmefacade": 0.22,
-    "nyuv2": 0.20,
-    "ade_outdoor": 0.08,
-    STREET: 0.04,
-    "indoor": 0.28,
-    "aligned": 0.12,
-}
-
-
-@dataclass(frozen=True)
-class Mix:
-    """How a batch is put together.
-
-    Attributes
-    ----------
-    strong, mild
-        Pairs of views under strongly and under mildly changed light.
-    strong_shares, mild_shares
-        How often each source is drawn for either, relative to the others.
-    clear
-        Single labelled views, larger than the others and in mildly changed light, for their labels alone.
-    clear_strong
-        Share of these whose light is changed strongly instead.
-    clear_shares
-        How often each labelled set is drawn for them, relative to the others.
-    size, clear_size
-        Height and width of a view in pixels, multiples of 32.
-    clear_stride
-        Pixels of a single view for each label along either side.
-    """
-
-    strong: int = 4
-    mild: int = 4
-    clear: int = 4
-    clear_strong: float = 0.0
-    strong_shares: Mapping[str, float] = field(default_factory=lambda: STRONG_SHARES)
-    mild_shares: Mapping[str, float] = field(default_factory=lambda: MILD_SHARES)
-    clear_shares: Mapping[str, float] = field(default_factory=lambda: CLEAR_SHARES)
-    size: tuple[int, int] = (192, 256)
-    clear_size: tuple[int, int] = (288, 384)
-    clear_stride: int = 4
-
-
 class Batches(Dataset[dict[str, Tensor]]):
     """Step to batch.
 
@@ -178,7 +121,7 @@ class Batches(Dataset[dict[str, Tensor]]):
     - ``matched``: bool (n,), whether those can be used;
     - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
     - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views, with labels at the
-      mix's own stride; these alone, where the mix has no pairs;
+      mix's own stride; these alone, where the mix has no pairs, and none of these, where it has no such views;
     - ``clear_opinions``: float16 (n, 19, rows, columns), a teacher's opinions of the pictures that those were cut from,
       0 where it has none, and ``clear_views``: float32 (n, 3, 3), from a view to its picture; where there is a folder
       of opinions.
@@ -190,6 +133,7 @@ class Batches(Dataset[dict[str, Tensor]]):
         self._found = dict(found)
         self._tables = {name: lexicon.table(name) for name in lexicon.sets}
         self._set_index = {name: index for index, name in enumerate(lexicon.sets)}
+        self._in_front = np.array([*(IN_FRONT.issuperset(meaning.words) for meaning in lexicon.meanings), False])
         self._mix = mix
         self._opinions = opinions
         self._seed = seed
@@ -199,6 +143,8 @@ class Batches(Dataset[dict[str, Tensor]]):
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self._seed, step])
         batch = self._pairs(rng) if self._mix.strong or self._mix.mild else {}
+        if not self._mix.clear:
+            return batch
         clear = [self._clear(rng) for _ in range(self._mix.clear)]
         batch |= {
             "clear_pictures": _stacked([one.picture for one in clear]),
@@ -235,18 +181,27 @@ class Batches(Dataset[dict[str, Tensor]]):
 
     def _clear(self, rng: np.random.Generator) -> "_Single":
         source = self._source(rng, self._mix.clear_shares)
+        one = self._cut(rng, source)
+        if self._mix.clear_pasted and rng.random() < self._mix.clear_pasted:
+            other = self._cut(rng, source)
+            taken = self._in_front[other.meanings]
+            one.meanings[taken] = other.meanings[taken]
+            pixels = np.kron(taken, np.ones((self._mix.clear_stride,) * 2, np.bool_))
+            one.picture[pixels] = other.picture[pixels]
+        if self._mix.clear_strong and rng.random() < self._mix.clear_strong:
+            return replace(one, picture=light.strong(one.picture, rng))
+        if rng.random() < MILDLY_LIT:
+            return replace(one, picture=light.mild(one.picture, rng))
+        return one
+
+    def _cut(self, rng: np.random.Generator, source: Source) -> "_Single":
         shot, _ = source.draw(rng)
         picture = training_picture(shot.picture)
         view, _ = draw_views(picture.shape[:2], self._mix.clear_size, FOR_LABELS, rng)
-        seen = view.cut(picture, self._mix.clear_size, labels=False)
-        if self._mix.clear_strong and rng.random() < self._mix.clear_strong:
-            seen = light.strong(seen, rng)
-        elif rng.random() < MILDLY_LIT:
-            seen = light.mild(seen, rng)
         meanings = self._meanings(shot, picture, view, self._mix.clear_size, self._mix.clear_stride)
         folder = self._opinions
         opinions = np.zeros(0, np.float16) if folder is None else opinions_of(folder / opinion_name(shot.picture))
-        return _Single(seen, meanings, source.name, view, opinions)
+        return _Single(view.cut(picture, self._mix.clear_size, labels=False), meanings, source.name, view, opinions)
 
     def _meanings(
         self, shot: Shot, picture: Picture, view: View, size: tuple[int, int], stride: int = 4

@@ -16,12 +16,13 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from training import data, points
-from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
+from training.command import add_run_options, add_trunk_option, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
 from training.evaluate_words import fine_words_of
 from training.export import basis_of, network_of, shared_digest
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Plan, Run
+from training.mix import FINE_SHARES, Mix
 from training.opinions import OpinionLoss, opinion_loss_of
 from training.start import trunk_state
 from training.teacher import Teacher, write_opinions
@@ -136,12 +137,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         fine, LabelledPixels(shared, fine, word_loss, opinion_loss, plan), plan, options.out, device=options.device
     )
     begin(run, options)
-    mix = data.Mix(
+    mix = Mix(
         strong=0,
         mild=0,
         clear=options.views,
         clear_strong=options.strong_light,
-        clear_shares=data.FINE_SHARES,
+        clear_pasted=options.pasted,
+        clear_shares=FINE_SHARES,
         clear_size=(options.height, options.width),
         clear_stride=1,
     )
@@ -151,10 +153,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m training.fine_words", description="Train the fine words.")
     add_run_options(parser)
+    add_trunk_option(parser)
     parser.add_argument("--weights", type=Path, required=True, help="exported network to start from")
     parser.add_argument("--earlier", type=Path, help="fine words to start from: checkpoint.pt or exported")
     parser.add_argument("--views", type=int, default=8, help="labelled views a step")
     parser.add_argument("--strong-light", type=float, default=0.2, help="share of views in strongly changed light")
+    parser.add_argument("--pasted", type=float, default=0.0, help="share of views that things are pasted onto")
     parser.add_argument("--validation-too", action="store_true", help="learn from the validation pictures too")
     parser.add_argument(
         "--rarity", type=float, default=FinePlan.rarity, help="power of a meaning's share that weighs its pixels"

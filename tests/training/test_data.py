@@ -4,8 +4,9 @@ import torch
 
 from training import data
 from training.lexicon import ClipWords, Lexicon
+from training.mix import Mix
 
-MIX = data.Mix(strong=1, mild=1, clear=3, size=(32, 64), clear_size=(64, 96))
+MIX = Mix(strong=1, mild=1, clear=3, size=(32, 64), clear_size=(64, 96))
 
 
 def batches_of(folder: Path) -> tuple[data.Batches, Lexicon]:

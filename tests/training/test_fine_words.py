@@ -1,7 +1,9 @@
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -9,17 +11,18 @@ from safetensors.torch import load_file
 from torch import nn
 
 from training import data
-from training.export import export, network_of, shared_digest
+from training.export import network_of, shared_digest
 from training.fine_words import FinePlan, LabelledPixels, main, started_from
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
+from training.mix import Mix
 from training.network import TrainedNetwork
 from training.opinions import opinion_loss_of
 from training.pictures import Picture
 from training.teacher import OPINION_CELLS, Floats16, Teacher, write_opinions
 from training.word_loss import word_loss_of
 
-MIX = data.Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
+MIX = Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
 
 
 class SureOfRoad(Teacher):
@@ -30,15 +33,6 @@ class SureOfRoad(Teacher):
         said = np.zeros((19, *OPINION_CELLS), np.float16)
         said[0] = 1
         return said
-
-
-@pytest.fixture
-def weights(data_folder: Path, tmp_path: Path) -> Path:
-    torch.manual_seed(0)
-    saved = {"average": TrainedNetwork().state_dict(), "step": 1, "seconds": 1.0, "plan": {}}
-    torch.save(saved, tmp_path / "whole.pt")
-    export(tmp_path / "whole.pt", data_folder, tmp_path)
-    return tmp_path / "compact.safetensors"
 
 
 def test_the_losses_sink_and_what_places_are_recognised_by_does_not_change(
@@ -72,8 +66,40 @@ def test_a_batch_of_single_views_has_nothing_else_and_mixes_the_light(data_folde
 
     assert batches[0].keys() == {"clear_pictures", "clear_meanings", "clear_sets"}
     assert torch.equal(batches[0]["clear_pictures"], batches[0]["clear_pictures"])
-    in_mild_light = data.Batches(found, lexicon, data.Mix(strong=0, mild=0, clear=3, clear_size=(64, 96)), seed=5)
+    in_mild_light = data.Batches(found, lexicon, Mix(strong=0, mild=0, clear=3, clear_size=(64, 96)), seed=5)
     assert not torch.equal(in_mild_light[0]["clear_pictures"], batches[0]["clear_pictures"])
+
+
+def test_things_in_front_are_pasted_with_their_labels(data_folder: Path) -> None:
+    """Two of the streets have a bright lorry before a dark building; pasting brings it onto the others' roads."""
+    folder = data_folder / "segmentation" / "camvid"
+    classes = json.loads((folder / "classes.json").read_text()) | {"3": ["truck"], "4": ["building"]}
+    (folder / "classes.json").write_text(json.dumps(classes))
+    for number in (0, 1):
+        picture, labels = np.full((96, 128, 3), 40, np.uint8), np.full((96, 128), 4, np.uint8)
+        picture[40:60, 50:80], labels[40:60, 50:80] = 250, 3
+        cv2.imwrite(str(folder / "train" / "images" / f"{number}.jpg"), picture)
+        cv2.imwrite(str(folder / "train" / "labels" / f"{number}.png"), labels)
+    found = data.sources(data_folder, None)
+    lexicon = Lexicon(ClipWords(data_folder / data.CLIP_FILE), data.classes(data_folder))
+    spoken = [meaning.words for meaning in lexicon.meanings]
+    lorry, road = spoken.index(("truck",)), spoken.index(("road", "street"))
+
+    def brightness(pasted: float) -> list[tuple[float, float]]:
+        """Of lorry and road, in every view that shows both."""
+        mix = replace(MIX, clear_strong=0.0, clear_pasted=pasted, clear=24)
+        batch = data.Batches(found, lexicon, mix, seed=5)[0]
+        seen = zip(batch["clear_meanings"], batch["clear_pictures"].float().mean(dim=1), strict=True)
+        return [
+            (bright[said == lorry].mean().item(), bright[said == road].mean().item())
+            for said, bright in seen
+            if (said == lorry).any() and (said == road).any()
+        ]
+
+    assert not brightness(0.0)
+    together = brightness(1.0)
+    assert together
+    assert all(of_lorry > of_road for of_lorry, of_road in together)
 
 
 def test_validation_pictures_are_learned_from_only_when_asked_for(data_folder: Path) -> None:

@@ -10,11 +10,12 @@ from torch import Tensor, nn
 from training import data
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
+from training.mix import Mix
 from training.network import TrainedNetwork
 from training.two_channels import TwoChannelPlan, TwoChannels
 from training.word_loss import WordLoss
 
-MIX = data.Mix(strong=2, mild=2, clear=2, size=(64, 96), clear_size=(64, 96))
+MIX = Mix(strong=2, mild=2, clear=2, size=(64, 96), clear_size=(64, 96))
 PLAN = TwoChannelPlan(steps=4, log_every=2, checkpoint_every=100)
 
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from training import data, points
 from training.lexicon import STREET_WORDS, ClipWords, Lexicon
+from training.mix import Mix
 from training.opinions import OpinionLoss, opinion_loss_of
 from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import OPINION_CELLS, Floats16, Teacher, label_name, opinion_name, write_labels, write_opinions
@@ -45,7 +46,7 @@ def test_opinions_are_read_where_a_view_was_cut_from(data_folder: Path, tmp_path
         np.save(tmp_path / opinion_name(scene[0].picture), said)
     lexicon = Lexicon(ClipWords(data_folder / data.CLIP_FILE), data.classes(data_folder))
     agrees = opinion_loss_of(lexicon, torch.zeros(len(lexicon.words), 97)).agrees
-    mix = data.Mix(strong=0, mild=0, clear=6, clear_size=(64, 96), clear_stride=1)
+    mix = Mix(strong=0, mild=0, clear=6, clear_size=(64, 96), clear_stride=1)
 
     batch = data.Batches(found, lexicon, mix, 3, tmp_path)[0]
     drawn = points.draw(6, (64, 96), 1000, torch.device("cpu"))
@@ -62,7 +63,7 @@ def test_without_a_file_there_is_no_opinion_and_without_a_folder_none_is_carried
     data_folder: Path, tmp_path: Path
 ) -> None:
     lexicon = Lexicon(ClipWords(data_folder / data.CLIP_FILE), data.classes(data_folder))
-    mix = data.Mix(strong=0, mild=0, clear=2, clear_size=(64, 96))
+    mix = Mix(strong=0, mild=0, clear=2, clear_size=(64, 96))
     found = data.sources(data_folder, None)
 
     assert not data.Batches(found, lexicon, mix, 3, tmp_path)[0]["clear_opinions"].any()
