@@ -80,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if options.encoder == "compact" and options.data is None:
         parser.error("--encoder compact needs --data")
+    options.to.mkdir(parents=True, exist_ok=True)
     encoder = make_encoder(Settings(encoder=options.encoder), options.threads)
     for name in options.preset or PRESETS:
         pictures = drawings(options.seed) if options.encoder == "color" else photographs(options.data, options.seed)
