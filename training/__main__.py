@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from training import data
-from training.command import add_run_options, add_trunk_option, begin, check_run_options, prepare, run_numbers
+from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
 from training.detail_start import EarlierDetail, SpreadFeatures, fit_detail_head, spread_detail_head
 from training.lexicon import ClipWords, Lexicon
@@ -58,7 +58,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m training", description="Train the built-in encoder.")
     add_run_options(parser)
-    add_trunk_option(parser)
     parser.add_argument("--pretrained", type=Path, required=True, help="start: the trunk or an earlier network")
     parser.add_argument("--detail", type=Path, help="an earlier detail network to start the detail head from")
     parser.add_argument("--strong", type=int, default=4, help="pairs a step under strongly changed light")

@@ -1,14 +1,17 @@
 """What the training commands have in common: options, and how a run begins or goes on."""
 
 import argparse
+import itertools
 import json
 import platform
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
 import cv2
 import torch
+import torch.nn.functional as F  # noqa: N812
 
 from training.loop import Plan, Run
 from worker.encoders.memory import keep_freed_memory
@@ -17,28 +20,38 @@ from worker.encoders.memory import keep_freed_memory
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of any run."""
     parser.add_argument("--data", type=Path, required=True, help="has segmentation/, pairs/, unlabelled/, text/")
+    parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: teacher, maybe start")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--minutes", type=float, default=0.0, help="length of the run; pauses do not count")
     parser.add_argument("--steps", type=int, default=0, help="length of the run in steps")
     parser.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    parser.add_argument("--half", action="store_true", help="bfloat16 where the hardware has it; several times faster")
+    parser.add_argument("--half", action="store_true", help="bfloat16, where the hardware has it: several times faster")
     parser.add_argument("--threads", type=int, default=1, help="threads of the training process")
     parser.add_argument("--loaders", type=int, default=1, help="processes that draw batches")
     parser.add_argument("--trunk-rate", type=float, default=Plan.trunk_rate)
     parser.add_argument("--head-rate", type=float, default=Plan.head_rate)
 
 
-def add_trunk_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option of runs that learn from the untouched trunk."""
-    parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: teacher, maybe start")
-
-
 def check_run_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Refuse a run of no length."""
+    """Refuse a run of no length, and one that would compute in bfloat16 on a processor that only imitates it."""
     if not options.minutes and not options.steps:
         parser.error("say how long: --minutes or --steps")
+    if options.half and options.device == "cpu" and (times := half_by_whole()) > 1.5:
+        parser.error(f"bfloat16 takes {times:.0f} times as long as float32 on this processor: leave --half out")
+
+
+def half_by_whole() -> float:
+    """Measure how long a convolution in bfloat16 takes on this processor, as a multiple of one in float32."""
+    kinds = (torch.bfloat16, torch.float32)
+    least = dict.fromkeys(kinds, float("inf"))
+    for _, kind in itertools.product(range(8), kinds):
+        maps, kernel = torch.ones(1, 64, 48, 48, dtype=kind), torch.ones(64, 64, 3, 3, dtype=kind)
+        began = time.perf_counter()
+        F.conv2d(maps, kernel)
+        least[kind] = min(least[kind], time.perf_counter() - began)
+    return least[torch.bfloat16] / least[torch.float32]
 
 
 def run_numbers(options: argparse.Namespace) -> dict[str, Any]:

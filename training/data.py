@@ -121,7 +121,7 @@ class Batches(Dataset[dict[str, Tensor]]):
     - ``matched``: bool (n,), whether those can be used;
     - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
     - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views, with labels at the
-      mix's own stride; these alone, where the mix has no pairs, and none of these, where it has no such views;
+      mix's own stride; these alone, where the mix has no pairs;
     - ``clear_opinions``: float16 (n, 19, rows, columns), a teacher's opinions of the pictures that those were cut from,
       0 where it has none, and ``clear_views``: float32 (n, 3, 3), from a view to its picture; where there is a folder
       of opinions.
@@ -143,8 +143,6 @@ class Batches(Dataset[dict[str, Tensor]]):
         cv2.setNumThreads(1)
         rng = np.random.default_rng([self._seed, step])
         batch = self._pairs(rng) if self._mix.strong or self._mix.mild else {}
-        if not self._mix.clear:
-            return batch
         clear = [self._clear(rng) for _ in range(self._mix.clear)]
         batch |= {
             "clear_pictures": _stacked([one.picture for one in clear]),

@@ -147,21 +147,6 @@ def shared_digest(tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def check_shared(saved: Mapping[str, Any], checkpoint: Path, weights: Path) -> None:
-    """Refuse a run that began with other weights than these.
-
-    Raises
-    ------
-    ValueError
-        The shallow layers of `weights` are not the ones that the run of `saved` learned on.
-    """
-    began, found = saved["plan"]["shared"], shared_digest(load_file(weights))
-    if began != found:
-        raise ValueError(
-            f"{checkpoint} began with shallow layers of SHA-256 {began[:16]}..., {weights} has {found[:16]}..."
-        )
-
-
 def history(saved: Mapping[str, Any]) -> dict[str, Any]:
     """How long a checkpoint was trained and by what plan, and what run it was averaged with, if with any."""
     run = {"training": {"steps": saved["step"], "minutes": round(saved["seconds"] / 60), "plan": saved["plan"]}}

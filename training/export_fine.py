@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
-from training.export import check_shared, history, named
+from training.export import history, named, shared_digest
 from training.export_onnx import write_fine_graph
 
 
@@ -28,7 +28,11 @@ def export_fine(checkpoint: Path, folder: Path, name: str = "compact") -> None:
     described = folder / f"{name}.json"
     facts = json.loads(described.read_text())
     weights = folder / facts["weights"]["file"]
-    check_shared(saved, checkpoint, weights)
+    began, found = saved["plan"]["shared"], shared_digest(load_file(weights))
+    if began != found:
+        raise ValueError(
+            f"{checkpoint} began with shallow layers of SHA-256 {began[:16]}..., {weights} has {found[:16]}..."
+        )
     fine = folder / f"{name}-fine.safetensors"
     save_file({key: tensor.half().contiguous() for key, tensor in saved["average"].items()}, fine)
     fine.chmod(0o644)

@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from training import data, points
-from training.command import add_run_options, add_trunk_option, begin, check_run_options, prepare, run_numbers
+from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
 from training.evaluate_words import fine_words_of
 from training.export import basis_of, network_of, shared_digest
@@ -153,7 +153,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m training.fine_words", description="Train the fine words.")
     add_run_options(parser)
-    add_trunk_option(parser)
     parser.add_argument("--weights", type=Path, required=True, help="exported network to start from")
     parser.add_argument("--earlier", type=Path, help="fine words to start from: checkpoint.pt or exported")
     parser.add_argument("--views", type=int, default=8, help="labelled views a step")

@@ -75,7 +75,12 @@ class TwoChannels(nn.Module):
         detail = F.normalize(detail.float(), dim=1)
         columns = joined.shape[-1]
 
-        words_loss, words_found = words_found_again(joined, head, batch, self.plan.words_temperature)
+        strong = batch["matched"] & ~batch["mild"]
+        pairs = strong[~batch["mild"]].repeat(2)
+        cells, positions = batch["cells"][strong], batch["positions"][strong]
+        matched = matched_cells(joined[pairs], cells, positions)
+        here, there = _unit_points([F.linear(at, head.weight.flatten(1), head.bias) for at in matched])
+        words_loss, words_found = two_view_loss(here, there, cells, columns, self.plan.words_temperature, margin=2)
         gentle = batch["matched"] & batch["mild"]
         pairs = gentle[batch["mild"]].repeat(2)
         cells, positions = batch["cells"][gentle], batch["positions"][gentle]
@@ -92,26 +97,6 @@ class TwoChannels(nn.Module):
             "words_found": words_found,
             "detail_found": detail_found,
         }
-
-
-def words_found_again(
-    joined: Tensor, head: nn.Conv2d, batch: Mapping[str, Tensor], temperature: float
-) -> tuple[Tensor, Tensor]:
-    """Compare the words of both views of the pairs under strongly changed light: `training.losses.two_view_loss`.
-
-    Parameters
-    ----------
-    joined : float of shape (2 n, inputs, h, w)
-        What the words head reads of those pairs' views, first views before second views.
-    head
-        1x1 convolution, the words head.
-    """
-    drawn = ~batch["mild"]
-    strong = batch["matched"] & drawn
-    cells, positions = batch["cells"][strong], batch["positions"][strong]
-    matched = matched_cells(joined[strong[drawn].repeat(2)], cells, positions)
-    here, there = _unit_points([F.linear(at, head.weight.flatten(1), head.bias) for at in matched])
-    return two_view_loss(here, there, cells, joined.shape[-1], temperature, margin=2)
 
 
 def _unit_points(points: Sequence[Tensor]) -> tuple[Tensor, Tensor]:

@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from training.export import export
-from training.network import TrainedNetwork
-
 CLIP_WORDS = (
     *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic sign", "traffic light", "vegetation", "tree"),
     *("terrain", "grass", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door"),
@@ -54,13 +51,3 @@ def data_folder(tmp_path: Path) -> Path:
         for number, picture in enumerate(pictures):
             cv2.imwrite(str(folder / name / f"{number}.jpg"), picture)
     return folder
-
-
-@pytest.fixture
-def weights(data_folder: Path, tmp_path: Path) -> Path:
-    """An exported network that was never trained."""
-    torch.manual_seed(0)
-    saved = {"average": TrainedNetwork().state_dict(), "step": 1, "seconds": 1.0, "plan": {}}
-    torch.save(saved, tmp_path / "whole.pt")
-    export(tmp_path / "whole.pt", data_folder, tmp_path)
-    return tmp_path / "compact.safetensors"

@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from training import data
-from training.export import network_of, shared_digest
+from training.export import export, network_of, shared_digest
 from training.fine_words import FinePlan, LabelledPixels, main, started_from
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
@@ -33,6 +33,15 @@ class SureOfRoad(Teacher):
         said = np.zeros((19, *OPINION_CELLS), np.float16)
         said[0] = 1
         return said
+
+
+@pytest.fixture
+def weights(data_folder: Path, tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    saved = {"average": TrainedNetwork().state_dict(), "step": 1, "seconds": 1.0, "plan": {}}
+    torch.save(saved, tmp_path / "whole.pt")
+    export(tmp_path / "whole.pt", data_folder, tmp_path)
+    return tmp_path / "compact.safetensors"
 
 
 def test_the_losses_sink_and_what_places_are_recognised_by_does_not_change(

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from training.__main__ import main
+from training.command import half_by_whole
 
 FILES = ["--data", "d", "--trunk", "t.npz", "--pretrained", "p.npz", "--out", "o"]
 
@@ -19,3 +20,18 @@ def test_a_run_that_could_teach_nothing_is_refused(
         main([*FILES, *given])
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_bfloat16_is_refused_where_the_processor_only_imitates_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("training.command.half_by_whole", lambda: 15.2)
+    with pytest.raises(SystemExit):
+        main([*FILES, "--minutes", "1", "--half"])
+    assert "bfloat16 takes 15 times as long as float32 on this processor: leave --half out" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_how_long_bfloat16_takes_is_measured() -> None:
+    assert 0.02 < half_by_whole() < 200
