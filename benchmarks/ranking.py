@@ -19,12 +19,13 @@ import torch
 
 from schemas.description import Floats, Int8s, LocalFeatures, PixelField
 from schemas.picture import Picture
+from schemas.recipe import DenseCells
 from worker import vocabularies
 from worker.datasets import pairs
 from worker.datasets.dataset import ENDINGS, Dataset
 from worker.encoders.compact import CompactEncoder
 from worker.local_features import local_features
-from worker.place import dense_cells, ranking, verification, vocabulary
+from worker.place import dense_cells, ranking, readings, verification, vocabulary
 from worker.place.byte_vectors import quantise
 from worker.place.ranking import Rows
 from worker.place.recall import bootstrap_interval
@@ -101,19 +102,40 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         terms[term][where] = values
 
     ours, *theirs = (quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
-    put("dense", rows, dense_cells.compare(ours, np.stack(theirs)).scores)
+    halves, dense = np.stack(theirs), PARAMETERS.dense or DenseCells(closely=0)
+    alike = dense_cells.compare(ours, halves).scores
+    put("dense", rows, alike)
     yield "cells at half size", int(best(1)[0])
-    first = best(PARAMETERS.dense.closely if PARAMETERS.dense else 0)
-    alike = dense_cells.compare(query.cells, np.stack([database[int(row)].cells for row in first]))
-    put("close", first, alike.scores)
-    yield "cells in full, at any scale", int(best(1)[0])
-    penalty = PARAMETERS.dense.scale_penalty if PARAMETERS.dense else 0.0
-    put("close", first, alike.scores * dense_cells.nearness(alike.scales, penalty))
-    yield "cells in full", int(best(1)[0])
+    rates, scores = {}, alike
+    for part in dense.read_alone:
+        alone = _read_alone(part, ours, halves)
+        rates[part] = readings.exchange(alike, alone)
+        scores = readings.stronger(scores, alone, rates[part])
+    put("dense", rows, scores)
+    yield "and channels alone", int(best(1)[0])
+    first = best(dense.closely)
+    cells = np.stack([database[int(row)].cells for row in first])
+    alike_in_full = dense_cells.compare(query.cells, cells)
+    put("close", first, alike_in_full.scores)
+    yield "joined cells in full, at any scale", int(best(1)[0])
+    near = dense_cells.nearness(alike_in_full.scales, dense.scale_penalty)
+    put("close", first, alike_in_full.scores * near)
+    yield "joined cells in full", int(best(1)[0])
+    scores = alike_in_full.scores
+    for part, closely in dense.read_alone.items():
+        scores = readings.stronger(scores, _read_alone(part, query.cells, cells[:closely]), rates[part])
+    put("close", first, scores * near)
+    yield "and channels alone in full", int(best(1)[0])
     first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
     verified = verification.verify(query.keypoints, [database[int(row)].keypoints for row in first])
     put("verification", first, verification.gated_bonus([view.inliers for view in verified]))
     yield "and keypoints verified", int(best(1)[0])
+
+
+def _read_alone(channel: str, ours: Int8s, theirs: Int8s) -> Floats:
+    """How well the cells of one channel agree by themselves."""
+    mine, others = (readings.part(cells, PARAMETERS.joined(), channel) for cells in (ours, theirs))
+    return dense_cells.compare(mine, others, length=readings.length(mine), measured=False).scores
 
 
 def measure(dataset: Dataset, describe: Describer, part: float) -> dict[str, list[bool]]:
@@ -162,7 +184,7 @@ def main() -> None:
         for step, right in measure(dataset, describe, arguments.part).items():
             values = np.array(right, np.float64)[:, None]
             low, high = bootstrap_interval(values, np.random.default_rng(0), block=5)
-            print(f"  {step:24s} {100 * values.mean():5.1f}  ({100 * low[0]:.0f}-{100 * high[0]:.0f})", flush=True)
+            print(f"  {step:36s} {100 * values.mean():5.1f}  ({100 * low[0]:.0f}-{100 * high[0]:.0f})", flush=True)
 
 
 if __name__ == "__main__":

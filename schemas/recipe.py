@@ -70,22 +70,31 @@ class DenseCells(Frozen):
         description="How much each channel counts in a cell, scaled to sum to 1; all the same when none is named.",
     )
     closely: Annotated[int, Field(ge=0, le=100)] = Field(10, description="How many of the best are compared in full.")
+    alone: dict[str, Annotated[int, Field(ge=0, le=100)]] = Field(
+        default_factory=dict,
+        description="Channels whose cells are also compared by themselves, and for how many of the best in full (0: "
+        "not at all). A candidate counts by the comparison in which it stands out more.",
+    )
     scale_penalty: Annotated[float, Field(ge=0, le=10)] = Field(
         0.0, description="Exponent: a view that shows the place s times as large counts min(s, 1 / s) ** scale_penalty."
     )
 
+    @property
+    def read_alone(self) -> dict[str, int]:
+        """Channels that are compared by themselves too, and for how many of the best in full, at least 1."""
+        return {channel: closely for channel, closely in self.alone.items() if closely}
+
     @model_serializer(mode="wrap")
     def _as_before(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave the penalty out where there is none: a recipe from before it existed keeps its identity."""
+        """Leave out what is not used and came later: a recipe from before it existed keeps its identity."""
         content: dict[str, Any] = serialise(self)
-        if not self.scale_penalty:
-            del content["scale_penalty"]
-        return content
+        return {k: v for k, v in content.items() if v or k not in ("scale_penalty", "alone")}
 
     def among(self, channels: Collection[str]) -> "DenseCells":
         """The same for a recipe that has these channels only."""
         shares = {name: share for name, share in self.shares.items() if name in channels}
-        return self.model_copy(update={"shares": shares})
+        alone = {name: closely for name, closely in self.alone.items() if name in channels and len(channels) > 1}
+        return self.model_copy(update={"shares": shares, "alone": alone})
 
 
 class Graph(Frozen):
@@ -127,6 +136,19 @@ class Parameters(Frozen):
         if stray:
             raise ValueError(f"dense.shares: {', '.join(stray)} are not among the channels {', '.join(self.channels)}")
         return self
+
+    @model_validator(mode="after")
+    def _alone_are_joined(self) -> Self:
+        stray = [] if self.dense is None else sorted(self.dense.alone.keys() - self.joined().keys())
+        if stray:
+            raise ValueError(f"dense.alone: {', '.join(stray)} are not among the cells' {', '.join(self.joined())}")
+        return self
+
+    def joined(self) -> dict[str, float]:
+        """The channels that a dense cell joins, and how much each counts; none where there are no dense cells."""
+        if self.dense is None:
+            return {}
+        return self.dense.shares or dict.fromkeys(self.channels, 1.0)
 
 
 class Recipe(Frozen):

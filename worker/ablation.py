@@ -124,6 +124,7 @@ VARIANTS = (
     Variant("histograms alone", _with(candidates=0)),
     Variant("25 candidates", _with(candidates=25)),
     Variant("views at any scale", _in_cells(scale_penalty=0.0)),
+    Variant("joined cells only", _in_cells(alone={})),
     Variant("re-ranking without dense cells", _without("dense", "close")),
     Variant("re-ranking without the graph", _without("graph")),
     Variant("re-ranking without verification", _both(_without("verification"), _with(verification=None))),

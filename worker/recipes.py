@@ -75,7 +75,13 @@ _DEFAULT = Parameters(
     dynamic=Dynamic(margin=0.1, most=0.5),
     candidates=50,
     dense=DenseCells(
-        rows=16, columns=28, dimensions=32, shares={SEMANTIC: 0.35, "detail": 0.65}, closely=12, scale_penalty=0.4
+        rows=16,
+        columns=28,
+        dimensions=32,
+        shares={SEMANTIC: 0.35, "detail": 0.65},
+        closely=12,
+        alone={"detail": 6},
+        scale_penalty=0.4,
     ),
     graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
     verification=Verification(candidates=10, keypoints=300),

@@ -7,23 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import ContextGraph, Description, Floats
+from schemas.description import ContextGraph, Description, Floats, Int8s
 from schemas.errors import Unavailable
 from schemas.ports import Store
-from schemas.recipe import Recipe
+from schemas.recipe import Parameters, Recipe
 from schemas.records import Candidates, Filters, ViewRecord
 from worker.indexes.catalogue import Catalogue
-from worker.place import context_graph, dense_cells, ranking, verification
+from worker.place import context_graph, dense_cells, ranking, readings, verification
 from worker.place.byte_vectors import Product, float_product
 from worker.place.context_graph import GraphComparison
+from worker.place.readings import HIGH
 from worker.place.verification import Verified
 
 ROUNDS = 5
 """How often a search may start anew because a view it found was deleted meanwhile."""
-
-HIGH = 0.85
-"""Share of the candidates that `Dense.high` is above: enough for rare kinds of places, and below the other views of
-the right place, which are few."""
 
 
 class RecipeChanged(Exception):
@@ -226,9 +223,14 @@ class Searcher:
             return None
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         if description.appearance.coarse.size:
-            coarse = np.stack([a.coarse for a in appearances])
-            alike = dense_cells.compare(description.appearance.coarse, coarse, self._product, measured=False)
-            evidence.put("dense", rows, alike.scores)
+            coarse, ours = np.stack([a.coarse for a in appearances]), description.appearance.coarse
+            alike = dense_cells.compare(ours, coarse, self._product, measured=False)
+            scores = alike.scores
+            for channel in () if parameters.dense is None else parameters.dense.read_alone:
+                alone = self._read_alone(parameters, channel, ours, coarse)
+                evidence.rates[channel] = readings.exchange(alike.scores, alone)
+                scores = readings.stronger(scores, alone, evidence.rates[channel])
+            evidence.put("dense", rows, scores)
             evidence.shifts = alike.shifts * 2
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
@@ -251,10 +253,19 @@ class Searcher:
             return None
         cells = np.stack([kept[seq] for seq in seqs])
         alike = dense_cells.compare(description.cells, cells, self._product)
-        evidence.put("close", first, alike.scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
+        scores = alike.scores
+        for channel, closely in dense.read_alone.items():
+            alone = self._read_alone(recipe.parameters, channel, description.cells, cells[:closely])
+            scores = readings.stronger(scores, alone, evidence.rates[channel])
+        evidence.put("close", first, scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
         evidence.shifts[[evidence.place[int(row)] for row in first]] = alike.shifts
         evidence.scales = dict(zip(first.tolist(), alike.scales.tolist(), strict=True))
         return evidence
+
+    def _read_alone(self, parameters: Parameters, channel: str, ours: Int8s, theirs: Int8s) -> Floats:
+        """How well the cells of one channel agree by themselves."""
+        mine, others = (readings.part(cells, parameters.joined(), channel) for cells in (ours, theirs))
+        return dense_cells.compare(mine, others, self._product, readings.length(mine), measured=False).scores
 
     def _verify(
         self, recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence"
@@ -312,6 +323,7 @@ class _Evidence:
         self.place = {int(row): place for place, row in enumerate(rows)}
         self.shifts: npt.NDArray[np.intp] | None = None
         self.scales: dict[int, float] = {}
+        self.rates: dict[str, float] = {}
         self.graphs: list[ContextGraph] = []
         self.graph: GraphComparison | None = None
         self.verified: dict[int, Verified] = {}

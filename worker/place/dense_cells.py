@@ -124,7 +124,9 @@ def halve(cells: Int8s | Floats) -> Floats:
     return unit(down[..., 0::2, :] + down[..., 1::2, :], ROUNDING)
 
 
-def distinctness(cells: Int8s | Floats, apart: int = APART, product: Product = float_product) -> Floats:
+def distinctness(
+    cells: Int8s | Floats, apart: int = APART, product: Product = float_product, length: float = 1.0
+) -> Floats:
     """How unlike the rest of its own picture each cell is.
 
     Parameters
@@ -134,6 +136,8 @@ def distinctness(cells: Int8s | Floats, apart: int = APART, product: Product = f
     apart : int
         Cells up to so many rows and columns away are no rest: neighbours share what they show.
     product : Product
+    length : float
+        Of the vectors, where they are part of longer ones.
 
     Returns
     -------
@@ -150,13 +154,13 @@ def distinctness(cells: Int8s | Floats, apart: int = APART, product: Product = f
     products = product(flat, flat)
     products *= _far(rows, columns, apart)
     # Along columns, which is quicker: the matrix is symmetric.
-    closest = products.max(axis=0).astype(np.float32) * np.float32(scale(cells) ** 2)
+    closest = products.max(axis=0).astype(np.float32) * np.float32((scale(cells) / length) ** 2)
     unlike: Floats = 1 - np.clip(closest, 0, 1)
     return unlike
 
 
 def correspondences(
-    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product
+    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product, length: float = 1.0
 ) -> Correspondences:
     """Pairs of cells that are each other's best, for each candidate.
 
@@ -166,6 +170,8 @@ def correspondences(
         Of unit length, or as `quantise` stores them.
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
     product : Product
+    length : float
+        Of the vectors of both, where they are part of longer ones.
 
     Returns
     -------
@@ -195,12 +201,17 @@ def correspondences(
     owner[taken[::-1]] = cell[::-1]
     first = owner[taken] == cell
     which, cell, counterpart = which[first], cell[first], counterpart[first]
-    cosine = largest[which, cell] * np.float32(scale(query) * scale(candidates))
+    cosine = largest[which, cell] * np.float32(scale(query) * scale(candidates) / length**2)
     return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
 
 
 def compare(
-    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product, *, measured: bool = True
+    query: Int8s | Floats,
+    candidates: Int8s | Floats,
+    product: Product = float_product,
+    length: float = 1.0,
+    *,
+    measured: bool = True,
 ) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
 
@@ -209,6 +220,8 @@ def compare(
     query : int8 or float32 of shape (rows, columns, dimensions)
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
     product : Product
+    length : float
+        Of the vectors of both, where they are part of longer ones.
     measured : bool
         Whether scales are asked for.
 
@@ -217,8 +230,8 @@ def compare(
     DescriptorMismatch, ValueError
         As `correspondences`.
     """
-    pairs = correspondences(query, candidates, product)
-    distinct, shape = distinctness(query, product=product), (query.shape[0], query.shape[1])
+    pairs = correspondences(query, candidates, product, length)
+    distinct, shape = distinctness(query, product=product, length=length), (query.shape[0], query.shape[1])
     return agreement(pairs, distinct, shape, len(candidates), measured=measured)
 
 
