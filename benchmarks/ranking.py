@@ -108,7 +108,7 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
     yield "cells at half size", int(best(1)[0])
     rates, scores = {}, alike
     for part in dense.read_alone:
-        alone = _read_alone(part, ours, halves)
+        alone = readings.alone(ours, halves, PARAMETERS.joined(), part)
         rates[part] = readings.exchange(alike, alone)
         scores = readings.stronger(scores, alone, rates[part])
     put("dense", rows, scores)
@@ -123,19 +123,14 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
     yield "joined cells in full", int(best(1)[0])
     scores = alike_in_full.scores
     for part, closely in dense.read_alone.items():
-        scores = readings.stronger(scores, _read_alone(part, query.cells, cells[:closely]), rates[part])
+        alone = readings.alone(query.cells, cells[:closely], PARAMETERS.joined(), part)
+        scores = readings.stronger(scores, alone, rates[part])
     put("close", first, scores * near)
     yield "and channels alone in full", int(best(1)[0])
     first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
     verified = verification.verify(query.keypoints, [database[int(row)].keypoints for row in first])
     put("verification", first, verification.gated_bonus([view.inliers for view in verified]))
     yield "and keypoints verified", int(best(1)[0])
-
-
-def _read_alone(channel: str, ours: Int8s, theirs: Int8s) -> Floats:
-    """How well the cells of one channel agree by themselves."""
-    mine, others = (readings.part(cells, PARAMETERS.joined(), channel) for cells in (ours, theirs))
-    return dense_cells.compare(mine, others, length=readings.length(mine), measured=False).scores
 
 
 def measure(dataset: Dataset, describe: Describer, part: float) -> dict[str, list[bool]]:

@@ -148,7 +148,10 @@ class ChannelMatch(Answer):
 class DenseMatch(Answer):
     """Comparison of the coarse grids of embeddings."""
 
-    similarity: float = Field(description="Root of the share of the query's cells that agree on one shift, 0..1.")
+    similarity: float = Field(
+        description="Root of the share of the query's cells that agree on one shift, 0..1: of cells that join all "
+        "channels, or of a channel alone, whichever has the view stand out more."
+    )
     typical: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
     high: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import ContextGraph, Description, Floats, Int8s
+from schemas.description import ContextGraph, Description, Floats
 from schemas.errors import Unavailable
 from schemas.ports import Store
-from schemas.recipe import Parameters, Recipe
+from schemas.recipe import Recipe
 from schemas.records import Candidates, Filters, ViewRecord
 from worker.indexes.catalogue import Catalogue
 from worker.place import context_graph, dense_cells, ranking, readings, verification
@@ -34,7 +34,7 @@ class Dense:
     Parameters
     ----------
     similarity : float
-        Of the cells at half size, 0..1.
+        Of the cells at half size, in whichever reading the view stands out more, 0..1.
     typical : float
         Median similarity of all candidates that were compared: what a wrong one gets for this question.
     high : float
@@ -227,7 +227,7 @@ class Searcher:
             alike = dense_cells.compare(ours, coarse, self._product, measured=False)
             scores = alike.scores
             for channel in () if parameters.dense is None else parameters.dense.read_alone:
-                alone = self._read_alone(parameters, channel, ours, coarse)
+                alone = readings.alone(ours, coarse, parameters.joined(), channel, self._product)
                 evidence.rates[channel] = readings.exchange(alike.scores, alone)
                 scores = readings.stronger(scores, alone, evidence.rates[channel])
             evidence.put("dense", rows, scores)
@@ -255,17 +255,13 @@ class Searcher:
         alike = dense_cells.compare(description.cells, cells, self._product)
         scores = alike.scores
         for channel, closely in dense.read_alone.items():
-            alone = self._read_alone(recipe.parameters, channel, description.cells, cells[:closely])
+            joined = recipe.parameters.joined()
+            alone = readings.alone(description.cells, cells[:closely], joined, channel, self._product)
             scores = readings.stronger(scores, alone, evidence.rates[channel])
         evidence.put("close", first, scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
         evidence.shifts[[evidence.place[int(row)] for row in first]] = alike.shifts
         evidence.scales = dict(zip(first.tolist(), alike.scales.tolist(), strict=True))
         return evidence
-
-    def _read_alone(self, parameters: Parameters, channel: str, ours: Int8s, theirs: Int8s) -> Floats:
-        """How well the cells of one channel agree by themselves."""
-        mine, others = (readings.part(cells, parameters.joined(), channel) for cells in (ours, theirs))
-        return dense_cells.compare(mine, others, self._product, readings.length(mine), measured=False).scores
 
     def _verify(
         self, recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence"

@@ -24,13 +24,12 @@ def test_a_channel_cut_out_of_joined_cells_compares_as_it_would_by_itself() -> N
     view["detail"] /= np.linalg.norm(view["detail"], axis=2, keepdims=True)
     ours, theirs = (quantise(dense_cells.join(picture, SHARES)) for picture in (query, view))
 
-    mine, other = (readings.part(joined, SHARES, "detail") for joined in (ours, theirs))
-    cut = dense_cells.compare(mine, other[None], length=readings.length(mine))
+    mine = readings.part(ours, SHARES, "detail")
+    cut = readings.alone(ours, theirs[None], SHARES, "detail")
 
     alone = dense_cells.compare(query["detail"], view["detail"][None])
     assert readings.length(mine) == pytest.approx(np.sqrt(0.65), rel=0.01)
-    assert cut.scores == pytest.approx(alone.scores, abs=0.01)
-    assert cut.shifts.tolist() == alone.shifts.tolist() == [[0, 1]]
+    assert cut == pytest.approx(alone.scores, abs=0.01)
     words = readings.part(ours, SHARES, "words")
     np.testing.assert_array_equal(np.concatenate([mine, words], axis=-1), ours)
 
@@ -45,8 +44,7 @@ def test_at_half_size_a_part_is_as_long_as_it_is_and_likenesses_stay_what_they_w
     mine = readings.part(half, SHARES, "detail")
 
     assert readings.length(mine) < np.sqrt(0.65) - 0.1
-    score = dense_cells.compare(mine, mine[None], length=readings.length(mine)).scores
-    assert score == pytest.approx([1.0], abs=0.15)
+    assert readings.alone(half, half[None], SHARES, "detail") == pytest.approx([1.0], abs=0.15)
     assert readings.length(np.zeros((2, 3, 4), np.int8)) == 1
 
 
@@ -60,6 +58,13 @@ def test_readings_are_exchanged_so_that_what_most_candidates_get_is_the_same() -
     # The last one stands out more when it is read alone.
     assert readings.stronger(joined, alone, rate).tolist() == pytest.approx([0.2] * 9 + [0.8])
     assert readings.exchange(joined, np.zeros(10, np.float32)) == 0
+
+
+def test_what_little_agrees_in_a_picture_of_nothing_does_not_stand_out_without_bound() -> None:
+    joined = np.full(40, 0.2, np.float32)
+    alone = np.array([0.0] * 33 + [1e-20] * 6 + [0.05], np.float32)
+
+    assert readings.stronger(joined, alone, readings.exchange(joined, alone)) == pytest.approx(joined)
 
 
 def test_the_only_candidate_stands_out_in_neither_reading() -> None:

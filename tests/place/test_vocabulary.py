@@ -123,3 +123,10 @@ def test_cell_directions_are_orthonormal_and_keep_what_varies_most() -> None:
     directions = vocabulary.fit_cells(cells, 2)
     np.testing.assert_allclose(directions.T @ directions, np.eye(2), atol=1e-5)
     np.testing.assert_allclose(np.abs(directions[[1, 3], [0, 1]]), 1, atol=0.1)
+
+
+def test_cells_have_as_many_numbers_as_were_asked_for_even_if_the_layer_has_fewer() -> None:
+    cells = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
+    directions = vocabulary.fit_cells(cells, 5)
+    assert directions.shape == (3, 5)
+    np.testing.assert_allclose(np.linalg.norm(cells @ directions, axis=1), np.linalg.norm(cells, axis=1), rtol=1e-4)

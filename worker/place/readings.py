@@ -10,11 +10,16 @@ from collections.abc import Collection
 import numpy as np
 
 from schemas.description import Floats, Int8s
-from worker.place.byte_vectors import scale
+from worker.place import dense_cells
+from worker.place.byte_vectors import Product, float_product, scale
 
 HIGH = 0.85
 """Share of the candidates that look less alike than what a candidate has to stand out from: enough for rare kinds of
 places, and below the other views of the right place, which are few."""
+
+LARGEST_RATE = 2.0
+"""Of an `exchange`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the question in one
+channel, as with a blank wall or thick fog, what little does would stand out without bound."""
 
 
 def part(cells: Int8s, channels: Collection[str], channel: str) -> Int8s:
@@ -50,6 +55,28 @@ def length(cells: Int8s) -> float:
     return float(np.sqrt(squares.mean())) * scale(cells) or 1.0
 
 
+def alone(
+    query: Int8s, candidates: Int8s, channels: Collection[str], channel: str, product: Product = float_product
+) -> Floats:
+    """How well the cells of one channel agree by themselves.
+
+    Parameters
+    ----------
+    query : int8 of shape (rows, columns, dimensions)
+    candidates : int8 of shape (candidates, rows, columns, dimensions)
+    channels, channel
+        As `part` takes them.
+    product : Product
+
+    Returns
+    -------
+    float32 of shape (candidates,)
+        0..1, as in `worker.place.hough.Agreement`.
+    """
+    ours, theirs = (part(cells, channels, channel) for cells in (query, candidates))
+    return dense_cells.compare(ours, theirs, product, length(ours), measured=False).scores
+
+
 def exchange(joined: Floats, alone: Floats, high: float = HIGH) -> float:
     """What a likeness in one reading is multiplied by to be held against one in another.
 
@@ -63,10 +90,11 @@ def exchange(joined: Floats, alone: Floats, high: float = HIGH) -> float:
     Returns
     -------
     float
-        So much that what `high` of the candidates do not exceed is the same in both; 0 where nothing is alike alone.
+        So much that what `high` of the candidates do not exceed is the same in both, at most `LARGEST_RATE`; 0 where
+        nothing is alike alone.
     """
     usual, other = (float(np.quantile(scores, high)) for scores in (joined, alone))
-    return usual / other if other > 0 else 0.0
+    return min(usual / other, LARGEST_RATE) if other > 0 else 0.0
 
 
 def stronger(joined: Floats, alone: Floats, rate: float) -> Floats:

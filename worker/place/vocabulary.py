@@ -251,10 +251,12 @@ def fit_cells(cells: Floats, dimensions: int) -> Floats:
     Returns
     -------
     float32 of shape (channels, dimensions)
-        Orthonormal columns.
+        Orthonormal columns; beyond as many as there are channels they are zero, so that every layer gives cells of as
+        many numbers.
     """
     # The eigenvectors of the channels x channels moment matrix are the right singular vectors of `cells`.
     _, vectors = np.linalg.eigh((cells.T @ cells).astype(np.float64))
     leading = vectors[:, ::-1][:, : min(dimensions, cells.shape[1])]
     signs = np.sign(leading[np.abs(leading).argmax(axis=0), np.arange(leading.shape[1])])
-    return np.ascontiguousarray(leading * signs, np.float32)
+    missing = dimensions - leading.shape[1]
+    return np.ascontiguousarray(np.pad(leading * signs, ((0, 0), (0, missing))), np.float32)
