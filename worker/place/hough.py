@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +10,10 @@ import numpy.typing as npt
 from schemas.description import Floats
 
 Indices = npt.NDArray[np.intp]
+Int32s = npt.NDArray[np.int32]
 Doubles = npt.NDArray[np.float64]
+Along = tuple[Doubles, Doubles]
+"""Rows and columns of cells, from the grid's centre."""
 
 ZOOMS = (1.0, 0.8, 1.25)
 """How much larger the candidate may show what the query shows; the earlier wins a tie."""
@@ -108,38 +112,36 @@ def agreement(
     without it the one with larger shares decides alone.
     """
     weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
-    roots = np.sqrt(np.array(zooms, np.float64))[:, None]
-    ours, theirs = (np.stack(_centred(cell, shape)) for cell in (pairs.query_cell, pairs.candidate_cell))
-    displacement = [theirs[axis] / roots - ours[axis] * roots for axis in (0, 1)]
-    bins = [np.rint(along).astype(np.intp) for along in displacement]
-    heights, peaks = _peaks(pairs.candidate, bins, weight, candidates, shape, tolerance)
+    slots = _slots(shape, tuple(zooms), tolerance)
+    voted = slots.of[:, pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell]
+    heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
     score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
     for zoom, height in enumerate(heights):
         better = height > score + 1e-9
         score[better], chosen[better] = height[better], zoom
-    fits = chosen[pairs.candidate]
-    every = np.arange(len(fits))
-    apart = [along[fits, every] - peak[fits, pairs.candidate] for along, peak in zip(bins, peaks, strict=True)]
-    agree = (np.abs(apart[0]) <= tolerance) & (np.abs(apart[1]) <= tolerance)
+    peak = peaks[chosen, np.arange(candidates)]
+    agree = np.flatnonzero(slots.near(voted[chosen[pairs.candidate], np.arange(len(weight))], peak[pairs.candidate]))
+    candidate, weight = pairs.candidate[agree], weight[agree]
+    ours, theirs = (_centred(cell[agree], shape) for cell in (pairs.query_cell, pairs.candidate_cell))
+    zoomed = np.array(zooms, np.float64)[chosen]
     moved = [
-        np.bincount(pairs.candidate[agree], (weight * along[fits, every])[agree], candidates) for along in displacement
+        np.bincount(candidate, weight * (there - here * zoomed[candidate]), candidates)
+        for here, there in zip(ours, theirs, strict=True)
     ]
-    shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None] * roots[chosen]
-    scale = np.ones(candidates)
-    if measured:
-        scale = _scale(pairs.candidate[agree], ours[:, agree], theirs[:, agree], weight[agree], candidates)
+    shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None]
+    scale = _scale(candidate, ours, theirs, weight, candidates) if measured else np.ones(candidates)
     return Agreement(
         np.sqrt(np.minimum(score / max(float(distinct.sum()), 1e-6), 1)).astype(np.float32),
         np.rint(np.where(score[:, None] > 0, shift, 0)).astype(np.intp),
-        np.where(score > 0, np.array(zooms)[chosen], 1).astype(np.float32),
+        np.where(score > 0, zoomed, 1).astype(np.float32),
         np.clip(scale, 1 / LARGEST_SCALE, LARGEST_SCALE).astype(np.float32),
     )
 
 
-def _scale(candidate: Indices, ours: Doubles, theirs: Doubles, weight: Doubles, candidates: int) -> Doubles:
+def _scale(candidate: Indices, ours: Along, theirs: Along, weight: Doubles, candidates: int) -> Doubles:
     """By how much distances between cells grow, float64 (candidates,): ridge regression of `theirs` on `ours`.
 
-    Both are (rows, columns) of cells, float64 (2, pairs). The ridge pulls towards 1.
+    Both are rows and columns of cells. The ridge pulls towards 1.
     """
 
     def total(values: Doubles) -> Doubles:
@@ -147,60 +149,103 @@ def _scale(candidate: Indices, ours: Doubles, theirs: Doubles, weight: Doubles, 
 
     whole = np.maximum(total(weight), 1e-9)
     spread, growth = np.zeros(candidates), np.zeros(candidates)
-    for own, moved in zip(ours, theirs - ours, strict=True):
+    for own, other in zip(ours, theirs, strict=True):
         around = own - (total(weight * own) / whole)[candidate]
         spread += total(weight * around**2)
-        growth += total(weight * around * moved)
+        growth += total(weight * around * (other - own))
     return 1 + growth / (spread + CERTAINTY)
 
 
-def _centred(cell: Indices, shape: tuple[int, int]) -> tuple[Doubles, Doubles]:
+def _centred(cell: Indices, shape: tuple[int, int]) -> Along:
     """Rows and columns of cells from the grid's centre, float64 (n,) each."""
     row, column = np.divmod(cell, shape[1])
     return row - (shape[0] - 1) / 2, column - (shape[1] - 1) / 2
 
 
+@dataclass(frozen=True, eq=False)
+class _Slots:
+    """Where a correspondence votes: rounded displacements, row by row, and a last row for what moved too far.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Without that last row.
+    of : int32 of shape (zooms, cells * cells)
+        The slot of every query cell with every candidate cell, the query's first.
+    tolerance : int
+    """
+
+    rows: int
+    columns: int
+    of: npt.NDArray[np.int32]
+    tolerance: int
+
+    def near(self, slots: Int32s, peaks: Indices) -> npt.NDArray[np.bool_]:
+        """Say which slots lie within the tolerance of the slots `peaks`, whose windows hold no displacement too far."""
+        down, across = (a - b for a, b in zip(divmod(slots, self.columns), divmod(peaks, self.columns), strict=True))
+        close: npt.NDArray[np.bool_] = (np.abs(down) <= self.tolerance) & (np.abs(across) <= self.tolerance)
+        return close
+
+
+@lru_cache(maxsize=16)
+def _slots(shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> _Slots:
+    """Displacements of at most half of a grid of `shape`, and as much more as the tolerance reaches."""
+    reach = [half // 2 + tolerance for half in shape]
+    rows, columns = (2 * half + 1 for half in reach)
+    centred = _centred(np.arange(shape[0] * shape[1]), shape)
+    roots = np.sqrt(np.array(zooms, np.float64))[:, None, None]
+    down, across = (
+        np.rint(along / roots - along[:, None] * roots) + half for along, half in zip(centred, reach, strict=True)
+    )
+    within = (down >= 0) & (down < rows) & (across >= 0) & (across < columns)
+    slots = np.where(within, down * columns + across, rows * columns).astype(np.int32)
+    return _Slots(rows, columns, slots.reshape(len(zooms), -1), tolerance)
+
+
 def _peaks(
-    candidate: Indices,
-    bins: Sequence[Indices],
-    weight: Doubles,
-    candidates: int,
-    shape: tuple[int, int],
-    tolerance: int,
-) -> tuple[Doubles, tuple[Indices, Indices]]:
+    candidate: Indices, voted: Int32s, weight: Doubles, candidates: int, slots: _Slots, tolerance: int
+) -> tuple[Doubles, Indices]:
     """Largest weight within `tolerance` of one displacement of at most half the grid, and where; of equals the first.
 
     Parameters
     ----------
     candidate : intp of shape (pairs,)
-    bins : (rows, columns), intp of shape (zooms, pairs) each
-        Rounded displacement of each pair under each zoom.
+    voted : int32 of shape (zooms, pairs)
+        The slot of each pair under each zoom.
     weight : float64 of shape (pairs,)
     candidates : int
-    shape : (int, int)
-        Rows and columns of the grids.
+    slots : _Slots
     tolerance : int
 
     Returns
     -------
     heights : float64 of shape (zooms, candidates)
-    peaks : (rows, columns), intp of shape (zooms, candidates) each
+    peaks : intp of shape (zooms, candidates)
+        Slots.
     """
-    zooms, window = len(bins[0]), 2 * tolerance + 1
-    reach = [half // 2 for half in shape]
-    rows, columns = (2 * (half + tolerance) + 1 for half in reach)
-    # Vote for every zoom at once; what moved too far votes with nothing, somewhere.
-    down, across = (along + (half + tolerance) for along, half in zip(bins, reach, strict=True))
-    within = (down >= 0) & (down < rows) & (across >= 0) & (across < columns)
-    index = ((np.arange(zooms)[:, None] * candidates + candidate) * rows + down) * columns + across
-    votes = np.bincount(
-        np.where(within, index, 0).ravel(), np.where(within, weight, 0).ravel(), zooms * candidates * rows * columns
-    ).reshape(zooms * candidates, rows, columns)
-    rows, columns = rows - window + 1, columns - window + 1
-    votes = sum(votes[:, i : i + rows] for i in range(1, window)) + votes[:, :rows]
-    votes = sum(votes[:, :, i : i + columns] for i in range(1, window)) + votes[:, :, :columns]
-    flat = votes.reshape(zooms * candidates, rows * columns)
-    peak = flat.argmax(axis=1)
-    height = flat[np.arange(len(flat)), peak].reshape(zooms, candidates)
-    row, column = np.divmod(peak.reshape(zooms, candidates), columns)
-    return height, (row - reach[0], column - reach[1])
+    count = len(voted) * candidates
+    # Candidates lie side by side, so that windows are summed along memory.
+    index = voted * count + (np.arange(len(voted))[:, None] * candidates + candidate)
+    votes = np.bincount(index.ravel(), np.tile(weight, len(voted)), (slots.rows + 1) * slots.columns * count)
+    kept = np.asarray(votes, np.float64).reshape(slots.rows + 1, slots.columns, count)[: slots.rows]
+    heights = _running(_running(kept, 2 * tolerance + 1).swapaxes(0, 1), 2 * tolerance + 1)
+    columns, rows = heights.shape[:2]
+    flat = heights.swapaxes(0, 1).reshape(rows * columns, count)
+    first = flat.argmax(axis=0)
+    row, column = np.divmod(first, columns)
+    peak = (row + tolerance) * slots.columns + column + tolerance
+    height = flat[first, np.arange(count)]
+    return height.reshape(len(voted), candidates), peak.reshape(len(voted), candidates)
+
+
+def _running(values: Doubles, window: int) -> Doubles:
+    """Sums of `window` neighbours along the first axis, from sums of 1, 2, 4, ... of them."""
+    count = len(values) - window + 1
+    total, done, sums, size = np.zeros(()), 0, values, 1
+    while True:
+        if window & size:
+            part = sums[done : done + count]
+            total, done = total + part if done else part, done + size
+        if done == window:
+            return total
+        sums, size = sums[:-size] + sums[size:], size * 2
