@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from worker.encoders.compact import WEIGHTS, Engine
+from worker.encoders.compact import READERS, WEIGHTS, Engine
 from worker.encoders.compact_onnx import OnnxEngine
 from worker.encoders.compact_torch import TorchEngine
 from worker.encoders.memory import keep_freed_memory
@@ -41,9 +41,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{options.engine} {version(options.engine)}, {platform.machine()}, {options.threads} thread(s), {today}")
     for height, width in SIZES:
         picture = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
-        for outputs, run in (("words and detail", engine.fields), ("fine words", engine.fine_words)):
+        runs: dict[str, Callable[[], object]] = {"words and detail": partial(engine.fields, picture)}
+        runs |= {
+            f"fine words, {reader} reader": partial(engine.fine_words, picture, at)
+            for at, reader in enumerate(("first", "second", "third"))
+        }
+        for outputs, run in runs.items():
             product = _milliseconds(lambda: square @ square, 4 * options.runs)
-            passes = _milliseconds(partial(run, picture), options.runs)
+            passes = _milliseconds(run, options.runs)
             ratios = [f"{taken / unit:.1f}" for taken, unit in zip(passes[:2], product[:2], strict=True)]
             print(f"{width}x{height}, {outputs}:")
             print(f"  wall median {passes[0]:.1f} ms (quartiles {passes[2]:.1f}, {passes[3]:.1f})")
@@ -52,11 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _engine(name: str, weights: Path, threads: int) -> Engine:
-    fine = weights.with_name(f"{weights.stem}-fine.safetensors")
+    fine = [weights.with_name(f"{weights.stem}-{reader}.safetensors") for reader in READERS]
     if name == "torch":
         keep_freed_memory()
-        return TorchEngine(weights.read_bytes(), fine.read_bytes(), "cpu")
-    return OnnxEngine(weights.with_suffix(".onnx"), fine.with_suffix(".onnx"), threads=threads)
+        return TorchEngine(weights.read_bytes(), [path.read_bytes() for path in fine], "cpu")
+    return OnnxEngine(weights.with_suffix(".onnx"), [path.with_suffix(".onnx") for path in fine], threads=threads)
 
 
 def _milliseconds(action: Callable[[], object], runs: int) -> tuple[float, float, float, float]:

@@ -195,7 +195,7 @@ class Batches(Dataset[dict[str, Tensor]]):
     def _cut(self, rng: np.random.Generator, source: Source) -> "_Single":
         shot, _ = source.draw(rng)
         picture = training_picture(shot.picture)
-        view, _ = draw_views(picture.shape[:2], self._mix.clear_size, FOR_LABELS, rng)
+        view, _ = draw_views(picture.shape[:2], self._mix.clear_size, FOR_LABELS, rng, self._mix.clear_zoom)
         meanings = self._meanings(shot, picture, view, self._mix.clear_size, self._mix.clear_stride)
         folder = self._opinions
         opinions = np.zeros(0, np.float16) if folder is None else opinions_of(folder / opinion_name(shot.picture))

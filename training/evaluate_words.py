@@ -4,7 +4,7 @@ As LSeg is judged: the words of a set's own classes are put to the network, a cl
 pixel takes the best class. CamVid has 11 classes, LabelMeFacade 8; of NYUv2's 37 the 13 with most labelled pixels in
 its training pictures are taken and pixels of the others are left out.
 
-Judged are the fine words (``--fine FILE``), which segmentations are drawn from, as the service has them
+Judged are the fine words (``--fine FILE --second FILES``), which segmentations are drawn from, as the service has them
 (`worker.encoders.compact.looked_at`), and without that option the words field that descriptions are made of. Pictures
 come at two sizes: as the service sees them, 480 on the longer side (``service``), and at their own, times ``--scale``
 (``own``). Scores are enlarged to the labels' size before the best class is taken.
@@ -28,7 +28,7 @@ from training.export import basis_of, network_of
 from training.lexicon import ClipWords, Floats, class_words
 from training.pictures import Picture, read_labels, read_rgb
 from worker.encoders.compact import LONGEST, looked_at, resized
-from worker.encoders.compact_fine import FineWords
+from worker.encoders.compact_fine import FineWords, SecondFineWords
 from worker.encoders.compact_network import CompactNetwork
 from worker.encoders.memory import keep_freed_memory
 
@@ -98,25 +98,39 @@ def intersections_over_unions(counts: npt.NDArray[np.int64]) -> npt.NDArray[np.f
     return np.where(counts.sum(axis=1) > 0, hits / np.maximum(unions, 1), np.nan)
 
 
-def embedding(network: CompactNetwork, fine: FineWords | None) -> Embed:
-    """The fine words as the service makes them, or the words field where there are none."""
+def words_field(network: CompactNetwork) -> Embed:
+    """The words field that descriptions are made of."""
+    return lambda picture, longest: _read(lambda x: network(x)[0], resized(picture, longest))
 
-    def words(pixels: Picture) -> Floats:
-        x = torch.from_numpy(pixels).permute(2, 0, 1)[None].float() / 255
-        x = x.contiguous(memory_format=torch.channels_last)
-        field = network(x)[0] if fine is None else fine(*network.levels(x))
-        return np.asarray(field[0].permute(1, 2, 0))
 
-    if fine is None:
-        return lambda picture, longest: words(resized(picture, longest))
-    return lambda picture, longest: looked_at(picture, words, longest)
+def fine_words(network: CompactNetwork, fine: FineWords, others: Sequence[SecondFineWords], vectors: Floats) -> Embed:
+    """The fine words as the service makes them, with text vectors of the words that it knows."""
+    readers: list[Callable[[Tensor], Tensor]] = [lambda x: fine(*network.levels(x)), *others]
+    return lambda picture, longest: looked_at(
+        picture, lambda seen, reader: _read(readers[reader], seen), vectors, len(readers), longest
+    )
+
+
+def _read(read: Callable[[Tensor], Tensor], pixels: Picture) -> Floats:
+    x = torch.from_numpy(pixels).permute(2, 0, 1)[None].float() / 255
+    return np.asarray(read(x.contiguous(memory_format=torch.channels_last))[0].permute(1, 2, 0))
 
 
 def fine_words_of(path: Path) -> FineWords:
     """Load fine words to judge: a checkpoint's averaged weights (``.pt``) or an exported file."""
+    return FineWords.loaded(_state(path))
+
+
+def second_of(path: Path) -> SecondFineWords:
+    """Load second fine words to judge, from such files too."""
+    return SecondFineWords.loaded(_state(path))
+
+
+def _state(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".pt":
-        return FineWords.loaded(torch.load(path, map_location="cpu", weights_only=True)["average"])
-    return FineWords.loaded(load_file(path))
+        averaged: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)["average"]
+        return averaged
+    return load_file(path)
 
 
 def evaluate(
@@ -143,6 +157,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.evaluate_words", description="mIoU of the words.")
     parser.add_argument("--network", type=Path, required=True, help="checkpoint.pt or an exported .safetensors")
     parser.add_argument("--fine", type=Path, help="checkpoint.pt or an exported .safetensors of the fine words")
+    parser.add_argument(
+        "--second", type=Path, nargs="+", default=[], help="the same of the second fine words, and the third"
+    )
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--split", choices=("val", "test"), default="test")
     parser.add_argument("--every", type=int, default=1, help="judge every n-th picture only")
@@ -150,10 +167,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--scale", type=float, default=1.0, help="enlarge pictures of their own size first")
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
+    if options.second and not options.fine:
+        parser.error("--second FILE judges the mean with the first fine words: give --fine FILE too")
+    if options.fine and options.network.suffix == ".pt":
+        parser.error("fine words belong to an exported network: give its .safetensors as --network")
     keep_freed_memory()
     torch.set_num_threads(options.threads)
     network, basis = network_of(options.network), basis_of(options.network)
-    embed = embedding(network, options.fine and fine_words_of(options.fine))
+    if options.fine:
+        others = [second_of(path) for path in options.second]
+        vectors = load_file(options.network)["text.vectors"].float().numpy()
+        embed = fine_words(network, fine_words_of(options.fine), others, vectors)
+    else:
+        embed = words_field(network)
     answers = {}
     for size in options.size:
         name, scale = (f"own x {options.scale:g}", options.scale) if size == "own" else (size, None)

@@ -12,8 +12,8 @@ Three files come out, and one command makes all of them, so they cannot drift ap
 ``compact.json``
     ``weights`` and ``graph``: name and SHA-256 of either file; ``words``: for each its CLIP words (`clip`: several mean
     their unit mean), whether labelled pixels could mean it in training (`trained`) and whether some could mean only it
-    (`alone`); ``provenance``. `training.export_fine` adds ``fine``, which is kept as long as the shallow layers and the
-    basis stay what they were.
+    (`alone`); ``provenance``. `training.export_fine` adds the READERS of fine words, which are kept as long as the
+    shallow layers and the basis stay what they were.
 
 The cosine of a cell's embedding z (unit length) with word i is ``text.vectors[i] @ z``: the rows are shorter than 1
 by what of CLIP's vector lies outside the network's 97 dimensions, and must not be scaled.
@@ -34,6 +34,7 @@ from training import data
 from training.export_onnx import shipped_network, write_fields_graph, write_fine_graph
 from training.lexicon import ClipWords, Lexicon
 from training.network import TAUGHT_THROUGH
+from worker.encoders.compact import READERS
 from worker.encoders.compact_network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
 
 WORDS_TO_SHIP = (
@@ -121,7 +122,7 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
     save_file(tensors, weights)
     weights.chmod(0o644)
     path = folder / f"{name}.json"
-    earlier = json.loads(path.read_text()).get("fine") if path.exists() else None
+    earlier = json.loads(path.read_text()) if path.exists() else {}
     described = {
         "format": 2,
         "weights": named(weights),
@@ -131,9 +132,12 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
         "provenance": ORIGIN | history(saved),
         "words": words,
     }
-    if earlier is not None and earlier["training"]["plan"]["shared"] == shared_digest(tensors):
-        fine = folder / earlier["weights"]["file"]
-        described["fine"] = earlier | {"graph": named(write_fine_graph(weights, fine))}
+    for reader in READERS:
+        if reader in earlier and earlier[reader]["training"]["plan"]["shared"] == shared_digest(tensors):
+            described[reader] = earlier[reader]
+    if "fine" in described:  # its graph reads the shallow layers at their places in the new file
+        graph = write_fine_graph(weights, folder / earlier["fine"]["weights"]["file"])
+        described["fine"] = earlier["fine"] | {"graph": named(graph)}
     path.write_text(json.dumps(described, indent=1, ensure_ascii=False) + "\n")
 
 

@@ -1,7 +1,9 @@
 """From a checkpoint of fine words to what ships: ``python -m training.export_fine --checkpoint FILE --to FOLDER``.
 
 Beside the exported weights that the run began with it writes ``compact-fine.safetensors`` (float16: the state dict of
-``FineWords(97)``) and ``compact-fine.onnx``, and names both, with their SHA-256, under ``fine`` in ``compact.json``.
+``FineWords(97)``) and ``compact-fine.onnx``, and names both, with their SHA-256, under ``fine`` in ``compact.json``;
+or, from a run with ``--second``, ``compact-second.safetensors`` (of ``SecondFineWords(97)``), ``compact-second.onnx``
+and ``second``, or the same for ``third``.
 """
 
 import argparse
@@ -13,16 +15,24 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from training.export import history, named, shared_digest
-from training.export_onnx import write_fine_graph
+from training.export_onnx import write_fine_graph, write_second_graph
+from worker.encoders.compact import READERS
 
 
-def export_fine(checkpoint: Path, folder: Path, name: str = "compact") -> None:
+def export_fine(checkpoint: Path, folder: Path, name: str = "compact", reader: str | None = None) -> None:
     """Write the fine words and their graph, and add them to the JSON file.
+
+    Parameters
+    ----------
+    checkpoint, folder, name
+    reader
+        Which of READERS they become; None means the first that they can be.
 
     Raises
     ------
     ValueError
-        The run began with other weights than those in `folder`, whose shallow layers are not the ones it learned on.
+        The run began with other weights than those in `folder`, whose shallow layers or space of words are not the ones
+        it learned on; or the first reader was to be one that shares no layers with the network, or the other way round.
     """
     saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
     described = folder / f"{name}.json"
@@ -33,13 +43,18 @@ def export_fine(checkpoint: Path, folder: Path, name: str = "compact") -> None:
         raise ValueError(
             f"{checkpoint} began with shallow layers of SHA-256 {began[:16]}..., {weights} has {found[:16]}..."
         )
-    fine = folder / f"{name}-fine.safetensors"
+    apart = any(key.startswith("shallow.") for key in saved["average"])
+    reader = reader or READERS[apart]
+    if apart == (reader == READERS[0]):
+        raise ValueError(
+            f"{checkpoint} has shallow layers {'of its own' if apart else 'in common with the network'}: "
+            f"it cannot be the reader {reader}"
+        )
+    fine = folder / f"{name}-{reader}.safetensors"
     save_file({key: tensor.half().contiguous() for key, tensor in saved["average"].items()}, fine)
     fine.chmod(0o644)
-    facts["fine"] = {
-        "weights": named(fine),
-        "graph": named(write_fine_graph(weights, fine)),
-    } | history(saved)
+    graph = write_second_graph(fine) if apart else write_fine_graph(weights, fine)
+    facts[reader] = {"weights": named(fine), "graph": named(graph)} | history(saved)
     described.write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
 
 
@@ -48,8 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.export_fine", description="Write the fine words.")
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--to", type=Path, default=Path("worker/encoders/weights"))
+    parser.add_argument("--reader", choices=READERS, help="which they become; without, the first that they can be")
     options = parser.parse_args(arguments)
-    export_fine(options.checkpoint, options.to)
+    export_fine(options.checkpoint, options.to, reader=options.reader)
 
 
 if __name__ == "__main__":

@@ -7,10 +7,12 @@ fixed when a graph is traced), and give unit-length embeddings, float32 of shape
     ``words`` and ``detail``, as `CompactNetwork.forward` has them.
 ``compact-fine.onnx``
     ``fine_words``, as `FineWords` has them.
+``compact-second.onnx``
+    ``fine_words``, as `SecondFineWords` has them.
 
-One graph with three outputs would be slower: ONNX Runtime computes them all, whichever are asked for.
+One graph with all outputs would be slower: ONNX Runtime computes them all, whichever are asked for.
 
-Neither graph holds weights. They are external data in ``compact.safetensors`` and ``compact-fine.safetensors``, at the
+No graph holds weights. They are external data in ``compact.safetensors`` and the files named like it, at the
 places that their headers give, float16 as they are there, and widened when a session loads. So they ship once, and
 cannot differ from torch's.
 
@@ -29,7 +31,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from worker.encoders.compact_fine import FineWords
+from worker.encoders.compact_fine import FineWords, SecondFineWords
 from worker.encoders.compact_network import CompactNetwork
 
 _OPSET = 17
@@ -46,6 +48,19 @@ class Fields(nn.Module):
         """Map uint8 (n, height, width, 3) to float (n, height / 8, width / 8, channels), twice."""
         words, detail = self.network(_channels_first(pictures))
         return words.permute(0, 2, 3, 1), detail.permute(0, 2, 3, 1)
+
+
+class SecondGraph(nn.Module):
+    """The second fine words, from and to the layout that the encoder has."""
+
+    def __init__(self, second: SecondFineWords) -> None:
+        super().__init__()
+        self.second = second
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Map uint8 (n, height, width, 3) to float (n, height / 4, width / 4, channels)."""
+        words: Tensor = self.second(_channels_first(pictures))
+        return words.permute(0, 2, 3, 1)
 
 
 class FineGraph(nn.Module):
@@ -73,6 +88,14 @@ def write_fine_graph(weights: Path, fine: Path) -> Path:
     target = fine.with_suffix(".onnx")
     module = FineGraph(shipped_network(weights), FineWords.loaded(load_file(fine)))
     _write_graph(module, ("fine_words",), {"network.": weights, "fine.": fine}, target)
+    return target
+
+
+def write_second_graph(second: Path) -> Path:
+    """Write the graph of the second fine words beside the exported weights that it refers to."""
+    target = second.with_suffix(".onnx")
+    module = SecondGraph(SecondFineWords.loaded(load_file(second)))
+    _write_graph(module, ("fine_words",), {"second.": second}, target)
     return target
 
 

@@ -2,7 +2,8 @@
 
 They begin as a copy of an exported network's deep layers and words head, whose shallow layers they share and do not
 change: places are recognised as before. They learn on single views, from labels and from what the untouched trunk says,
-and their embeddings lie in that network's space: 97 dimensions, the same text vectors.
+and their embeddings lie in that network's space: 97 dimensions, the same text vectors. With ``--second`` a network of
+its own learns the same from the trunk on, to be a second opinion.
 """
 
 import argparse
@@ -20,15 +21,16 @@ from training.command import add_run_options, begin, check_run_options, prepare,
 from training.depthwise import quicken
 from training.evaluate_words import fine_words_of
 from training.export import basis_of, network_of, shared_digest
-from training.lexicon import ClipWords, Lexicon
+from training.lexicon import STREET_WORDS, ClipWords, Lexicon
 from training.loop import Plan, Run
 from training.mix import FINE_SHARES, Mix
 from training.opinions import OpinionLoss, opinion_loss_of
-from training.start import trunk_state
+from training.start import second_started, trunk_state
 from training.teacher import Teacher, write_opinions
+from training.viewpoint import ZOOM
 from training.word_loss import WordLoss, word_loss_of
 from worker.encoders.compact_fine import FineWords
-from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.compact_network import CompactNetwork, ShallowLayers
 
 
 @dataclass(frozen=True)
@@ -61,24 +63,22 @@ class LabelledPixels(nn.Module):
 
     Parameters
     ----------
-    shared
-        Frozen; its shallow layers are read.
+    shallow
+        What gives the levels that `fine` reads; not trained if none of its parameters wants a gradient.
     """
 
     def __init__(
-        self, shared: CompactNetwork, fine: FineWords, word_loss: WordLoss, opinion_loss: OpinionLoss, plan: FinePlan
+        self, shallow: ShallowLayers, fine: FineWords, word_loss: WordLoss, opinion_loss: OpinionLoss, plan: FinePlan
     ) -> None:
         super().__init__()
-        self.shared, self.fine, self.plan = shared, fine, plan
+        self.shallow, self.fine, self.plan = shallow, fine, plan
         self.word_loss, self.opinion_loss = word_loss, opinion_loss
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Give the weighted sum of the losses, and each of them."""
         pictures = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
         with torch.autocast(pictures.device.type, torch.bfloat16, enabled=self.plan.half):
-            with torch.no_grad():
-                levels = self.shared.levels(pictures)
-            joined = self.fine.joined(*levels)
+            joined = self.fine.joined(*self.shallow.levels(pictures))
         words = self.fine.words
         cells = F.linear(joined.float().permute(0, 2, 3, 1), words.weight.flatten(1), words.bias)
 
@@ -115,14 +115,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     splits = ("train", "val") if options.validation_too else ("train",)
     found = data.sources(options.data, None, splits)
     outdoor = [scene[0].picture for name in data.OUTDOOR if name in found for scene in found[name].scenes]
-    write_opinions(Teacher(trunk_state(options.trunk)), outdoor, opinions)
+    trunk = trunk_state(options.trunk)
+    write_opinions(Teacher(trunk), outdoor, opinions)
     lexicon = Lexicon(ClipWords(options.data / data.CLIP_FILE), data.classes(options.data))
 
-    shared = network_of(options.weights)
-    fine = started_from(shared, options.earlier)
-    if options.device == "cpu":
-        quicken(fine)
     vectors = torch.from_numpy(lexicon.vectors) @ basis_of(options.weights)
+    learner: nn.Module
+    if options.second:
+        spoken = [lexicon.words.index(word) for word in STREET_WORDS]
+        learner = second = second_started(trunk, vectors[spoken])
+        shallow, fine = second.shallow, second.fine
+    else:
+        shallow = shared = network_of(options.weights)
+        learner = fine = started_from(shared, options.earlier)
+    if options.device == "cpu":
+        quicken(learner)
     word_loss = word_loss_of(found, lexicon, vectors, rarity=options.rarity)
     opinion_loss = opinion_loss_of(lexicon, vectors)
     plan = FinePlan(
@@ -133,9 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         opinion=options.opinion,
         points=options.points,
     )
-    run = Run(
-        fine, LabelledPixels(shared, fine, word_loss, opinion_loss, plan), plan, options.out, device=options.device
-    )
+    objective = LabelledPixels(shallow, fine, word_loss, opinion_loss, plan)
+    run = Run(learner, objective, plan, options.out, device=options.device)
     begin(run, options)
     mix = Mix(
         strong=0,
@@ -145,6 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         clear_pasted=options.pasted,
         clear_shares=FINE_SHARES,
         clear_size=(options.height, options.width),
+        clear_zoom=tuple(options.zoom),
         clear_stride=1,
     )
     run.train(data.stream(data.Batches(found, lexicon, mix, options.seed, opinions), run.step, options.loaders))
@@ -155,6 +162,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add_run_options(parser)
     parser.add_argument("--weights", type=Path, required=True, help="exported network to start from")
     parser.add_argument("--earlier", type=Path, help="fine words to start from: checkpoint.pt or exported")
+    parser.add_argument("--second", action="store_true", help="train a second network of fine words, from the trunk on")
     parser.add_argument("--views", type=int, default=8, help="labelled views a step")
     parser.add_argument("--strong-light", type=float, default=0.2, help="share of views in strongly changed light")
     parser.add_argument("--pasted", type=float, default=0.0, help="share of views that things are pasted onto")
@@ -165,10 +173,15 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--points", type=int, default=FinePlan.points, help="pixels judged of a view")
     parser.add_argument("--height", type=int, default=288)
     parser.add_argument("--width", type=int, default=384)
+    parser.add_argument("--zoom", type=float, nargs=2, default=ZOOM, help="least and greatest enlargement of a view")
     parser.add_argument("--opinion", type=float, default=FinePlan.opinion, help="weight of what the trunk says")
     parser.add_argument("--overlap", type=float, default=FinePlan.overlap, help="weight of the soft IoU")
     options = parser.parse_args(arguments)
     check_run_options(parser, options)
+    if not 0 < options.zoom[0] <= options.zoom[1]:
+        parser.error(f"--zoom wants the least, above 0, and the greatest: not {options.zoom[0]:g} {options.zoom[1]:g}")
+    if options.second and options.earlier:
+        parser.error("--second begins with the trunk: leave --earlier out")
     return options
 
 

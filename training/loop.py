@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-_HEADS = ("from16", "from8", "from4", "fuse", "refine", "sharpen", "words", "detail")
+_HEADS = frozenset(("from16", "from8", "from4", "fuse", "refine", "sharpen", "words", "detail"))
 _WARM_UP = 0.03
 
 
@@ -97,8 +97,8 @@ class Run:
         self._stopped = False
         self._folder = folder
         self._sums: dict[str, float] = {}
-        heads = [p for name, p in network.named_parameters() if name.split(".")[0] in _HEADS]
-        trunk = [p for name, p in network.named_parameters() if name.split(".")[0] not in _HEADS]
+        heads = [p for name, p in network.named_parameters() if not _HEADS.isdisjoint(name.split("."))]
+        trunk = [p for name, p in network.named_parameters() if _HEADS.isdisjoint(name.split("."))]
         self._rates = (plan.trunk_rate, plan.head_rate)
         self._optimizer = torch.optim.AdamW(
             [{"params": trunk}, {"params": heads}], lr=plan.trunk_rate, weight_decay=plan.weight_decay

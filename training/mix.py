@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from training import viewpoint
+
 STREET = "street words of the trunk"
 """Labelled set whose labels the untouched trunk gave."""
 
@@ -50,6 +52,8 @@ class Mix:
         How often each labelled set is drawn for them, relative to the others.
     size, clear_size
         Height and width of a view in pixels, multiples of 32.
+    clear_zoom
+        Least and greatest enlargement of these, for a source 360 pixels high; what fills the view is the least anyway.
     clear_stride
         Pixels of a single view for each label along either side.
     """
@@ -64,4 +68,5 @@ class Mix:
     clear_shares: Mapping[str, float] = field(default_factory=lambda: CLEAR_SHARES)
     size: tuple[int, int] = (192, 256)
     clear_size: tuple[int, int] = (288, 384)
+    clear_zoom: tuple[float, float] = viewpoint.ZOOM
     clear_stride: int = 4

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from training.network import TrainedNetwork
+from worker.encoders.compact_fine import SecondFineWords
 
 State = dict[str, Tensor]
 
@@ -17,6 +18,9 @@ KEPT_AT_STRIDE4 = (0, 2, 3)
 
 Without block 1 the words field of a trained network changes least: mean cosine 0.989 with the whole.
 """
+
+_RAISED = 20.0
+"""What the trunk's scores are raised by: the least of them are about -15."""
 
 _STAGES = {"s2": "stride2", "s4": "stride4", "s8": "stride8", "s16": "stride16", "deep": "deep", "last": "context.last"}
 _HEADS = {"aspp": "context.local", "pool": "context.whole", "cat": "context.joined", "cls": "classes"}
@@ -85,3 +89,37 @@ def started(pretrained: Path) -> tuple[TrainedNetwork, set[str]]:
     if unknown:
         raise ValueError(f"{pretrained} holds tensors that the network has no place for: {unknown[:4]}")
     return network, set(missing)
+
+
+def second_started(trunk: Mapping[str, Tensor], vectors: Tensor) -> SecondFineWords:
+    """Build fine words that begin with the trunk's layers, and with a words head that ranks its 19 words as it does.
+
+    Its layers up to stride 4 stay as they are: edges and colours are the same everywhere, and a step takes a third
+    less. Its scores are the first 19 channels of what the words are read from, raised so that no ReLU cuts them; the
+    others, and what sharpens them, begin as torch begins them and are not heard at first.
+
+    Parameters
+    ----------
+    trunk
+        As `trunk_state` reads it.
+    vectors : float of shape (19, channels)
+        Of its words, in the space of the words head.
+    """
+    second = SecondFineWords(vectors.shape[1])
+    state = renamed(trunk)
+    for part in (second.shallow, second.fine):
+        names = part.state_dict().keys() & state.keys()
+        part.load_state_dict({name: state[name] for name in names}, strict=False)
+    for layers in (second.shallow.stride2, second.shallow.stride4):
+        layers.requires_grad_(False)
+    own = second.fine.state_dict()  # its tensors are the network's own
+    spoken, classes = len(vectors), state["classes.weight"]
+    for silent in ("from16", "from8", "from4", "fuse.2"):
+        own[f"{silent}.weight"][:spoken] = 0
+        own[f"{silent}.bias"][:spoken] = 0
+    own["from16.weight"][:spoken, -classes.shape[1] :] = classes
+    own["from16.bias"][:spoken] = state["classes.bias"] + _RAISED
+    own["words.weight"].zero_()
+    own["words.weight"][:, :spoken, 0, 0] = torch.linalg.pinv(vectors) @ (torch.eye(spoken) - 1 / spoken)
+    own["words.bias"].zero_()
+    return second

@@ -36,6 +36,9 @@ class Freedom:
     turn: float
 
 
+ZOOM = (0.5, 1.6)
+"""Least and greatest enlargement of a drawn view."""
+
 FOR_WORDS = Freedom(ratio=1.7, shift=0.35, lean=0.08, turn=4.0)
 FOR_LABELS = Freedom(ratio=1.0, shift=0.0, lean=0.05, turn=3.0)
 FOR_DETAIL = Freedom(ratio=2.2, shift=0.35, lean=0.14, turn=8.0)
@@ -69,10 +72,18 @@ class View:
 
 
 def draw_views(
-    shape: tuple[int, int], size: tuple[int, int], freedom: Freedom, rng: np.random.Generator
+    shape: tuple[int, int],
+    size: tuple[int, int],
+    freedom: Freedom,
+    rng: np.random.Generator,
+    zoom: tuple[float, float] = ZOOM,
 ) -> tuple[View, View]:
-    """Draw two overlapping views of `size` from a source of `shape`, both (height, width) in pixels."""
-    first = _box(shape, size, rng)
+    """Draw two overlapping views of `size` from a source of `shape`, both (height, width) in pixels.
+
+    The first is enlarged by `zoom`, least and greatest, for a source 360 pixels high, and more where the source would
+    not fill it otherwise.
+    """
+    first = _box(shape, size, zoom, rng)
     second = _box_near(first, shape, freedom, rng)
     mirrored = rng.random() < 0.5
     return _leaning(first, freedom, rng, mirrored), _leaning(second, freedom, rng, mirrored)
@@ -112,10 +123,10 @@ def shared_cells(
 Box = tuple[float, float, float, float]  # centre x, centre y, width, height; all 0..1
 
 
-def _box(shape: tuple[int, int], size: tuple[int, int], rng: np.random.Generator) -> Box:
+def _box(shape: tuple[int, int], size: tuple[int, int], zoom: tuple[float, float], rng: np.random.Generator) -> Box:
     height, width = shape
     # Scale as if the source were 360 high, since sources come in many sizes.
-    scale = max(np.exp(rng.uniform(np.log(0.5), np.log(1.6))) * 360 / height, size[0] / height, size[1] / width)
+    scale = max(np.exp(rng.uniform(*np.log(zoom))) * 360 / height, size[0] / height, size[1] / width)
     across = min(1.0, size[1] / scale / width * np.exp(rng.uniform(-0.1, 0.1)))
     down = min(1.0, size[0] / scale / height)
     return rng.uniform(across / 2, 1 - across / 2), rng.uniform(down / 2, 1 - down / 2), across, down

@@ -10,13 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load_file
 
 from schemas.description import Floats
 from schemas.errors import SetupError
 from schemas.picture import Bytes2D, Picture
 from schemas.settings import Settings
 from worker.bootstrap import make_encoder
-from worker.encoders.compact import LONGEST, MULTIPLE, WEIGHTS, CompactEncoder, looked_at, network_size, resized
+from worker.encoders.compact import (
+    LONGEST,
+    MULTIPLE,
+    READERS,
+    WEIGHTS,
+    CompactEncoder,
+    looked_at,
+    network_size,
+    resized,
+    sureness,
+)
 from worker.encoders.compact_onnx import OnnxEngine
 from worker.encoders.compact_torch import TorchEngine
 from worker.scenes import scene
@@ -25,8 +36,15 @@ ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]
 """Width and height of pictures."""
 
-FINE = WEIGHTS.with_name("compact-fine.safetensors")
-FILES = ("compact.safetensors", "compact.onnx", "compact-fine.safetensors", "compact-fine.onnx")
+FINE = [WEIGHTS.with_name(f"compact-{reader}.safetensors") for reader in READERS]
+FILES = tuple(path.name for weights in (WEIGHTS, *FINE) for path in (weights, weights.with_suffix(".onnx")))
+
+
+def without(weights: Path, *readers: str) -> CompactEncoder:
+    described = weights.with_suffix(".json")
+    facts = json.loads(described.read_text())
+    described.write_text(json.dumps({name: fact for name, fact in facts.items() if name not in readers}))
+    return CompactEncoder(weights=weights)
 
 
 def drawn(width: int, height: int) -> Picture:
@@ -38,9 +56,8 @@ def cosines(one: Floats, other: Floats) -> Floats:
     return product
 
 
-def graphs() -> tuple[Path, Path]:
-    facts = json.loads(WEIGHTS.with_suffix(".json").read_text())
-    return WEIGHTS.with_name(facts["graph"]["file"]), WEIGHTS.with_name(facts["fine"]["graph"]["file"])
+def in_onnx(threads: int = 1) -> OnnxEngine:
+    return OnnxEngine(WEIGHTS.with_suffix(".onnx"), [path.with_suffix(".onnx") for path in FINE], threads=threads)
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +68,14 @@ def encoder() -> CompactEncoder:
 @pytest.fixture(scope="module")
 def reference() -> TorchEngine:
     torch.set_num_threads(1)
-    return TorchEngine(WEIGHTS.read_bytes(), FINE.read_bytes(), "cpu")
+    return TorchEngine(WEIGHTS.read_bytes(), [path.read_bytes() for path in FINE], "cpu")
 
 
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     """The shipped files where they can be spoilt."""
-    for path in (WEIGHTS, FINE, WEIGHTS.with_suffix(".json"), *graphs()):
-        shutil.copy(path, tmp_path)
+    for name in ("compact.json", *FILES):
+        shutil.copy(WEIGHTS.with_name(name), tmp_path)
     return tmp_path / WEIGHTS.name
 
 
@@ -71,13 +88,12 @@ class TestParity:
         pixels = resized(picture.pixels)[None]
         [field] = encoder.encode([picture])
         words, detail = reference.fields(pixels)
-        [fine] = reference.fine_words(pixels)
-        [mine_fine] = OnnxEngine(*graphs(), threads=1).fine_words(pixels)
+        engine = in_onnx()
 
         for mine, other in (
             (field.semantic, words[0]),
             (field.layers["detail"], detail[0]),
-            (mine_fine, fine),
+            *((engine.fine_words(pixels, reader)[0], reference.fine_words(pixels, reader)[0]) for reader in range(3)),
         ):
             assert mine.shape == other.shape
             assert cosines(mine, other).min() > 0.9999
@@ -90,10 +106,11 @@ class TestParity:
         picture = drawn(width, height)
         text = encoder.text_vectors(["road", "sidewalk", "building", "car", "vegetation", "sky", "person", "pole"])
         pixels = resized(picture.pixels)[None]
+        engine = in_onnx()
 
         for mine, other in (
             (next(encoder.encode([picture])).semantic, reference.fields(pixels)[0][0]),
-            (OnnxEngine(*graphs(), threads=1).fine_words(pixels)[0], reference.fine_words(pixels)[0]),
+            *((engine.fine_words(pixels, reader)[0], reference.fine_words(pixels, reader)[0]) for reader in range(3)),
         ):
             first, second = np.sort(other @ text.T, axis=-1)[..., :-3:-1].transpose(2, 0, 1)
             certain = first - second > 1e-4  # two words as near as that may change places by rounding
@@ -128,7 +145,7 @@ class TestIndependence:
         assert np.array_equal(one.layers["detail"], several.layers["detail"])
 
     def test_nor_on_what_shares_its_batch(self) -> None:
-        engine = OnnxEngine(*graphs(), threads=2)
+        engine = in_onnx(threads=2)
         pixels = resized(drawn(640, 480).pixels)
 
         alone, among = engine.fields(pixels[None]), engine.fields(np.stack([255 - pixels, pixels, pixels // 2]))
@@ -178,34 +195,66 @@ class TestFineWords:
         assert float(same.mean()) > 0.8
         assert np.abs(np.linalg.norm(one, axis=-1) - 1).max() < 1e-5
 
-    def test_they_are_the_mean_of_a_small_mirrored_look_and_a_large_one(self) -> None:
+    def test_they_are_the_mean_of_mirrored_looks_and_larger_ones(self) -> None:
         picture = drawn(960, 704)
         sizes = []
 
-        def look(seen: Bytes2D) -> Floats:  # channels: where the cell lies across the view, and how large that is
-            sizes.append(seen.shape[:2])
+        # Channels: where the cell lies across the view, and how large that is.
+        def look(seen: Bytes2D, reader: int) -> Floats:
+            sizes.append((reader, *seen.shape[:2]))
             rows, columns = seen.shape[0] // 4, seen.shape[1] // 4
             across = np.broadcast_to((np.arange(columns) + 0.5) / columns, (rows, columns))
             return np.stack([across, np.full_like(across, columns / 120)], axis=2).astype(np.float32)
 
-        seen = looked_at(picture.pixels, look)
+        seen = looked_at(picture.pixels, look, np.eye(2, dtype=np.float32)[1:] * 0)
 
-        assert sizes == [(256, 352), (448, 608)]
+        assert sizes == [
+            *((0, 256, 352), (0, 448, 608)),
+            *((1, 448, 608), (1, 512, 704)),
+            *((2, 448, 608), (2, 512, 704)),
+        ]
         assert seen.shape == (88, 120, 2)
         # A mirrored 1 - x and a plain x: half way everywhere but at the border, where interpolation ends.
-        expected = np.array([1.0, 88 / 120 + 152 / 120])
+        expected = np.array([1.0 + 2.8, (88 + 152 + 2.8 * (152 + 176)) / 120])
         np.testing.assert_allclose(
             seen[:, 4:-4], np.broadcast_to(expected / np.linalg.norm(expected), (88, 112, 2)), atol=1e-3
         )
 
+    def test_a_look_that_is_near_no_word_counts_for_little(self) -> None:
+        word, nothing = np.eye(2, dtype=np.float32)
+
+        def look(seen: Bytes2D, reader: int) -> Floats:
+            at = word if reader == 0 else 0.5 * word + np.sqrt(0.75) * nothing
+            return np.broadcast_to(at, (seen.shape[0] // 4, seen.shape[1] // 4, 2)).astype(np.float32)
+
+        seen = looked_at(drawn(960, 704).pixels, look, word[None])
+
+        assert sureness(look(np.zeros((32, 32, 3), np.uint8), 1), word[None]) == pytest.approx(0.5)
+        expected = 2 * word + 4 * 1.4 * 0.5**6 * (0.5 * word + np.sqrt(0.75) * nothing)
+        np.testing.assert_allclose(seen[0, 0], expected / np.linalg.norm(expected), atol=1e-4)
+
     def test_without_them_the_finest_field_is_the_ordinary_one(self, copied: Path) -> None:
-        described = copied.with_suffix(".json")
-        facts = json.loads(described.read_text())
-        del facts["fine"]
-        described.write_text(json.dumps(facts))
-        picture, encoder = drawn(640, 480), CompactEncoder(weights=copied)
+        picture = drawn(640, 480)
+
+        encoder = without(copied, *READERS)
 
         assert np.array_equal(encoder.fine(picture).semantic, next(encoder.encode([picture])).semantic)
+
+    @pytest.mark.parametrize("readers", [1, 2])
+    def test_without_a_later_reader_those_before_it_are_believed(
+        self, encoder: CompactEncoder, copied: Path, readers: int
+    ) -> None:
+        picture = drawn(640, 480)
+        engine = in_onnx()
+
+        believed = without(copied, READERS[readers]).fine(picture).semantic
+
+        vectors = load_file(WEIGHTS)["text.vectors"].astype(np.float32)
+        expected = looked_at(
+            picture.pixels, lambda seen, reader: engine.fine_words(seen[None], reader)[0], vectors, readers
+        )
+        assert np.array_equal(believed, expected)
+        assert not np.array_equal(believed, encoder.fine(picture).semantic)
 
 
 class TestFiles:

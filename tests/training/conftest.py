@@ -8,12 +8,27 @@ import numpy as np
 import pytest
 import torch
 
+from training.start import KEPT_AT_STRIDE4, State
+from worker.encoders.compact_network import CompactNetwork
+
 CLIP_WORDS = (
     *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic sign", "traffic light", "vegetation", "tree"),
     *("terrain", "grass", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door"),
     *("floor", "ceiling", "background", "parking space", "branch", "wood", "plant", "ground", "house", "van"),
     *("motorcyclist", "stairs", "stairway", "bench", "bridge", "train", "rider", "street"),
 )
+
+TRUNK_PLACES = {
+    "stride2": "s2",
+    "stride4": "s4",
+    "stride8": "s8",
+    "stride16": "s16",
+    "deep": "deep",
+    "context.last": "last",
+    "context.local": "aspp",
+    "context.whole": "pool",
+    "context.joined": "cat",
+}
 
 
 @pytest.fixture(autouse=True)
@@ -51,3 +66,20 @@ def data_folder(tmp_path: Path) -> Path:
         for number, picture in enumerate(pictures):
             cv2.imwrite(str(folder / name / f"{number}.jpg"), picture)
     return folder
+
+
+@pytest.fixture
+def trunk() -> State:
+    """A trunk of random weights, under the names of its file."""
+    torch.manual_seed(3)
+    drawn = {"cls.weight": torch.randn(19, 128, 1, 1), "cls.bias": torch.randn(19)}
+    for name, tensor in CompactNetwork().state_dict().items():
+        for place, stage in TRUNK_PLACES.items():
+            if name.startswith(f"{place}."):
+                rest = name.removeprefix(f"{place}.")
+                if stage == "s4":
+                    block, rest = rest.split(".", 1)
+                    rest = f"{KEPT_AT_STRIDE4[int(block)]}.{rest}"
+                rest = rest.replace("convolutions.", "m.").replace("convolution.", "c.")
+                drawn[f"{stage}.{rest}"] = tensor
+    return drawn

@@ -6,12 +6,13 @@ import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
 
-from training.evaluate_words import Task, confusion, embedding, intersections_over_unions
+from training.evaluate_words import Task, confusion, fine_words, intersections_over_unions, words_field
 from training.lexicon import Floats
 from training.pictures import Picture
 from worker.encoders.compact import resized
-from worker.encoders.compact_fine import FineWords
+from worker.encoders.compact_fine import FineWords, SecondFineWords
 from worker.encoders.compact_network import CompactNetwork
+from worker.place.unit_length import unit
 
 TASK = Task([0, 1], ["sky", "road"], [[0], [1, 2]], np.eye(3, dtype=np.float32))
 """Two classes, the second of two words."""
@@ -61,19 +62,36 @@ def test_the_intersection_over_the_union_of_each_class() -> None:
     assert np.isnan(shares[2])
 
 
-def test_the_fine_words_are_judged_where_there_are_some_and_the_words_field_where_not() -> None:
-    network, fine = CompactNetwork().eval(), FineWords().eval()
+def test_the_words_field_is_judged_as_the_network_gives_it() -> None:
+    network = CompactNetwork().eval()
     picture = np.random.default_rng(0).integers(0, 256, (128, 192, 3)).astype(np.uint8)
-    batch = torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255
 
     with torch.inference_mode():
-        plain = embedding(network, None)(picture, 192)
-        assert np.allclose(plain, network(batch)[0][0].permute(1, 2, 0), atol=1e-6)
-        looks = embedding(network, fine)(picture, 192)
-        assert looks.shape == (32, 48, 97)
-        views = resized(picture, 144)[:, ::-1].copy(), resized(picture, 240)
-        seen = [torch.from_numpy(view).permute(2, 0, 1)[None].float() / 255 for view in views]
-        mirrored, larger = (fine(*network.levels(one)) for one in seen)
-        parts = [F.interpolate(part, size=(32, 48), mode="bilinear") for part in (mirrored.flip(3), larger)]
-        mean = F.normalize(parts[0] + parts[1], dim=1)[0].permute(1, 2, 0)
-        assert np.allclose(looks, mean, atol=1e-5)
+        field = network(as_batch(picture))[0][0]
+        assert np.allclose(words_field(network)(picture, 192), field.permute(1, 2, 0), atol=1e-6)
+
+
+def test_fine_words_are_judged_as_the_service_has_them() -> None:
+    network, fine, second = CompactNetwork().eval(), FineWords().eval(), SecondFineWords().eval()
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 256, (128, 192, 3)).astype(np.uint8)
+    vectors = unit(rng.standard_normal((5, 97)).astype(np.float32))
+
+    with torch.inference_mode():
+        judged = fine_words(network, fine, [second], vectors)(picture, 192)
+        looks = [
+            (fine(*network.levels(as_batch(resized(picture, 144)[:, ::-1]))).flip(3), 1.0),
+            (fine(*network.levels(as_batch(resized(picture, 240)))), 1.0),
+            (second(as_batch(resized(picture, 240))), 1.4),
+            (second(as_batch(resized(picture, 288)[:, ::-1])).flip(3), 1.4),
+        ]
+    total = torch.zeros(1, 97, 32, 48)
+    for seen, weight in looks:
+        brought = F.interpolate(seen, size=(32, 48), mode="bilinear")
+        nearest = torch.einsum("nchw,kc->nkhw", brought, torch.from_numpy(vectors)).amax(dim=1)
+        total += weight * nearest.mean() ** 6 * brought
+    assert np.allclose(judged, F.normalize(total, dim=1)[0].permute(1, 2, 0), atol=1e-4)
+
+
+def as_batch(picture: Picture) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(picture)).permute(2, 0, 1)[None].float() / 255

@@ -12,8 +12,8 @@ from training.export import WORDS_TO_SHIP, export, network_of, reduced, shared_d
 from training.export_fine import export_fine
 from training.fine_words import started_from
 from training.network import TrainedNetwork
-from worker.encoders.compact import CompactEncoder
-from worker.encoders.compact_fine import FineWords
+from worker.encoders.compact import READERS, CompactEncoder
+from worker.encoders.compact_fine import FineWords, SecondFineWords
 from worker.encoders.compact_network import CompactNetwork
 
 WEIGHTS = Path(__file__).parents[2] / "worker" / "encoders" / "weights"
@@ -116,28 +116,35 @@ def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_othe
         return CompactEncoder(weights=tmp_path / "compact.safetensors")
 
     picture = Picture.of(np.full((64, 96, 3), 90, np.uint8))
+    first_alone = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(picture)
+    torch.save(saved | {"average": SecondFineWords().state_dict()}, tmp_path / "second.pt")
+    export_fine(tmp_path / "second.pt", tmp_path)
+    export_fine(tmp_path / "second.pt", tmp_path, reader="third")
+    for stranger, place in (("second.pt", "fine"), ("fine.pt", "third")):
+        with pytest.raises(ValueError, match=f"it cannot be the reader {place}"):
+            export_fine(tmp_path / stranger, tmp_path, reader=place)
     then = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(picture)
+    assert not np.allclose(then.semantic, first_alone.semantic)
     deeper = exported_again("stride16.0.convolutions.0.convolution.weight")
     assert np.array_equal(deeper.fine(picture).semantic, then.semantic)
     exported_again("stride8.0.convolutions.0.convolution.weight")
-    assert "fine" not in json.loads((tmp_path / "compact.json").read_text())
+    assert json.loads((tmp_path / "compact.json").read_text()).keys().isdisjoint(READERS)
 
 
 class TestShippedWeights:
     def test_the_sums_are_right(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
-        files = [described["weights"], described["graph"], described["fine"]["weights"], described["fine"]["graph"]]
+        files = [part[kind] for part in (described, *map(described.get, READERS)) for kind in ("weights", "graph")]
 
-        assert len({file["file"] for file in files}) == 4
+        assert len({file["file"] for file in files}) == 8
         for file in files:
             assert hashlib.sha256((WEIGHTS / file["file"]).read_bytes()).hexdigest() == file["sha256"]
 
     def test_the_fine_words_belong_to_them(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
 
-        assert described["fine"]["training"]["plan"]["shared"] == shared_digest(
-            load_file(WEIGHTS / "compact.safetensors")
-        )
+        shared = shared_digest(load_file(WEIGHTS / "compact.safetensors"))
+        assert [described[reader]["training"]["plan"]["shared"] for reader in READERS] == [shared] * 3
 
     def test_every_word_has_a_row(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
@@ -150,6 +157,9 @@ class TestShippedWeights:
         network = network_of(WEIGHTS / "compact.safetensors")
 
         fine = FineWords.loaded(load_file(WEIGHTS / "compact-fine.safetensors"))
+        others = [
+            SecondFineWords.loaded(load_file(WEIGHTS / f"compact-{reader}.safetensors")) for reader in READERS[1:]
+        ]
 
-        assert sum(tensor.numel() for part in (network, fine) for tensor in part.parameters()) < 5_000_000
+        assert sum(tensor.numel() for part in (network, fine, *others) for tensor in part.parameters()) < 10_000_000
         assert sum(path.stat().st_size for path in WEIGHTS.iterdir()) < 25_000_000

@@ -7,8 +7,8 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from training.export_onnx import write_fields_graph, write_fine_graph
-from worker.encoders.compact_fine import FineWords
+from training.export_onnx import write_fields_graph, write_fine_graph, write_second_graph
+from worker.encoders.compact_fine import FineWords, SecondFineWords
 from worker.encoders.compact_network import CompactNetwork
 from worker.encoders.compact_onnx import OnnxEngine
 from worker.encoders.compact_torch import TorchEngine
@@ -17,8 +17,14 @@ from worker.encoders.compact_torch import TorchEngine
 class Files(NamedTuple):
     weights: Path
     fine: Path
+    second: Path
     fields_graph: Path
     fine_graph: Path
+    second_graph: Path
+
+    @property
+    def graphs(self) -> tuple[Path, ...]:
+        return self[3:]
 
 
 def halved(module: nn.Module) -> dict[str, Tensor]:
@@ -29,23 +35,26 @@ def halved(module: nn.Module) -> dict[str, Tensor]:
 def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("weights")
-    weights, fine_weights = folder / "compact.safetensors", folder / "compact-fine.safetensors"
+    weights, fine_weights, second_weights = (folder / f"compact{part}.safetensors" for part in ("", "-fine", "-second"))
     save_file(halved(CompactNetwork()) | {"text.vectors": torch.zeros(2, 97).half()}, weights)
-    fine = FineWords()
-    for parameter in fine.sharpen.out.parameters():
-        torch.nn.init.normal_(parameter, std=0.2)  # otherwise it adds nothing
+    fine, second = FineWords(), SecondFineWords()
+    for sharpen in (fine.sharpen, second.fine.sharpen):
+        for parameter in sharpen.out.parameters():
+            torch.nn.init.normal_(parameter, std=0.2)  # otherwise it adds nothing
     save_file(halved(fine), fine_weights)
-    return Files(weights, fine_weights, write_fields_graph(weights), write_fine_graph(weights, fine_weights))
+    save_file(halved(second), second_weights)
+    graphs = write_fields_graph(weights), write_fine_graph(weights, fine_weights), write_second_graph(second_weights)
+    return Files(weights, fine_weights, second_weights, *graphs)
 
 
 @pytest.mark.parametrize(("height", "width"), [(96, 128), (32, 64), (288, 480)])
 def test_the_graphs_answer_like_the_networks_at_any_multiple_of_32(files: Files, height: int, width: int) -> None:
     pictures = np.random.default_rng(0).integers(0, 256, (2, height, width, 3), np.uint8)
-    in_torch = TorchEngine(files.weights.read_bytes(), files.fine.read_bytes(), "cpu")
-    in_onnx = OnnxEngine(files.fields_graph, files.fine_graph, threads=1)
+    in_torch = TorchEngine(files.weights.read_bytes(), [files.fine.read_bytes(), files.second.read_bytes()], "cpu")
+    in_onnx = OnnxEngine(files.fields_graph, [files.fine_graph, files.second_graph], threads=1)
 
-    expected = [*in_torch.fields(pictures), in_torch.fine_words(pictures)]
-    answered = [*in_onnx.fields(pictures), in_onnx.fine_words(pictures)]
+    expected = [*in_torch.fields(pictures), *(in_torch.fine_words(pictures, reader) for reader in (0, 1))]
+    answered = [*in_onnx.fields(pictures), *(in_onnx.fine_words(pictures, reader) for reader in (0, 1))]
 
     for one, other in zip(expected, answered, strict=True):
         assert one.shape == other.shape
@@ -53,15 +62,19 @@ def test_the_graphs_answer_like_the_networks_at_any_multiple_of_32(files: Files,
 
 
 def test_the_graphs_hold_no_weights_of_their_own(files: Files) -> None:
-    assert [path.name for path in files[2:]] == ["compact.onnx", "compact-fine.onnx"]
-    for path in files[2:]:
+    assert [path.name for path in files.graphs] == ["compact.onnx", "compact-fine.onnx", "compact-second.onnx"]
+    for path in files.graphs:
         assert path.stat().st_size < 0.05 * files.weights.stat().st_size
 
 
 def test_the_same_weights_give_the_same_graphs_to_the_byte(files: Files) -> None:
-    before = [path.read_bytes() for path in files[2:]]
+    before = [path.read_bytes() for path in files.graphs]
 
-    again = write_fields_graph(files.weights), write_fine_graph(files.weights, files.fine)
+    again = (
+        write_fields_graph(files.weights),
+        write_fine_graph(files.weights, files.fine),
+        write_second_graph(files.second),
+    )
 
     assert [path.read_bytes() for path in again] == before
 

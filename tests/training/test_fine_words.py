@@ -19,6 +19,7 @@ from training.mix import Mix
 from training.network import TrainedNetwork
 from training.opinions import opinion_loss_of
 from training.pictures import Picture
+from training.start import State, second_started
 from training.teacher import OPINION_CELLS, Floats16, Teacher, write_opinions
 from training.word_loss import word_loss_of
 
@@ -152,6 +153,40 @@ def test_the_command_trains_goes_on_and_says_which_weights_it_began_with(
     assert saved["plan"]["shared"] == shared_digest(load_file(weights))
     lines = (tmp_path / "run" / "runs.jsonl").read_text().splitlines()
     assert [json.loads(line)["from step"] for line in lines] == ["0", "1"]
+
+
+def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
+    weights: Path, data_folder: Path, trunk: State, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began = second_started(trunk, torch.randn(19, 97))
+    monkeypatch.setattr("training.fine_words.trunk_state", lambda path: trunk)
+    monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
+    given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights), "--second"]
+    given += ["--out", str(tmp_path / "run"), "--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
+
+    main([*given, "--zoom", "1", "2", "--steps", "2"])
+
+    trained = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
+    changed = {name for name, tensor in began.state_dict().items() if not torch.equal(tensor, trained[name])}
+    assert not any(name.startswith(("shallow.stride2", "shallow.stride4")) for name in changed)
+    assert "shallow.stride8.0.convolutions.0.convolution.weight" in changed
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--second", "--earlier", "fine.pt"], "leave --earlier out"),
+        (["--zoom", "2", "1"], "--zoom wants the least, above 0, and the greatest: not 2 1"),
+        (["--zoom", "0", "1"], "not 0 1"),
+    ],
+)
+def test_options_that_contradict_one_another_are_refused(
+    options: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--data", "d", "--trunk", "t", "--weights", "w", "--out", str(tmp_path), "--steps", "1"]
+    with pytest.raises(SystemExit):
+        main([*given, *options])
+    assert complaint in capsys.readouterr().err
 
 
 def test_a_run_of_no_length_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,9 +4,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812
 
 from training.network import TrainedNetwork
-from training.start import started
+from training.start import State, second_started, started
 
 
 def saved(folder: Path, state: dict[str, torch.Tensor]) -> Path:
@@ -48,3 +49,22 @@ def test_the_trunk_gives_its_layers_and_its_classes_are_left_out(tmp_path: Path)
 def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no place for"):
         started(saved(tmp_path, {"another.weight": torch.zeros(1)}))
+
+
+def test_a_second_reader_at_first_ranks_the_trunks_words_as_the_trunk_does(trunk: State) -> None:
+    vectors = F.normalize(torch.randn(19, 97), dim=1)
+
+    second = second_started(trunk, vectors).eval()
+
+    picture = torch.rand(1, 3, 64, 96)
+    with torch.inference_mode():
+        shallow, fine = second.shallow, second.fine
+        deep = fine.context(fine.deep(fine.stride16(shallow.levels(picture)[2])))
+        scores = F.conv2d(deep, trunk["cls.weight"], trunk["cls.bias"])
+        for size in ((8, 12), (16, 24)):
+            scores = F.interpolate(scores, size=size, mode="bilinear", align_corners=False)
+        ranked = torch.einsum("nchw,kc->nkhw", second(picture), vectors)
+    assert scores.min() > -20
+    assert torch.equal(ranked.argmax(dim=1), scores.argmax(dim=1))
+    order = scores[0, :, 5, 7].argsort()
+    assert torch.equal(ranked[0, :, 5, 7].argsort(), order)

@@ -3,7 +3,8 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import groupby
+from dataclasses import dataclass
+from itertools import groupby, takewhile
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -30,8 +31,41 @@ FINE_STRIDE = 4
 
 DETAIL = "detail"
 
-FINE_LOOKS = ((0.75, True), (1.25, False))
-"""The looks that fine words take at a picture: how much larger than LONGEST it is, and whether as its mirror image."""
+READERS = ("fine", "second", "third")
+"""Who reads fine words: names in the JSON file, each with its weights and its graph. The later may be missing."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a reader of fine words looks at a picture.
+
+    Parameters
+    ----------
+    reader : int
+        Which of READERS.
+    scale : float
+        How much larger than LONGEST the picture is made.
+    mirrored : bool
+        Whether its mirror image is looked at.
+    weight : float
+        How much it counts, for a look as sure as any other.
+    """
+
+    reader: int
+    scale: float
+    mirrored: bool
+    weight: float = 1.0
+
+
+FINE_LOOKS = (
+    *(Look(0, 0.75, True), Look(0, 1.25, False)),
+    *(Look(1, 1.25, False, 1.4), Look(1, 1.5, True, 1.4)),
+    *(Look(2, 1.25, False, 1.4), Look(2, 1.5, True, 1.4)),
+)
+"""The looks that fine words take at a picture."""
+
+SURENESS = 6
+"""Power of a look's sureness that it counts by besides: the later readers know streets better than rooms."""
 
 
 class Engine(Protocol):
@@ -41,8 +75,8 @@ class Engine(Protocol):
         """Words and detail, float32 of shapes (n, height / 8, width / 8, channels), unit length."""
         ...
 
-    def fine_words(self, pictures: Bytes2D) -> Floats:
-        """Words, float32 of shape (n, height / 4, width / 4, channels), unit length."""
+    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
+        """Words as one of READERS has them, float32 of shape (n, height / 4, width / 4, channels), unit length."""
         ...
 
 
@@ -73,11 +107,12 @@ class CompactEncoder:
             raise SetupError(f"the encoder's file {described.name} is not in {weights.parent}")
         facts = json.loads(described.read_text())
         content = _verified(described, facts["weights"])
-        fine = _verified(described, facts["fine"]["weights"]) if "fine" in facts else None
+        readers = [facts[reader] for reader in takewhile(facts.__contains__, READERS)]
+        fine = [_verified(described, reader["weights"]) for reader in readers]
         self.digest: str = facts["weights"]["sha256"]
         self._alone = device == "cpu"
-        self._engine = _on_cpu(facts, described, threads) if self._alone else _on_gpu(content, fine, device)
-        self._fine = fine is not None
+        self._engine = _on_cpu(facts, readers, described, threads) if self._alone else _on_gpu(content, fine, device)
+        self._readers = len(readers)
         self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._words = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
         self.layers: Mapping[str, int] = {layer: facts["channels"][layer] for layer in (SEMANTIC, DETAIL)}
@@ -102,9 +137,14 @@ class CompactEncoder:
 
     def fine(self, picture: Picture) -> PixelField:
         """Words alone, per 4 x 4 pixels: the mean of several looks at the picture; see `Encoder.fine`."""
-        if not self._fine:
+        if not self._readers:
             return next(self._encode([picture]))
-        words = looked_at(picture.pixels, lambda seen: self._engine.fine_words(seen[None])[0])
+
+        def look(seen: Bytes2D, reader: int) -> Floats:
+            words: Floats = self._engine.fine_words(seen[None], reader)[0]
+            return words
+
+        words = looked_at(picture.pixels, look, self._vectors, self._readers)
         return PixelField({SEMANTIC: words}, picture.extent)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
@@ -128,14 +168,25 @@ class CompactEncoder:
         return [Meaning(entry["word"], tuple(entry["clip"]), bool(entry["trained"])) for entry in entries]
 
 
-def looked_at(pixels: Bytes2D, look: Callable[[Bytes2D], Floats], longest: float = LONGEST) -> Floats:
-    """Give the mean of what is seen of a picture at the sizes of FINE_LOOKS.
+def looked_at(
+    pixels: Bytes2D,
+    look: Callable[[Bytes2D, int], Floats],
+    vectors: Floats,
+    readers: int = len(READERS),
+    longest: float = LONGEST,
+) -> Floats:
+    """Give the mean of what is seen of a picture by FINE_LOOKS.
 
     Parameters
     ----------
     pixels : uint8 of shape (height, width, 3)
     look
-        From such a picture, sides multiples of MULTIPLE, to float32 of shape (height / 4, width / 4, channels).
+        From such a picture, sides multiples of MULTIPLE, and a reader to float32 of shape (height / 4, width / 4,
+        channels).
+    vectors : float32 of shape (words, channels)
+        Text vectors of the words that there are.
+    readers
+        How many there are, at least 1; what the others would see is left out.
     longest
         The longer side that the looks' sizes are relative to.
 
@@ -146,12 +197,27 @@ def looked_at(pixels: Bytes2D, look: Callable[[Bytes2D], Floats], longest: float
     """
     across, down = (side // FINE_STRIDE for side in network_size(pixels.shape[1], pixels.shape[0], longest))
     total = np.zeros(())
-    for scale, mirrored in FINE_LOOKS:
-        seen = resized(pixels, scale * longest)
-        words = look(np.ascontiguousarray(seen[:, ::-1]) if mirrored else seen)
+    for how in FINE_LOOKS:
+        if how.reader >= readers:
+            continue
+        seen = resized(pixels, how.scale * longest)
+        words = look(np.ascontiguousarray(seen[:, ::-1]) if how.mirrored else seen, how.reader)
         words = cv2.resize(words, (across, down), interpolation=cv2.INTER_LINEAR)
-        total = total + (words[:, ::-1] if mirrored else words)
+        count = how.weight * sureness(words, vectors) ** SURENESS
+        total = total + count * (words[:, ::-1] if how.mirrored else words)
     return unit(total)
+
+
+def sureness(words: Floats, vectors: Floats) -> float:
+    """Say how near to some word the cells of a look are: the mean of their largest cosines, at least a hundredth.
+
+    Parameters
+    ----------
+    words : float32 of shape (rows, columns, channels)
+    vectors : float32 of shape (words, channels)
+    """
+    nearest = (words.reshape(-1, words.shape[2]) @ vectors.T).max(axis=1)
+    return max(float(nearest.mean()), 0.01)
 
 
 def network_size(width: int, height: int, longest: float = LONGEST) -> tuple[int, int]:
@@ -169,18 +235,19 @@ def resized(pixels: Bytes2D, longest: float = LONGEST) -> Bytes2D:
     return np.asarray(cv2.resize(pixels, size, interpolation=how), np.uint8)
 
 
-def _on_cpu(facts: Mapping[str, Any], described: Path, threads: int) -> Engine:
+def _on_cpu(facts: Mapping[str, Any], readers: Sequence[Mapping[str, Any]], described: Path, threads: int) -> Engine:
     from worker.encoders.compact_onnx import OnnxEngine
 
     if "graph" not in facts:
         raise SetupError(f"{described.name} names no graph for ONNX Runtime; fetch the repository's own file again")
-    graphs = [facts["graph"], *([facts["fine"]["graph"]] if "fine" in facts else [])]
+    graphs = [facts["graph"], *(reader["graph"] for reader in readers)]
     for graph in graphs:
         _verified(described, graph)
-    return OnnxEngine(*(described.with_name(graph["file"]) for graph in graphs), threads=threads)
+    fields, *fine = (described.with_name(graph["file"]) for graph in graphs)
+    return OnnxEngine(fields, fine, threads=threads)
 
 
-def _on_gpu(content: bytes, fine: bytes | None, device: str) -> Engine:
+def _on_gpu(content: bytes, fine: Sequence[bytes], device: str) -> Engine:
     from worker.encoders.compact_torch import TorchEngine
 
     return TorchEngine(content, fine, device)

@@ -4,15 +4,21 @@
 pavement need not be what stays the same by night and in snow. Its embeddings lie in the space of the words field: the
 same text vectors belong to both. It runs when somebody looks at a segmentation; places are recognised without it.
 
-What ships lies in ``weights/compact-fine.safetensors`` (float16: the state dict of ``FineWords(97)``), written by
-``training/export_fine.py``.
+`SecondFineWords` share nothing with the network: every layer is their own, so they err elsewhere, and the mean of both
+is better than either.
+
+What ships lies in ``weights/compact-fine.safetensors`` and ``weights/compact-second.safetensors`` (float16: the state
+dicts of ``FineWords(97)`` and ``SecondFineWords(97)``), written by ``training/export_fine.py``.
 """
+
+from collections.abc import Mapping
+from typing import Self
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from worker.encoders.compact_network import FUSED_CHANNELS, REDUCED_CHANNELS, DeepWords
+from worker.encoders.compact_network import FUSED_CHANNELS, REDUCED_CHANNELS, DeepWords, ShallowLayers, for_inference
 
 EDGE_CHANNELS = 32
 """Channels that the layers at stride 2 and at stride 4 each give to what sharpens the fine words."""
@@ -44,6 +50,25 @@ class FineWords(DeepWords):
             Unit length over the channels.
         """
         return F.normalize(self.words(self.joined(at2, at4, at8)), dim=1)
+
+
+class SecondFineWords(nn.Module):
+    """Fine words that share no layer with `CompactNetwork`: a second opinion, from pictures straight to embeddings."""
+
+    def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
+        super().__init__()
+        self.shallow = ShallowLayers()
+        self.fine = FineWords(word_channels)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Embed every 4 x 4 pixels of RGB pictures in 0..1: as `FineWords.forward` from `ShallowLayers.levels`."""
+        words: Tensor = self.fine(*self.shallow.levels(pictures))
+        return words
+
+    @classmethod
+    def loaded(cls, state: Mapping[str, Tensor]) -> Self:
+        """Build it for inference from a state dict of any float type, channels last, in float32."""
+        return for_inference(cls(state["fine.words.weight"].shape[0]), state)
 
 
 class Sharpening(nn.Module):

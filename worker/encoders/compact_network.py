@@ -24,11 +24,13 @@ What ships lies in ``weights/``, written by ``training/export.py``:
 """
 
 from collections.abc import Mapping
-from typing import Self
+from typing import Self, TypeVar
 
 import torch
 import torch.nn.functional as F  # noqa: N812 - the name everyone knows
 from torch import Tensor, nn
+
+Network = TypeVar("Network", bound=nn.Module)
 
 CLIP_CHANNELS = 512
 """Channels of CLIP's text vectors, and of the words head while it is trained."""
@@ -86,27 +88,24 @@ class DeepWords(nn.Module):
     @classmethod
     def loaded(cls, state: Mapping[str, Tensor]) -> Self:
         """Build the network for inference from a state dict of any float type, channels last, in float32."""
-        network = cls(state["words.weight"].shape[0])
-        network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-        return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+        return for_inference(cls(state["words.weight"].shape[0]), state)
 
 
-class CompactNetwork(DeepWords):
-    """Pictures to two fields of unit-length embeddings at stride 8.
+def for_inference(network: Network, state: Mapping[str, Tensor]) -> Network:
+    """Load a state dict of any float type and freeze the network, channels last, in float32."""
+    network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
+    return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
-    Parameters
-    ----------
-    word_channels
-        512 while training, in CLIP's own space; 97 as shipped, where every length and cosine is the same.
-    """
 
-    def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
-        super().__init__(word_channels)
+class ShallowLayers(nn.Module):
+    """Pictures to the layers at strides 2, 4 and 8."""
+
+    def __init__(self) -> None:
+        super().__init__()
         self.stride2 = nn.Sequential(Convolution(3, 24, 3, stride=2), Convolution(24, 16, activate=False))
         # The trunk had three residual blocks here: at stride 4 they cost most, and training on heals the gap.
         self.stride4 = nn.Sequential(fused(16, 128, 24, stride=2), *(fused(24, 96, 24) for _ in range(2)))
         self.stride8 = nn.Sequential(fused(24, 192, 40, stride=2), *(fused(40, 160, 40) for _ in range(3)))
-        self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
 
     def levels(self, pictures: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Run the layers that everything else reads.
@@ -124,6 +123,20 @@ class CompactNetwork(DeepWords):
         at2 = self.stride2(pictures * 2 - 1)
         at4 = self.stride4(at2)
         return at2, at4, self.stride8(at4)
+
+
+class CompactNetwork(DeepWords, ShallowLayers):
+    """Pictures to two fields of unit-length embeddings at stride 8.
+
+    Parameters
+    ----------
+    word_channels
+        512 while training, in CLIP's own space; 97 as shipped, where every length and cosine is the same.
+    """
+
+    def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
+        super().__init__(word_channels)
+        self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
 
     def shallow(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """Give the `levels` that the fields are read from: strides 4 and 8."""

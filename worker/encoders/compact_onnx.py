@@ -1,6 +1,7 @@
 """The compact network in ONNX Runtime: how it runs on a CPU."""
 
 import importlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,14 @@ _ONLY_ERRORS = 3
 class OnnxEngine:
     """Runs the exported graphs. No result depends on the number of threads or on neighbours in a batch.
 
-    There are two graphs because ONNX Runtime computes all outputs of a graph, also those that nobody asks for.
+    There are several graphs because ONNX Runtime computes all outputs of a graph, also those that nobody asks for.
 
     Parameters
     ----------
     fields : Path
         Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
-    fine : Path or None
-        Graph with the output ``fine_words``, whose weights lie in both safetensors files; None where there is none.
+    fine : sequence of Path
+        Graphs with the output ``fine_words``, one for each reader, whose weights lie in safetensors files too.
     threads : int
 
     Raises
@@ -30,20 +31,18 @@ class OnnxEngine:
         ONNX Runtime cannot be imported, or cannot load a graph.
     """
 
-    def __init__(self, fields: Path, fine: Path | None = None, *, threads: int) -> None:
+    def __init__(self, fields: Path, fine: Sequence[Path] = (), *, threads: int) -> None:
         self._fields = _session(fields, threads)
-        self._fine = None if fine is None else _session(fine, threads)
+        self._fine = [_session(graph, threads) for graph in fine]
 
     def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
         """See `Engine.fields`."""
         words, detail = self._fields.run(["words", "detail"], {"pictures": pictures})
         return words, detail
 
-    def fine_words(self, pictures: Bytes2D) -> Floats:
+    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
         """See `Engine.fine_words`."""
-        if self._fine is None:
-            raise SetupError("the encoder's weights came without fine words")
-        words: Floats = self._fine.run(["fine_words"], {"pictures": pictures})[0]
+        words: Floats = self._fine[reader].run(["fine_words"], {"pictures": pictures})[0]
         return words
 
 

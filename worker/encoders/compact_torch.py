@@ -1,13 +1,14 @@
 """The compact network in torch: how it runs on a GPU, and what ONNX Runtime is compared with."""
 
+from collections.abc import Callable, Sequence
+
 import torch
 from safetensors.torch import load
 from torch import Tensor
 
 from schemas.description import Floats
-from schemas.errors import SetupError
 from schemas.picture import Bytes2D
-from worker.encoders.compact_fine import FineWords
+from worker.encoders.compact_fine import FineWords, SecondFineWords
 from worker.encoders.compact_network import CompactNetwork
 
 
@@ -18,17 +19,21 @@ class TorchEngine:
     ----------
     content : bytes
         Of ``compact.safetensors``.
-    fine : bytes or None
-        Of ``compact-fine.safetensors``; None where there is none.
+    fine : sequence of bytes
+        Of ``compact-fine.safetensors`` and ``compact-second.safetensors``, as far as there are such.
     device : str
         ``cuda``, ``cpu``, ...
     """
 
-    def __init__(self, content: bytes, fine: bytes | None, device: str) -> None:
+    def __init__(self, content: bytes, fine: Sequence[bytes], device: str) -> None:
         state = {name: tensor for name, tensor in load(content).items() if not name.startswith("text.")}
         self._device = torch.device(device)
         self._network = CompactNetwork.loaded(state).to(self._device)
-        self._fine = None if fine is None else FineWords.loaded(load(fine)).to(self._device)
+        self._readers: list[Callable[[Tensor], Tensor]] = []
+        if fine:
+            first = FineWords.loaded(load(fine[0])).to(self._device)
+            self._readers.append(lambda batch: first(*self._network.levels(batch)))
+        self._readers += [SecondFineWords.loaded(load(second)).to(self._device) for second in fine[1:]]
 
     @torch.inference_mode()
     def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
@@ -37,11 +42,9 @@ class TorchEngine:
         return _cells(words), _cells(detail)
 
     @torch.inference_mode()
-    def fine_words(self, pictures: Bytes2D) -> Floats:
+    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
         """See `Engine.fine_words`."""
-        if self._fine is None:
-            raise SetupError("the encoder's weights came without fine words")
-        return _cells(self._fine(*self._network.levels(self._batch(pictures))))
+        return _cells(self._readers[reader](self._batch(pictures)))
 
     def _batch(self, pictures: Bytes2D) -> Tensor:
         batch = torch.from_numpy(pictures).to(self._device).permute(0, 3, 1, 2)
