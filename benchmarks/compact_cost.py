@@ -43,8 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         picture = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
         runs: dict[str, Callable[[], object]] = {"words and detail": partial(engine.fields, picture)}
         runs |= {
-            f"fine words, {reader} reader": partial(engine.fine_words, picture, at)
-            for at, reader in enumerate(("first", "second", "third"))
+            f"fine words, reader {reader}": partial(engine.fine_words, picture, at) for at, reader in enumerate(READERS)
         }
         for outputs, run in runs.items():
             product = _milliseconds(lambda: square @ square, 4 * options.runs)
