@@ -3,7 +3,7 @@
 They begin as a copy of an exported network's deep layers and words head, whose shallow layers they share and do not
 change: places are recognised as before. They learn on single views, from labels and from what the untouched trunk says,
 and their embeddings lie in that network's space: 97 dimensions, the same text vectors. With ``--second`` a network of
-its own learns the same from the trunk on, to be a second opinion.
+its own learns the same, to be a second opinion: from the trunk on, or from where an ``--earlier`` one ended.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from training import data, points
 from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
-from training.evaluate_words import fine_words_of
+from training.evaluate_words import fine_words_of, second_of
 from training.export import basis_of, network_of, shared_digest
 from training.lexicon import STREET_WORDS, ClipWords, Lexicon
 from training.loop import Plan, Run
@@ -124,6 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.second:
         spoken = [lexicon.words.index(word) for word in STREET_WORDS]
         learner = second = second_started(trunk, vectors[spoken])
+        if options.earlier:
+            second.load_state_dict(second_of(options.earlier).state_dict())
         shallow, fine = second.shallow, second.fine
     else:
         shallow = shared = network_of(options.weights)
@@ -149,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         clear=options.views,
         clear_strong=options.strong_light,
         clear_pasted=options.pasted,
-        clear_shares=FINE_SHARES,
+        clear_shares=options.shares,
         clear_size=(options.height, options.width),
         clear_zoom=tuple(options.zoom),
         clear_stride=1,
@@ -171,6 +173,14 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--rarity", type=float, default=FinePlan.rarity, help="power of a meaning's share that weighs its pixels"
     )
     parser.add_argument("--points", type=int, default=FinePlan.points, help="pixels judged of a view")
+    parser.add_argument(
+        "--shares",
+        type=float,
+        nargs=len(FINE_SHARES),
+        default=list(FINE_SHARES.values()),
+        metavar=tuple(FINE_SHARES),
+        help="how often each labelled set is drawn",
+    )
     parser.add_argument("--height", type=int, default=288)
     parser.add_argument("--width", type=int, default=384)
     parser.add_argument("--zoom", type=float, nargs=2, default=ZOOM, help="least and greatest enlargement of a view")
@@ -180,8 +190,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     check_run_options(parser, options)
     if not 0 < options.zoom[0] <= options.zoom[1]:
         parser.error(f"--zoom wants the least, above 0, and the greatest: not {options.zoom[0]:g} {options.zoom[1]:g}")
-    if options.second and options.earlier:
-        parser.error("--second begins with the trunk: leave --earlier out")
+    if min(options.shares) < 0 or not any(options.shares):
+        parser.error(f"--shares wants numbers of at least 0, one of them above: not {options.shares}")
+    options.shares = dict(zip(FINE_SHARES, options.shares, strict=True))
     return options
 
 

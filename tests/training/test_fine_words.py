@@ -2,6 +2,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from training.pictures import Picture
 from training.start import State, second_started
 from training.teacher import OPINION_CELLS, Floats16, Teacher, write_opinions
 from training.word_loss import word_loss_of
+from worker.encoders.compact_fine import SecondFineWords
 
 MIX = Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
 
@@ -172,10 +174,36 @@ def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
     assert "shallow.stride8.0.convolutions.0.convolution.weight" in changed
 
 
+def test_a_second_reader_goes_on_from_where_an_earlier_one_ended_with_pictures_of_other_shares(
+    weights: Path, data_folder: Path, trunk: State, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("training.fine_words.trunk_state", lambda path: trunk)
+    monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
+    given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights), "--second"]
+    given += ["--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
+    earlier = {name: torch.full_like(t, 0.01) for name, t in SecondFineWords().state_dict().items()}
+    torch.save({"average": earlier}, tmp_path / "earlier.pt")
+    mixes: list[Mix] = []
+
+    def mix(**numbers: Any) -> Mix:
+        mixes.append(Mix(**numbers))
+        return mixes[-1]
+
+    monkeypatch.setattr("training.fine_words.Mix", mix)
+    shares = ["--shares", "0.2", "0", "0.7", "0.1"]
+    main([*given, *shares, "--out", str(tmp_path / "run"), "--earlier", str(tmp_path / "earlier.pt"), "--steps", "1"])
+
+    went_on = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
+    assert all(torch.allclose(tensor, earlier[name], atol=1e-3) for name, tensor in went_on.items())
+    [asked] = mixes
+    assert asked.clear_shares == {"camvid": 0.2, "labelmefacade": 0.0, "nyuv2": 0.7, "ade_outdoor": 0.1}
+
+
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--second", "--earlier", "fine.pt"], "leave --earlier out"),
+        (["--shares", "0", "0", "0", "0"], "one of them above"),
+        (["--shares", "1", "-1", "1", "1"], "at least 0"),
         (["--zoom", "2", "1"], "--zoom wants the least, above 0, and the greatest: not 2 1"),
         (["--zoom", "0", "1"], "not 0 1"),
     ],
