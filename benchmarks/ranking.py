@@ -25,8 +25,9 @@ from worker.datasets import pairs
 from worker.datasets.dataset import ENDINGS, Dataset
 from worker.encoders.compact import CompactEncoder
 from worker.local_features import local_features
-from worker.place import dense_cells, ranking, readings, verification, vocabulary
+from worker.place import dense_cells, hough, ranking, readings, verification, vocabulary
 from worker.place.byte_vectors import quantise
+from worker.place.hough import Doubles
 from worker.place.ranking import Rows
 from worker.place.recall import bootstrap_interval
 from worker.recipes import PRESETS
@@ -40,6 +41,7 @@ class Described:
 
     vectors: Mapping[str, Floats]
     cells: Int8s
+    extent: tuple[float, float]
     keypoints: LocalFeatures
 
 
@@ -76,7 +78,7 @@ class Describer:
                 parts[name] = dense_cells.reduce(grid, learned.cells)
         cells = quantise(dense_cells.join(parts, PARAMETERS.dense.shares if PARAMETERS.dense else {}))
         wanted = PARAMETERS.verification.keypoints if PARAMETERS.verification else 0
-        return Described(vectors, cells, local_features(_picture(path).pixels, wanted))
+        return Described(vectors, cells, field.extent, local_features(_picture(path).pixels, wanted))
 
 
 def steps(query: Described, database: Sequence[Described], weights: Mapping[str, float]) -> Iterator[tuple[str, int]]:
@@ -101,21 +103,24 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         terms[term] = np.zeros(len(database), np.float32)
         terms[term][where] = values
 
+    def stretch(where: Rows) -> Doubles:
+        return hough.stretches(query.extent, [database[int(row)].extent for row in where])
+
     ours, *theirs = (quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
     halves, dense = np.stack(theirs), PARAMETERS.dense or DenseCells(closely=0)
-    alike = dense_cells.compare(ours, halves).scores
+    alike = dense_cells.compare(ours, halves, stretch=stretch(rows)).scores
     put("dense", rows, alike)
     yield "cells at half size", int(best(1)[0])
     rates, scores = {}, alike
     for part in dense.read_alone:
-        alone = readings.alone(ours, halves, PARAMETERS.joined(), part)
+        alone = readings.alone(ours, halves, PARAMETERS.joined(), part, stretch=stretch(rows))
         rates[part] = readings.exchange(alike, alone)
         scores = readings.stronger(scores, alone, rates[part])
     put("dense", rows, scores)
     yield "and channels alone", int(best(1)[0])
     first = best(dense.closely)
     cells = np.stack([database[int(row)].cells for row in first])
-    alike_in_full = dense_cells.compare(query.cells, cells)
+    alike_in_full = dense_cells.compare(query.cells, cells, stretch=stretch(first))
     put("close", first, alike_in_full.scores)
     yield "joined cells in full, at any scale", int(best(1)[0])
     near = dense_cells.nearness(alike_in_full.scales, dense.scale_penalty)
@@ -123,7 +128,8 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
     yield "joined cells in full", int(best(1)[0])
     scores = alike_in_full.scores
     for part, closely in dense.read_alone.items():
-        alone = readings.alone(query.cells, cells[:closely], PARAMETERS.joined(), part)
+        some = (cells[:closely], PARAMETERS.joined(), part)
+        alone = readings.alone(query.cells, *some, stretch=stretch(first[:closely]))
         scores = readings.stronger(scores, alone, rates[part])
     put("close", first, scores * near)
     yield "and channels alone in full", int(best(1)[0])

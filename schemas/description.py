@@ -117,10 +117,13 @@ class Appearance:
     coarse : int8 of shape (rows, columns, dimensions)
         Dense cells at half size; without rows and columns when the recipe has none.
     graph : ContextGraph
+    extent : (float, float)
+        (width, height) of the picture as fractions of its longer side.
     """
 
     coarse: Int8s
     graph: ContextGraph
+    extent: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,8 +52,13 @@ class Picture:
     @property
     def extent(self) -> tuple[float, float]:
         """(width, height) as fractions of the longer side: the unit in which graph positions are given."""
-        longer = max(self.width, self.height)
-        return self.width / longer, self.height / longer
+        return extent_of(self.width, self.height)
+
+
+def extent_of(width: int, height: int) -> tuple[float, float]:
+    """(width, height) in pixels as fractions of the longer of both."""
+    longer = max(width, height)
+    return width / longer, height / longer
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,7 @@ class Store(Protocol):
         ...
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
-        """Cells at half size and graphs of these views; those deleted meanwhile are absent."""
+        """Cells at half size, graphs and extents of these views; those deleted meanwhile are absent."""
         ...
 
     def cells(self, seqs: Sequence[int], recipe: str) -> dict[int, Int8s]:

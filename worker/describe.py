@@ -97,7 +97,7 @@ class Describer:
         cells = quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
         return Description(
             vectors=vectors,
-            appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, seen)),
+            appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, seen), field.extent),
             cells=cells,
             keypoints=found,
             label_shares=labels.shares(seen.labels, len(self.recipe.labels)),

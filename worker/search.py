@@ -13,7 +13,7 @@ from schemas.ports import Store
 from schemas.recipe import Recipe
 from schemas.records import Candidates, Filters, ViewRecord
 from worker.indexes.catalogue import Catalogue
-from worker.place import context_graph, dense_cells, ranking, readings, verification
+from worker.place import context_graph, dense_cells, hough, ranking, readings, verification
 from worker.place.byte_vectors import Product, float_product
 from worker.place.context_graph import GraphComparison
 from worker.place.readings import HIGH
@@ -41,7 +41,7 @@ class Dense:
         What `HIGH` of them do not exceed: what the wrong ones get that look most like it, such as the few parks in a
         map of streets for the picture of another park.
     shift : (int, int)
-        (rows, columns) by which the view's grid moved, in cells of the whole grid.
+        (rows, columns) by which the view's grid moved, in cells of the query's whole grid.
     scale : float or None
         How much larger the view shows the place than the query does, 0.5..2; None where it was not compared in full.
     """
@@ -224,14 +224,15 @@ class Searcher:
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         if description.appearance.coarse.size:
             coarse, ours = np.stack([a.coarse for a in appearances]), description.appearance.coarse
-            alike = dense_cells.compare(ours, coarse, self._product, measured=False)
+            stretch = hough.stretches(description.appearance.extent, [a.extent for a in appearances])
+            alike = dense_cells.compare(ours, coarse, self._product, stretch=stretch, measured=False)
             scores = alike.scores
             for channel in () if parameters.dense is None else parameters.dense.read_alone:
-                alone = readings.alone(ours, coarse, parameters.joined(), channel, self._product)
+                alone = readings.alone(ours, coarse, parameters.joined(), channel, self._product, stretch=stretch)
                 evidence.rates[channel] = readings.exchange(alike.scores, alone)
                 scores = readings.stronger(scores, alone, evidence.rates[channel])
             evidence.put("dense", rows, scores)
-            evidence.shifts = alike.shifts * 2
+            evidence.shifts, evidence.stretch = alike.shifts * 2, stretch
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
             description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
@@ -252,14 +253,16 @@ class Searcher:
         if len(kept) < len(first):
             return None
         cells = np.stack([kept[seq] for seq in seqs])
-        alike = dense_cells.compare(description.cells, cells, self._product)
+        places = [evidence.place[int(row)] for row in first]
+        stretch = evidence.stretch[places]
+        alike = dense_cells.compare(description.cells, cells, self._product, stretch=stretch)
         scores = alike.scores
         for channel, closely in dense.read_alone.items():
-            joined = recipe.parameters.joined()
-            alone = readings.alone(description.cells, cells[:closely], joined, channel, self._product)
+            some = (cells[:closely], recipe.parameters.joined(), channel, self._product)
+            alone = readings.alone(description.cells, *some, stretch=stretch[:closely])
             scores = readings.stronger(scores, alone, evidence.rates[channel])
         evidence.put("close", first, scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
-        evidence.shifts[[evidence.place[int(row)] for row in first]] = alike.shifts
+        evidence.shifts[places] = alike.shifts
         evidence.scales = dict(zip(first.tolist(), alike.scales.tolist(), strict=True))
         return evidence
 
@@ -318,6 +321,7 @@ class _Evidence:
         self.rows = rows
         self.place = {int(row): place for place, row in enumerate(rows)}
         self.shifts: npt.NDArray[np.intp] | None = None
+        self.stretch: npt.NDArray[np.float64] = np.ones((len(rows), 2))
         self.scales: dict[int, float] = {}
         self.rates: dict[str, float] = {}
         self.graphs: list[ContextGraph] = []

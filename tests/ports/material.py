@@ -59,7 +59,7 @@ def description(seed: int) -> Description:
     graph = ContextGraph(np.array([0, 1], np.int16), floats(2, 2), floats(2, 3), floats(2))
     return Description(
         vectors={"words": floats(4), "detail": floats(4)},
-        appearance=Appearance(small(1, 2, 4), graph),
+        appearance=Appearance(small(1, 2, 4), graph, (1.0, 0.75)),
         cells=small(3, 5, 4),
         keypoints=LocalFeatures(floats(6, 2), small(6, 8)),
         label_shares=np.array([0.75, 0.25], np.float32),

@@ -168,6 +168,7 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
 
     assert store.since("campus", 0).vectors.tolist() == [vector(claim.view, RECIPE.id)]
     np.testing.assert_array_equal(appearance.coarse, given.appearance.coarse, strict=True)
+    assert appearance.extent == given.appearance.extent
     np.testing.assert_array_equal(cells, given.cells, strict=True)
     for field in ("labels", "positions", "embeddings", "shares"):
         np.testing.assert_array_equal(

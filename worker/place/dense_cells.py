@@ -16,7 +16,7 @@ import numpy.typing as npt
 from schemas.description import Floats, Int8s
 from schemas.errors import DescriptorMismatch
 from worker.place.byte_vectors import Product, float_product, scale
-from worker.place.hough import Agreement, Correspondences, agreement
+from worker.place.hough import Agreement, Correspondences, Doubles, agreement
 from worker.place.unit_length import unit
 
 Indices = npt.NDArray[np.intp]
@@ -211,6 +211,7 @@ def compare(
     product: Product = float_product,
     length: float = 1.0,
     *,
+    stretch: Doubles | None = None,
     measured: bool = True,
 ) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
@@ -222,6 +223,9 @@ def compare(
     product : Product
     length : float
         Of the vectors of both, where they are part of longer ones.
+    stretch : float64 of shape (candidates, 2), optional
+        Height and width of the candidates' cells, in those of the query (`worker.place.hough.stretches`); all 1 where
+        the pictures have one shape.
     measured : bool
         Whether scales are asked for.
 
@@ -232,7 +236,7 @@ def compare(
     """
     pairs = correspondences(query, candidates, product, length)
     distinct, shape = distinctness(query, product=product, length=length), (query.shape[0], query.shape[1])
-    return agreement(pairs, distinct, shape, len(candidates), measured=measured)
+    return agreement(pairs, distinct, shape, len(candidates), stretch=stretch, measured=measured)
 
 
 def nearness(scales: Floats, penalty: float) -> Floats:

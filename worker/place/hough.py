@@ -24,6 +24,9 @@ LARGEST_SCALE = 2.0
 CERTAINTY = 250.0
 """Weight of the cells that agree, times their squared distance from their centre, at which a scale is believed half."""
 
+STRETCHES = 8
+"""How many stretches are told apart between one and twice it: what they are off by is less than the tolerance."""
+
 TOLERANCE = 2
 """How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
 
@@ -57,7 +60,7 @@ class Agreement:
         Root of the share of what the query's cells could weigh, 0..1; 1 for a picture against itself when no two of
         its cells are equal.
     shifts : intp of shape (candidates, 2)
-        (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells.
+        (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells of the query.
     zooms : float32 of shape (candidates,)
         The zoom that fits best; 1 where nothing corresponds.
     scales : float32 of shape (candidates,)
@@ -71,6 +74,27 @@ class Agreement:
     scales: Floats
 
 
+def stretches(query: tuple[float, float], candidates: Sequence[tuple[float, float]]) -> Doubles:
+    """How large the cells of pictures of other shapes are, in those of the query.
+
+    A grid has as many rows and columns whatever the picture's shape, so the cells of an upright picture are narrow and
+    high where those of the same camera's landscape pictures are wide and low.
+
+    Parameters
+    ----------
+    query, candidates : (float, float)
+        Width and height of the pictures, as fractions of their longer sides.
+
+    Returns
+    -------
+    float64 of shape (candidates, 2)
+        Heights and widths, rounded to `STRETCHES` steps from one to twice it; 1 where the shapes are the same.
+    """
+    ratios = np.array(candidates, np.float64).reshape(-1, 2)[:, ::-1] / np.array(query, np.float64)[::-1]
+    rounded: Doubles = np.exp2(np.rint(np.log2(ratios) * STRETCHES) / STRETCHES)
+    return rounded
+
+
 def agreement(
     pairs: Correspondences,
     distinct: Floats,
@@ -79,6 +103,7 @@ def agreement(
     zooms: Sequence[float] = ZOOMS,
     tolerance: int = TOLERANCE,
     *,
+    stretch: Doubles | None = None,
     measured: bool = True,
 ) -> Agreement:
     """The largest weight of correspondences that agree on one displacement (a Hough transform).
@@ -96,6 +121,8 @@ def agreement(
         Greater than 0.
     tolerance : int
         In cells, at least 0.
+    stretch : float64 of shape (candidates, 2), optional
+        Height and width of each candidate's cells, in those of the query: see `stretches`. Without, all are 1.
     measured : bool
         Whether scales are asked for; without, they are all 1.
 
@@ -112,8 +139,8 @@ def agreement(
     without it the one with larger shares decides alone.
     """
     weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
-    slots = _slots(shape, tuple(zooms), tolerance)
-    voted = slots.of[:, pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell]
+    stretch = np.ones((candidates, 2)) if stretch is None else stretch
+    slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, stretch)
     heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
     score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
     for zoom, height in enumerate(heights):
@@ -122,7 +149,9 @@ def agreement(
     peak = peaks[chosen, np.arange(candidates)]
     agree = np.flatnonzero(slots.near(voted[chosen[pairs.candidate], np.arange(len(weight))], peak[pairs.candidate]))
     candidate, weight = pairs.candidate[agree], weight[agree]
-    ours, theirs = (_centred(cell[agree], shape) for cell in (pairs.query_cell, pairs.candidate_cell))
+    ours = _centred(pairs.query_cell[agree], shape)
+    down, across = _centred(pairs.candidate_cell[agree], shape)
+    theirs = down * stretch[candidate, 0], across * stretch[candidate, 1]
     zoomed = np.array(zooms, np.float64)[chosen]
     moved = [
         np.bincount(candidate, weight * (there - here * zoomed[candidate]), candidates)
@@ -187,15 +216,34 @@ class _Slots:
         return close
 
 
-@lru_cache(maxsize=16)
-def _slots(shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> _Slots:
-    """Displacements of at most half of a grid of `shape`, and as much more as the tolerance reaches."""
+def _votes(
+    pairs: Correspondences, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, stretch: Doubles
+) -> tuple[_Slots, Int32s]:
+    """Slots, and which of them each pair votes for under each zoom: int32 (zooms, pairs)."""
+    slots = _slots(shape, zooms, tolerance)
+    cells = pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell
+    voted = slots.of[:, cells]
+    for down, across in {(down, across) for down, across in stretch.tolist()} - {(1.0, 1.0)}:
+        other = np.flatnonzero((stretch == (down, across)).all(axis=1)[pairs.candidate])
+        voted[:, other] = _slots(shape, zooms, tolerance, down, across).of[:, cells[other]]
+    return slots, voted
+
+
+@lru_cache(maxsize=32)
+def _slots(
+    shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, height: float = 1.0, width: float = 1.0
+) -> _Slots:
+    """Displacements of at most half of a grid of `shape`, and as much more as the tolerance reaches.
+
+    The candidate's cells are `height` and `width` of the query's.
+    """
     reach = [half // 2 + tolerance for half in shape]
     rows, columns = (2 * half + 1 for half in reach)
     centred = _centred(np.arange(shape[0] * shape[1]), shape)
     roots = np.sqrt(np.array(zooms, np.float64))[:, None, None]
     down, across = (
-        np.rint(along / roots - along[:, None] * roots) + half for along, half in zip(centred, reach, strict=True)
+        np.rint(size * along / roots - along[:, None] * roots) + half
+        for along, half, size in zip(centred, reach, (height, width), strict=True)
     )
     within = (down >= 0) & (down < rows) & (across >= 0) & (across < columns)
     slots = np.where(within, down * columns + across, rows * columns).astype(np.int32)

@@ -12,6 +12,7 @@ import numpy as np
 from schemas.description import Floats, Int8s
 from worker.place import dense_cells
 from worker.place.byte_vectors import Product, float_product, scale
+from worker.place.hough import Doubles
 
 HIGH = 0.85
 """Share of the candidates that look less alike than what a candidate has to stand out from: enough for rare kinds of
@@ -56,7 +57,13 @@ def length(cells: Int8s) -> float:
 
 
 def alone(
-    query: Int8s, candidates: Int8s, channels: Collection[str], channel: str, product: Product = float_product
+    query: Int8s,
+    candidates: Int8s,
+    channels: Collection[str],
+    channel: str,
+    product: Product = float_product,
+    *,
+    stretch: Doubles | None = None,
 ) -> Floats:
     """How well the cells of one channel agree by themselves.
 
@@ -67,6 +74,8 @@ def alone(
     channels, channel
         As `part` takes them.
     product : Product
+    stretch : float64 of shape (candidates, 2), optional
+        As in `worker.place.dense_cells.compare`.
 
     Returns
     -------
@@ -74,7 +83,7 @@ def alone(
         0..1, as in `worker.place.hough.Agreement`.
     """
     ours, theirs = (part(cells, channels, channel) for cells in (query, candidates))
-    return dense_cells.compare(ours, theirs, product, length(ours), measured=False).scores
+    return dense_cells.compare(ours, theirs, product, length(ours), stretch=stretch, measured=False).scores
 
 
 def exchange(joined: Floats, alone: Floats, high: float = HIGH) -> float:

@@ -8,12 +8,13 @@ import numpy as np
 import sqlalchemy as sa
 
 from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures
+from schemas.picture import extent_of
 from schemas.recipe import Recipe
 from schemas.records import Changes, Sequence64
 from worker.stores import packing
 from worker.stores.part import Part
 from worker.stores.rows import batches, find_map, inserting
-from worker.stores.tables import APPEARANCES, CELLS, DESCRIPTIONS, KEYPOINTS, TOMBSTONES, VECTORS
+from worker.stores.tables import APPEARANCES, CELLS, DESCRIPTIONS, KEYPOINTS, TOMBSTONES, VECTORS, VIEWS
 
 ROWS = 4096
 """Descriptions read at a time."""
@@ -78,32 +79,42 @@ class Descriptions(Part):
         return Changes(row.revision, row.recipe, numbers, rows, np.array(gone, np.int64))
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
-        """Cells at half size and graphs of these views; those deleted meanwhile are absent."""
-        return {seq: packing.unpack_appearance(body) for seq, body in self._bodies(APPEARANCES, seqs, recipe).items()}
+        """Cells at half size, graphs and extents of these views; those deleted meanwhile are absent."""
+        return {
+            seq: packing.unpack_appearance(body, extent_of(width, height))
+            for seq, body, width, height in self._rows(_appearances(), seqs, recipe)
+        }
 
     def cells(self, seqs: Sequence[int], recipe: str) -> dict[int, Int8s]:
         """Cells in full of these views; those deleted meanwhile are absent."""
-        return {seq: packing.unpack_cells(body) for seq, body in self._bodies(CELLS, seqs, recipe).items()}
+        return {seq: packing.unpack_cells(body) for seq, body in self._rows(_bodies(CELLS), seqs, recipe)}
 
     def local_features(self, seqs: Sequence[int], recipe: str) -> dict[int, LocalFeatures]:
         """Keypoints of these views; those deleted meanwhile are absent."""
-        return {seq: packing.unpack_keypoints(body) for seq, body in self._bodies(KEYPOINTS, seqs, recipe).items()}
+        return {seq: packing.unpack_keypoints(body) for seq, body in self._rows(_bodies(KEYPOINTS), seqs, recipe)}
 
-    def _bodies(self, table: sa.Table, seqs: Sequence[int], recipe: str) -> dict[int, bytes]:
-        bodies: dict[int, bytes] = {}
+    def _rows(self, reading: sa.Select[Any], seqs: Sequence[int], recipe: str) -> list[Any]:
         with self._database.reading() as connection:
-            for portion in batches(int(seq) for seq in seqs):
-                found = connection.execute(_reading(table), {"seqs": portion, "recipe": recipe})
-                bodies.update((seq, body) for seq, body in found)
-        return bodies
+            return [
+                row
+                for portion in batches(int(seq) for seq in seqs)
+                for row in connection.execute(reading, {"seqs": portion, "recipe": recipe})
+            ]
 
 
 @cache
-def _reading(table: sa.Table) -> sa.Select[Any]:
+def _bodies(table: sa.Table) -> sa.Select[Any]:
     """Bodies of views by a recipe; made once, since making it takes as long as the reading."""
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
     recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
     return sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(seqs), table.c.recipe == recipe)
+
+
+@cache
+def _appearances() -> sa.Select[Any]:
+    """Their appearances, and their pictures' sizes."""
+    reading = _bodies(APPEARANCES).add_columns(VIEWS.c.width, VIEWS.c.height)
+    return reading.join(VIEWS, VIEWS.c.seq == APPEARANCES.c.seq)
 
 
 def _in_order(seqs: Sequence64, vectors: Floats) -> tuple[Sequence64, Floats]:

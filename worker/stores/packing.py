@@ -55,10 +55,10 @@ def pack_appearance(appearance: Appearance) -> bytes:
     return _pack(APPEARANCE, graph.positions, graph.embeddings, graph.shares, graph.labels, appearance.coarse)
 
 
-def unpack_appearance(body: bytes) -> Appearance:
-    """The appearance of `pack_appearance`."""
+def unpack_appearance(body: bytes, extent: tuple[float, float]) -> Appearance:
+    """The appearance of `pack_appearance`; its extent is the view's."""
     positions, embeddings, shares, labels, coarse = _unpack(APPEARANCE, body)
-    return Appearance(coarse, ContextGraph(labels, positions, embeddings, shares))
+    return Appearance(coarse, ContextGraph(labels, positions, embeddings, shares), extent)
 
 
 def pack_cells(cells: Int8s) -> bytes:

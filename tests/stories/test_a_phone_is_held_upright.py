@@ -1,0 +1,35 @@
+"""A place enrolled from landscape pictures is found with a phone held upright, which shows it in another shape."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from app.main import create_app
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.stories.photos import jpeg
+from worker.bootstrap import build
+from worker.scenes import scene
+from worker.scenes.scene import Scene
+
+NAMES = ("mill lane", "the green", "school hill", "chapel row")
+
+
+def held(look: Scene, *, upright: bool) -> bytes:
+    """What one camera of 4:3 takes, held either way."""
+    whole = replace(look, size=(640, 640)).pixels
+    return jpeg(whole[:, 80:560] if upright else whole[80:560])
+
+
+def test_it_finds_the_place_and_how_near_it_is(tmp_path: Path) -> None:
+    sent = {"headers": {"content-type": "image/jpeg"}}
+    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="compact", threads=1)))) as client:
+        for name in NAMES:
+            client.post(f"/enroll?place={name}", content=held(scene(name).seen_from(), upright=False), **sent)
+        for name in NAMES:
+            asked = held(scene(name).seen_from(dx=0.4, turn=2), upright=True)
+            [best, next_best, *_] = client.post("/query", content=asked, **sent).json()["matches"]
+            assert best["view"]["place"] == name
+            assert best["score"] > 2 * next_best["score"]
+            assert best["dense"]["scale"] == pytest.approx(1, abs=0.1)
