@@ -90,3 +90,13 @@ def test_what_a_wider_picture_shows_moved_to_where_its_cells_say(height: int, wi
     assert found.scores[0] == pytest.approx(1.0)
     assert found.shifts.tolist() == [[0, 0]]
     assert found.scales[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_map_of_many_shapes_needs_one_table_of_votes() -> None:
+    """A table for each shape was made anew in most questions, and took ten times as long as all the rest."""
+    nothing = np.zeros(0, np.intp)
+    pairs = Correspondences(nothing, nothing, nothing, np.zeros(0, np.float32))
+    shapes = hough.stretches((1.0, 0.75), [(1.0, height / 50) for height in range(5, 51)])
+    before = hough._slots.cache_info().misses
+    hough.agreement(pairs, np.ones(35, np.float32), (5, 7), len(shapes), stretch=shapes)
+    assert hough._slots.cache_info().misses <= before + 1

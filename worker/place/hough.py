@@ -25,7 +25,8 @@ CERTAINTY = 250.0
 """Weight of the cells that agree, times their squared distance from their centre, at which a scale is believed half."""
 
 STRETCHES = 8
-"""How many stretches are told apart between one and twice it: what they are off by is less than the tolerance."""
+"""How many stretches are told apart between one and twice it: pictures of nearly one shape are of one shape, and what
+others are off by is less than the tolerance."""
 
 TOLERANCE = 2
 """How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
@@ -221,33 +222,41 @@ def _votes(
 ) -> tuple[_Slots, Int32s]:
     """Slots, and which of them each pair votes for under each zoom: int32 (zooms, pairs)."""
     slots = _slots(shape, zooms, tolerance)
-    cells = pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell
-    voted = slots.of[:, cells]
-    for down, across in {(down, across) for down, across in stretch.tolist()} - {(1.0, 1.0)}:
-        other = np.flatnonzero((stretch == (down, across)).all(axis=1)[pairs.candidate])
-        voted[:, other] = _slots(shape, zooms, tolerance, down, across).of[:, cells[other]]
+    voted = slots.of[:, pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell]
+    other = np.flatnonzero((stretch != 1).any(axis=1)[pairs.candidate])
+    if len(other):
+        down, across = _centred(pairs.candidate_cell[other], shape)
+        height, width = stretch[pairs.candidate[other]].T
+        ours = _centred(pairs.query_cell[other], shape)
+        voted[:, other] = _displaced(ours, (down * height, across * width), shape, zooms, tolerance)
     return slots, voted
 
 
-@lru_cache(maxsize=32)
-def _slots(
-    shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, height: float = 1.0, width: float = 1.0
-) -> _Slots:
-    """Displacements of at most half of a grid of `shape`, and as much more as the tolerance reaches.
+@lru_cache(maxsize=16)
+def _slots(shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> _Slots:
+    """Displacements of at most half of a grid of `shape`, and as much more as the tolerance reaches."""
+    down, across = _centred(np.arange(shape[0] * shape[1]), shape)
+    slots = _displaced((down[:, None], across[:, None]), (down, across), shape, zooms, tolerance)
+    rows, columns = _extremes(shape, tolerance)
+    return _Slots(2 * rows + 1, 2 * columns + 1, slots.reshape(len(zooms), -1), tolerance)
 
-    The candidate's cells are `height` and `width` of the query's.
-    """
-    reach = [half // 2 + tolerance for half in shape]
-    rows, columns = (2 * half + 1 for half in reach)
-    centred = _centred(np.arange(shape[0] * shape[1]), shape)
-    roots = np.sqrt(np.array(zooms, np.float64))[:, None, None]
+
+def _displaced(ours: Along, theirs: Along, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> Int32s:
+    """Slots of pairs of positions under each zoom, int32 (zooms, ...); positions are spread against one another."""
+    rows, columns = _extremes(shape, tolerance)
+    roots = np.sqrt(np.array(zooms, np.float64)).reshape(-1, *(1 for _ in np.broadcast(ours[0], theirs[0]).shape))
     down, across = (
-        np.rint(size * along / roots - along[:, None] * roots) + half
-        for along, half, size in zip(centred, reach, (height, width), strict=True)
+        np.rint(there / roots - here * roots) + most
+        for here, there, most in zip(ours, theirs, (rows, columns), strict=True)
     )
-    within = (down >= 0) & (down < rows) & (across >= 0) & (across < columns)
-    slots = np.where(within, down * columns + across, rows * columns).astype(np.int32)
-    return _Slots(rows, columns, slots.reshape(len(zooms), -1), tolerance)
+    within = (down >= 0) & (down <= 2 * rows) & (across >= 0) & (across <= 2 * columns)
+    width = 2 * columns + 1
+    return np.where(within, down * width + across, (2 * rows + 1) * width).astype(np.int32)
+
+
+def _extremes(shape: tuple[int, int], tolerance: int) -> tuple[int, int]:
+    """The largest displacement that has a slot, in rows and columns."""
+    return shape[0] // 2 + tolerance, shape[1] // 2 + tolerance
 
 
 def _peaks(
