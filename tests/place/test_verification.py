@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from schemas.description import Floats, LocalFeatures
@@ -108,6 +108,7 @@ def test_a_moved_picture_keeps_its_keypoints(seed: int, zoom: float, turn: float
 
 
 @settings(deadline=None)  # a crowded machine is no failure
+@example(10599)  # two matches were as strong but for rounding, which depended on how many views there were
 @given(st.integers(0, 2**16))
 def test_neither_chance_nor_the_other_views_change_a_verification(seed: int) -> None:
     query, view = features(scattered(seed, 25), seed), features(scattered(seed + 1, 25), seed)

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from schemas.description import Booleans, Floats, Int8s, LocalFeatures
 from schemas.errors import DescriptorMismatch
-from worker.place.unit_length import unit
 
 Pairs = npt.NDArray[np.intp]
 Doubles = npt.NDArray[np.float64]
@@ -39,6 +38,9 @@ LARGEST_TURN = np.radians(35)
 
 SLIM = 1e-10
 """Points spread this little across their line, squared and against the whole, fix no affine transform."""
+
+SHORTEST = 1e-9
+"""A descriptor shorter than this is nothing, and like nothing."""
 
 UNREMARKABLE = 8
 """By how many inliers a candidate must beat the median of the verified ones before they count."""
@@ -96,8 +98,12 @@ def match(query: Int8s | Floats, views: Sequence[Int8s | Floats], ratio: float =
     ends = np.cumsum([len(view) for view in views]).tolist()
     if len(query) == 0 or not ends or ends[-1] == 0:
         return [np.zeros((0, 2), np.intp) for _ in views]
-    # The views side by side: one matrix product for all.
-    cosines = unit(query.astype(np.float32)) @ unit(np.concatenate(views).astype(np.float32)).T
+    # The views side by side: one matrix product for all. Products of bytes are whole numbers, which float32 adds up
+    # exactly, so that no view's matches depend on the others; lengths are divided by afterwards.
+    ours, theirs = query.astype(np.float32), np.concatenate(views).astype(np.float32)
+    cosines = ours @ theirs.T
+    cosines *= 1 / np.maximum(np.linalg.norm(ours, axis=1, keepdims=True), SHORTEST)
+    cosines *= 1 / np.maximum(np.linalg.norm(theirs, axis=1), SHORTEST)
     highest = cosines.max(axis=0)
     return [
         _mutual(cosines[:, end - len(view) : end], highest[end - len(view) : end], ratio)
