@@ -157,16 +157,23 @@ def test_the_command_trains_goes_on_and_says_which_weights_it_began_with(
     assert [json.loads(line)["from step"] for line in lines] == ["0", "1"]
 
 
-def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
+@pytest.fixture
+def second(
     weights: Path, data_folder: Path, trunk: State, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    began = second_started(trunk, torch.randn(19, 97))
+) -> list[str]:
+    """Options of a run that trains a second reader from a trunk, in the folder ``run``."""
     monkeypatch.setattr("training.fine_words.trunk_state", lambda path: trunk)
     monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
     given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights), "--second"]
-    given += ["--out", str(tmp_path / "run"), "--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
+    return [*given, "--out", str(tmp_path / "run"), *"--height 64 --width 96 --views 2 --loaders 0".split()]
 
-    main([*given, "--zoom", "1", "2", "--steps", "2"])
+
+def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
+    second: list[str], trunk: State, tmp_path: Path
+) -> None:
+    began = second_started(trunk, torch.randn(19, 97))
+
+    main([*second, "--zoom", "1", "2", "--steps", "2"])
 
     trained = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
     changed = {name for name, tensor in began.state_dict().items() if not torch.equal(tensor, trained[name])}
@@ -175,12 +182,8 @@ def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
 
 
 def test_a_second_reader_goes_on_from_where_an_earlier_one_ended_with_pictures_of_other_shares(
-    weights: Path, data_folder: Path, trunk: State, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    second: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.fine_words.trunk_state", lambda path: trunk)
-    monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
-    given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights), "--second"]
-    given += ["--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
     earlier = {name: torch.full_like(t, 0.01) for name, t in SecondFineWords().state_dict().items()}
     torch.save({"average": earlier}, tmp_path / "earlier.pt")
     mixes: list[Mix] = []
@@ -191,7 +194,7 @@ def test_a_second_reader_goes_on_from_where_an_earlier_one_ended_with_pictures_o
 
     monkeypatch.setattr("training.fine_words.Mix", mix)
     shares = ["--shares", "0.2", "0", "0.7", "0.1"]
-    main([*given, *shares, "--out", str(tmp_path / "run"), "--earlier", str(tmp_path / "earlier.pt"), "--steps", "1"])
+    main([*second, *shares, "--earlier", str(tmp_path / "earlier.pt"), "--steps", "1"])
 
     went_on = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["network"]
     assert all(torch.allclose(tensor, earlier[name], atol=1e-3) for name, tensor in went_on.items())

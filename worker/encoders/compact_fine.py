@@ -4,11 +4,12 @@
 pavement need not be what stays the same by night and in snow. Its embeddings lie in the space of the words field: the
 same text vectors belong to both. It runs when somebody looks at a segmentation; places are recognised without it.
 
-`SecondFineWords` share nothing with the network: every layer is their own, so they err elsewhere, and the mean of both
-is better than either.
+`SecondFineWords` share nothing with the network: every layer is their own, so they err elsewhere, and the mean of
+several readers is better than each.
 
-What ships lies in ``weights/compact-fine.safetensors`` and ``weights/compact-second.safetensors`` (float16: the state
-dicts of ``FineWords(97)`` and ``SecondFineWords(97)``), written by ``training/export_fine.py``.
+What ships lies in ``weights/compact-fine.safetensors`` (float16: the state dict of ``FineWords(97)``) and, of two
+``SecondFineWords(97)``, in ``compact-second.safetensors`` and ``compact-third.safetensors`` beside it, written by
+``training/export_fine.py``.
 """
 
 from collections.abc import Mapping

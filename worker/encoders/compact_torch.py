@@ -20,7 +20,7 @@ class TorchEngine:
     content : bytes
         Of ``compact.safetensors``.
     fine : sequence of bytes
-        Of ``compact-fine.safetensors`` and ``compact-second.safetensors``, as far as there are such.
+        Of the weights of each of `worker.encoders.compact.READERS`, as far as there are such.
     device : str
         ``cuda``, ``cpu``, ...
     """
