@@ -165,7 +165,8 @@ def second(
     monkeypatch.setattr("training.fine_words.trunk_state", lambda path: trunk)
     monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
     given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights), "--second"]
-    return [*given, "--out", str(tmp_path / "run"), *"--height 64 --width 96 --views 2 --loaders 0".split()]
+    given += ["--out", str(tmp_path / "run"), "--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
+    return given
 
 
 def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
