@@ -20,10 +20,10 @@ COPY --from=packages /opt/revisit/.venv .venv
 COPY schemas schemas
 COPY worker worker
 COPY app app
-COPY benchmarks benchmarks
+COPY client client
 COPY deploy/in-container /usr/local/bin/revisit
 # Compiled once here, since the service's user cannot write beside the program.
-RUN .venv/bin/python -m compileall -q schemas worker app benchmarks && .venv/bin/python -m pip uninstall -q -y pip
+RUN .venv/bin/python -m compileall -q schemas worker app client && .venv/bin/python -m pip uninstall -q -y pip
 
 # A container is reached from outside, so it listens everywhere and says so in its log; publish the port to whom you
 # trust, or put a proxy with keys in front (deploy/nginx.conf).

@@ -19,7 +19,7 @@
     └── SetupError         (the service cannot start as it is configured)
 
 Clients switch on the code; the text says what was wrong, what was seen and what to do, and may change.
-HTTP statuses are the business of `app.problems`.
+HTTP statuses are the business of `app.http.problems`.
 """
 
 import math

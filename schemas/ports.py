@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 from typing import Protocol
 
 from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures, PixelField
-from schemas.picture import Picture, PictureFacts
+from schemas.image import Picture, PictureFacts
 from schemas.recipe import Recipe
 from schemas.records import (
     Candidates,

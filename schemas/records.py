@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats
-from schemas.picture import PictureFacts
+from schemas.image import PictureFacts
 from schemas.recipe import Recipe
 
 Sequence64 = npt.NDArray[np.int64]

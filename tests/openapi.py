@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator, FormatChecker
 
-from app.values import moment
+from app.http.values import moment
 
 _FORMATS = FormatChecker(())
 

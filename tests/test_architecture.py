@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("app", "worker", "schemas", "training", "benchmarks", "tests")
+ROOMS = ("app", "worker", "schemas", "client", "lab", "scenes", "training", "tests")
 
 MOST_LINES = 400
 BANNED = ("util", "utils", "helper", "helpers", "common", "misc")
@@ -37,7 +37,7 @@ def test_imports_run_one_way() -> None:
     assert linted.returncode == 0, linted.stdout + linted.stderr
 
 
-@pytest.mark.parametrize("module", ["app.main", "app.client", "schemas.wire"])
+@pytest.mark.parametrize("module", ["app.http.application", "revisit_client.client", "schemas.wire"])
 def test_the_application_loads_without_what_is_heavy(module: str) -> None:
     asked = f"import {module}, sys; print(*(set(sys.modules) & set({HEAVY!r})))"
     loaded = run(sys.executable, "-W", "ignore", "-c", asked)
@@ -45,7 +45,7 @@ def test_the_application_loads_without_what_is_heavy(module: str) -> None:
     assert loaded.stdout.split() == []
 
 
-@pytest.mark.parametrize("room", ["app", "worker", "benchmarks"])
+@pytest.mark.parametrize("room", ["app", "worker", "lab"])
 def test_numpy_is_told_to_keep_to_one_thread_before_it_loads(room: str) -> None:
     asked = f"import {room}, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
     bare = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
@@ -72,7 +72,7 @@ def imported(path: Path) -> set[str]:
         ("app", {"torch", "onnxruntime", "cv2", "faiss", "sqlalchemy", "alembic", "sqlite3"}),
         ("worker", {"fastapi", "starlette", "uvicorn", "app"}),
         (
-            "worker/place",
+            "worker/method",
             {"torch", "onnxruntime", "cv2", "faiss", "PIL", "time", "datetime", "random", "os", "io", "pathlib"},
         ),
         ("schemas", {"torch", "onnxruntime", "cv2", "faiss", "fastapi", "sqlalchemy", "worker", "app"}),

@@ -6,10 +6,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from revisit_client.client import Revisit
 
 from app.cli import study
 from app.cli.__main__ import parser
-from app.client import Revisit
 from app.version import VERSION
 from schemas.settings import Settings
 

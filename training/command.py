@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 
 from training.loop import Plan, Run
-from worker.encoders.memory import keep_freed_memory
+from worker.configure import keep_freed_memory
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:

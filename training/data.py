@@ -21,7 +21,7 @@ from training.mix import STREET, Mix
 from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import OPINION_CELLS, label_name, opinion_name
 from training.viewpoint import FOR_DETAIL, FOR_LABELS, FOR_WORDS, Freedom, View, draw_views, shared_cells
-from worker.encoders.compact_network import STRIDE
+from worker.encoders.compact.network import STRIDE
 
 LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor")
 OUTDOOR = ("camvid", "labelmefacade", "ade_outdoor")

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from training.data import training_picture
 from training.teacher import Shallow, load_own
-from worker.encoders.compact_network import DETAIL_CHANNELS, CompactNetwork
+from worker.encoders.compact.network import DETAIL_CHANNELS, CompactNetwork
 
 _SIZE = (288, 384)
 _EVERY = 7

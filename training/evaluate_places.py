@@ -22,8 +22,8 @@ from training import data
 from training.export import network_of
 from training.pictures import Picture, read_rgb
 from training.recognition import DenseCells, Field, Floats, Histograms, best_shift, recall_at_one
-from worker.encoders.compact_network import CompactNetwork
-from worker.encoders.memory import keep_freed_memory
+from worker.configure import keep_freed_memory
+from worker.encoders.compact.network import CompactNetwork
 
 Embed = Callable[[Picture], tuple[Field, Field]]
 """A picture (RGB) to its words field and its detail field."""

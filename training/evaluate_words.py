@@ -5,7 +5,7 @@ pixel takes the best class. CamVid has 11 classes, LabelMeFacade 8; of NYUv2's 3
 its training pictures are taken and pixels of the others are left out.
 
 Judged are the fine words (``--fine FILE --second FILES``), which segmentations are drawn from, as the service has them
-(`worker.encoders.compact.looked_at`), and without that option the words field that descriptions are made of. Pictures
+(`looked_at` of the encoder), and without that option the words field that descriptions are made of. Pictures
 come at two sizes: as the service sees them, 480 on the longer side (``service``), and at their own, times ``--scale``
 (``own``). Scores are enlarged to the labels' size before the best class is taken.
 """
@@ -27,10 +27,10 @@ from training import data
 from training.export import basis_of, network_of
 from training.lexicon import ClipWords, Floats, class_words
 from training.pictures import Picture, read_labels, read_rgb
-from worker.encoders.compact import LONGEST, looked_at, resized
-from worker.encoders.compact_fine import FineWords, SecondFineWords
-from worker.encoders.compact_network import CompactNetwork
-from worker.encoders.memory import keep_freed_memory
+from worker.configure import keep_freed_memory
+from worker.encoders.compact.encoder import LONGEST, looked_at, resized
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import FineWords, SecondFineWords
 
 JUDGED = {"camvid": 11, "labelmefacade": 8, "nyuv2": 13}
 """Sets, and how many of their classes are judged: the most common ones."""

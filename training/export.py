@@ -34,8 +34,8 @@ from training import data
 from training.export_onnx import shipped_network, write_fields_graph, write_fine_graph
 from training.lexicon import ClipWords, Lexicon
 from training.network import TAUGHT_THROUGH
-from worker.encoders.compact import READERS
-from worker.encoders.compact_network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
+from worker.encoders.compact.encoder import READERS
+from worker.encoders.compact.network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
 
 WORDS_TO_SHIP = (
     # Streets.

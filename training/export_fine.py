@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from training.export import history, named, shared_digest
 from training.export_onnx import write_fine_graph, write_second_graph
-from worker.encoders.compact import READERS
+from worker.encoders.compact.encoder import READERS
 
 
 def export_fine(checkpoint: Path, folder: Path, name: str = "compact", reader: str | None = None) -> None:

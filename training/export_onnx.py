@@ -31,8 +31,8 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from worker.encoders.compact_fine import FineWords, SecondFineWords
-from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import FineWords, SecondFineWords
 
 _OPSET = 17
 

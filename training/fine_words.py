@@ -29,8 +29,8 @@ from training.start import second_started, trunk_state
 from training.teacher import Teacher, write_opinions
 from training.viewpoint import ZOOM
 from training.word_loss import WordLoss, word_loss_of
-from worker.encoders.compact_fine import FineWords
-from worker.encoders.compact_network import CompactNetwork, ShallowLayers
+from worker.encoders.compact.network import CompactNetwork, ShallowLayers
+from worker.encoders.compact.segmentation import FineWords
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from worker.place.unit_length import unit
+from worker.method.unit_length import unit
 
 Floats = npt.NDArray[np.float32]
 

@@ -1,14 +1,14 @@
 """The network while it is trained: `CompactNetwork`, and a small head through which its words are taught at stride 4.
 
 Labels of larger views teach more where thin things are still seen. What ships has no such head: segmentations are drawn
-from `worker.encoders.compact_fine.FineWords`.
+from `worker.encoders.compact.segmentation.FineWords`.
 """
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from worker.encoders.compact_network import CLIP_CHANNELS, FUSED_CHANNELS, CompactNetwork
+from worker.encoders.compact.network import CLIP_CHANNELS, FUSED_CHANNELS, CompactNetwork
 
 REFINED_CHANNELS = 24
 """Channels of either input of the layer that sharpens the words field at stride 4."""

@@ -10,7 +10,7 @@ import faiss
 import numpy as np
 import numpy.typing as npt
 
-from worker.place.unit_length import unit
+from worker.method.unit_length import unit
 
 Floats = npt.NDArray[np.float32]
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from schemas.description import Floats
-from worker.local_features import PROJECTION, root_descriptors
+from worker.description.local_features import PROJECTION, root_descriptors
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 KEYPOINTS = 300

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from training.network import TrainedNetwork
-from worker.encoders.compact_fine import SecondFineWords
+from worker.encoders.compact.segmentation import SecondFineWords
 
 State = dict[str, Tensor]
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from training.pictures import Picture, read_rgb
 from training.start import State, renamed
-from worker.encoders.compact_network import CompactNetwork, fused
+from worker.encoders.compact.network import CompactNetwork, fused
 
 SURE = 0.7
 """Least probability at which the teacher's word is taken as a label."""

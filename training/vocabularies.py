@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
+from scenes import scene
+from scenes.scene import Kind
 from schemas.description import Booleans, PixelField
-from schemas.picture import Picture
+from schemas.image import Picture
 from schemas.ports import Encoder
 from schemas.settings import Settings
 from training.pictures import read_rgb
 from worker.bootstrap import make_encoder
-from worker.place import labels, static_pixels
-from worker.recipes import PRESETS, Preset, carried
-from worker.scenes import scene
-from worker.scenes.scene import Kind
-from worker.vocabularies import SHIPPED, Vocabulary, train
+from worker.description.presets import PRESETS, Preset, carried
+from worker.description.vocabularies import SHIPPED, Vocabulary, train
+from worker.method import labels, static_mask
 
 KINDS = (
     ("segmentation/camvid/train", 120),
@@ -62,7 +62,7 @@ def train_vocabulary(encoder: Encoder, preset: Preset, pictures: Iterator[Pictur
     rule = preset.parameters.dynamic
 
     def static(field: PixelField) -> Booleans:
-        return static_pixels.static_cells(labels.scores(field.semantic, text), dynamic, rule.margin, rule.most)
+        return static_mask.static_cells(labels.scores(field.semantic, text), dynamic, rule.margin, rule.most)
 
     fields = (field for picture in pictures for field in encoder.encode([picture]))
     return train(fields, static, preset.parameters, seed)

@@ -14,20 +14,20 @@ from schemas.errors import SetupError
 from schemas.ports import Encoder
 from schemas.recipe import Recipe
 from schemas.settings import Settings
-from worker import picture_codec
-from worker.decide import shipped_calibration
-from worker.describers import Describers
-from worker.desk import Desk
-from worker.house import House
-from worker.indexes.catalogue import Catalogue
-from worker.indexes.flat import FlatIndex
+from worker.description.describers import Describers
+from worker.description.presets import PRESETS, general_vocabulary, make_recipe
+from worker.description.scheduler import Desk
+from worker.images import codec
 from worker.loop import Loop
-from worker.place.byte_vectors import Product, float_product
-from worker.recipes import PRESETS, general_vocabulary, make_recipe
-from worker.search import Searcher
-from worker.stores.locks import lock_for_serving
-from worker.stores.migrating import newest
-from worker.stores.store import open_store
+from worker.method.byte_vectors import Product, float_product
+from worker.method.decision import shipped_calibration
+from worker.runtime import House
+from worker.search.catalogue import Catalogue
+from worker.search.flat_index import FlatIndex
+from worker.search.searcher import Searcher
+from worker.storage.locks import lock_for_serving
+from worker.storage.migrating import newest
+from worker.storage.store import open_store
 
 log = logging.getLogger("revisit")
 
@@ -67,8 +67,8 @@ def build(settings: Settings, *, serving: bool = True) -> House:
         product = make_product(settings)
         describers = Describers(encoder, store, general.values(), product)
         catalogue = Catalogue(store, _empty_index)
-        limits = picture_codec.Limits.of(settings)
-        decode = partial(picture_codec.decode, limits=limits)
+        limits = codec.Limits.of(settings)
+        decode = partial(codec.decode, limits=limits)
         works = settings.inline_worker or not serving
         loop = Loop(
             store,
@@ -84,8 +84,8 @@ def build(settings: Settings, *, serving: bool = True) -> House:
             encoder=encoder,
             store=store,
             decode=decode,
-            thumbnail=picture_codec.thumbnail,
-            shrink=picture_codec.shrink,
+            thumbnail=codec.thumbnail,
+            shrink=codec.shrink,
             desk=desk,
             describers=describers,
             catalogue=catalogue,
@@ -106,7 +106,7 @@ def make_product(settings: Settings) -> Product:
     """How vectors of bytes are multiplied: with what is loaded for the encoder anyway."""
     if settings.encoder == "color":
         return float_product
-    from worker.byte_product import fastest_product
+    from worker.search.byte_product import fastest_product
 
     if settings.encoder == "compact" and settings.device == "cpu":
         import torch
@@ -124,7 +124,7 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
     if settings.encoder == "lseg" or settings.device != "cpu":
         _ready_torch(settings.device, threads)
     if settings.encoder == "compact":
-        from worker.encoders.compact import CompactEncoder
+        from worker.encoders.compact.encoder import CompactEncoder
 
         return CompactEncoder(settings.device, threads=threads)
     from worker.encoders.lseg.encoder import LsegEncoder
@@ -141,7 +141,7 @@ def make_encoder(settings: Settings, threads: int) -> Encoder:
 def _ready_torch(device: str, threads: int) -> None:
     import torch
 
-    from worker.encoders.memory import keep_freed_memory
+    from worker.configure import keep_freed_memory
 
     keep_freed_memory()
     torch.set_num_threads(threads)

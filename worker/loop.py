@@ -9,11 +9,11 @@ from datetime import UTC, datetime, timedelta
 
 from schemas.description import Description
 from schemas.errors import LeaseLost, RevisitError
-from schemas.picture import Picture
+from schemas.image import Picture
 from schemas.ports import Store
 from schemas.records import Claim
-from worker.describers import Describers
-from worker.desk import Desk, Served
+from worker.description.describers import Describers
+from worker.description.scheduler import Desk, Served
 
 log = logging.getLogger("revisit.worker")
 

@@ -35,8 +35,9 @@ def add(verbs: Verbs) -> None:
 
 def run_maps(arguments: argparse.Namespace) -> int:
     """List maps, or show or delete one."""
+    from revisit_client.client import Revisit
+
     from app.cli.console import wrong_use
-    from app.client import Revisit
 
     with Revisit(arguments.url) as revisit:
         if arguments.delete:
@@ -75,9 +76,10 @@ def run_maps(arguments: argparse.Namespace) -> int:
 
 def run_views(arguments: argparse.Namespace) -> int:
     """List views, or show, draw or delete one."""
+    from revisit_client.client import Revisit
+
     from app.cli.console import wrong_use
     from app.cli.query import position
-    from app.client import Revisit
 
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.delete or any(drawn.values())):
@@ -132,8 +134,9 @@ def run_views(arguments: argparse.Namespace) -> int:
 
 def run_places(arguments: argparse.Namespace) -> int:
     """List places."""
+    from revisit_client.client import Revisit
+
     from app.cli.query import position
-    from app.client import Revisit
 
     with Revisit(arguments.url) as revisit:
         places = list(revisit.places(arguments.map))

@@ -12,7 +12,8 @@ from app.cli.console import DONE, FAILED, Progress, Verbs, show, show_json, size
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
-    from app.client import Revisit
+    from revisit_client.client import Revisit
+
     from schemas.settings import Settings
 
 LIBRARIES = (
@@ -45,7 +46,7 @@ def add(verbs: Verbs) -> None:
 def run_migrate(arguments: argparse.Namespace) -> int:
     """Migrate."""
     settings = settings_of(arguments, "data")
-    from worker.stores.migrating import migrate
+    from worker.storage.migrating import migrate
 
     settings.data.mkdir(parents=True, exist_ok=True)
     show(f"the tables are at revision {migrate(settings.database_url, settings.data)}")
@@ -113,8 +114,8 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
     if free < 1_000_000_000:
         findings.append(f"only {size(free)} free in {folder}; enrolments are refused when nothing is left")
     report: dict[str, Any] = {"folder": str(folder.resolve()), "free": size(free)}
-    from worker.stores import migrating
-    from worker.stores.database import Database
+    from worker.storage import migrating
+    from worker.storage.database import Database
 
     if settings.database is None and not (folder / "revisit.db").exists():
         return report | {"tables": "none yet"}
@@ -134,7 +135,7 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
 
 def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, Any]:
     """What the running service says of itself, and whether enrolled pictures find themselves."""
-    from app.client import ClientError, Revisit, Unreachable
+    from revisit_client.client import ClientError, Revisit, Unreachable
 
     with Revisit(arguments.url, patience=10) as revisit:
         try:

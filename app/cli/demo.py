@@ -14,8 +14,9 @@ from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json,
 from app.cli.service import started
 
 if TYPE_CHECKING:
+    from revisit_client.client import Revisit
+
     from app.cli.demo_pictures import Material, Question
-    from app.client import Revisit
     from schemas.wire import QueryAnswer
 
 MOST = 0.75
@@ -58,7 +59,7 @@ class Result:
 
 def run(arguments: argparse.Namespace) -> int:
     """Show it; 1 when too few places were recognised."""
-    from app.client import Revisit
+    from revisit_client.client import Revisit
 
     photos = None if arguments.photos is None else _photos(arguments.photos)
     output = arguments.output or Path(tempfile.mkdtemp(prefix="revisit-demo-"))

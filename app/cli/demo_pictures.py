@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from PIL import Image
 
-    from worker.scenes import Scene
+    from scenes import Scene
 
 PLACES = (
     "market street", "mill lane", "station road", "church street", "harbour road", "bakers row", "school lane",
@@ -59,7 +59,7 @@ Step = Callable[[str], None]
 
 def drawn(folder: Path, step: Step) -> Material:
     """Draw every place as it is enrolled (from two spots) and as it is asked about (elsewhere, later, obstructed)."""
-    from worker.scenes import scene
+    from scenes import scene
 
     enrolments, questions = [], []
     for i, name in enumerate(PLACES):

@@ -34,7 +34,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Ask; the exit code does not tell a known place from an unknown one: both are answers."""
-    from app.client import Revisit
+    from revisit_client.client import Revisit
 
     with Revisit(arguments.url) as revisit:
         answer = revisit.query(

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from app.cli.console import DONE, Verbs, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
-    from app.client import Revisit
+    from revisit_client.client import Revisit
+
     from schemas.wire import Job
 
 
@@ -42,7 +43,7 @@ def _waits(parser: argparse.ArgumentParser) -> None:
 
 def run_vocabulary(arguments: argparse.Namespace) -> int:
     """Train."""
-    from app.client import Revisit
+    from revisit_client.client import Revisit
 
     with Revisit(arguments.url) as revisit:
         return _finished(revisit, revisit.train_vocabulary(arguments.map), arguments)
@@ -50,7 +51,7 @@ def run_vocabulary(arguments: argparse.Namespace) -> int:
 
 def run_recipe(arguments: argparse.Namespace) -> int:
     """Show the recipe, or switch to another."""
-    from app.client import Revisit
+    from revisit_client.client import Revisit
 
     parameters = None
     if arguments.parameters is not None:

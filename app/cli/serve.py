@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import uvicorn
 
     from schemas.settings import Settings
-    from worker.house import House
+    from worker.runtime import House
 
 log = logging.getLogger("revisit")
 
@@ -123,14 +123,14 @@ def _listen(settings: "Settings") -> socket.socket:
 def _serve(settings: "Settings", listening: socket.socket) -> int:
     import uvicorn
 
-    from app.main import create_app
+    from app.http.application import create_app
     from worker.bootstrap import build
 
     house = build(settings)
     config = uvicorn.Config(
         create_app(house),
         log_config=None,
-        access_log=False,  # app.middleware writes the access log
+        access_log=False,  # app.http.middleware writes the access log
         timeout_graceful_shutdown=GRACE_S,
         lifespan="on",
     )

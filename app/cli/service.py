@@ -45,7 +45,7 @@ class Service:
 def started(data: Path, log: Path) -> Iterator[Service]:
     """Start `serve` on a free port, with its log in a file; stop it at the end."""
     env = {name: value for name, value in os.environ.items() if name not in _OURS}
-    path = os.pathsep.join(filter(None, (str(ROOT), env.get("PYTHONPATH"))))
+    path = os.pathsep.join(filter(None, (str(ROOT), str(ROOT / "client"), env.get("PYTHONPATH"))))
     env |= {"REVISIT_DATA": str(data), "PYTHONUNBUFFERED": "1", "PYTHONPATH": path}
     with log.open("wb") as output:
         process = subprocess.Popen(

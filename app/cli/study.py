@@ -20,14 +20,14 @@ def add(verbs: Verbs) -> None:
 
 def run_evaluate(arguments: argparse.Namespace) -> int:
     """Hand over, with a way to services behind a URL."""
-    from app.measured import connect
-    from worker import evaluate
+    from lab import evaluate
+    from lab.evaluation.remote import connect
 
     return evaluate.main(arguments.rest, connect)
 
 
 def run_benchmark(arguments: argparse.Namespace) -> int:
     """Hand over."""
-    from benchmarks import __main__ as benchmarks
+    from lab.benchmarks import __main__ as benchmarks
 
     return benchmarks.main(arguments.rest)

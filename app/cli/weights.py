@@ -28,16 +28,16 @@ def add(verbs: Verbs) -> None:
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Check."""
-    from worker import weights
+    from worker.encoders import inspection
 
-    return _told(weights.check(arguments.file), arguments.json)
+    return _told(inspection.check(arguments.file), arguments.json)
 
 
 def run_convert(arguments: argparse.Namespace) -> int:
     """Convert."""
-    from worker import weights
+    from worker.encoders import inspection
 
-    return _told(weights.convert(arguments.source, arguments.target), arguments.json)
+    return _told(inspection.convert(arguments.source, arguments.target), arguments.json)
 
 
 def _told(report: "WeightsReport", as_json: bool) -> int:

@@ -59,7 +59,7 @@ def test_who_counts_as_recognised(place: str | None, known: bool, status: str, r
 
 
 def test_each_drawn_place_is_asked_about_in_one_of_six_ways() -> None:
-    from worker.scenes import scene
+    from scenes import scene
 
     ways = [demo_pictures._change(i, scene(name)) for i, name in enumerate(demo_pictures.PLACES)]
 

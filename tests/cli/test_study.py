@@ -3,9 +3,9 @@
 import pytest
 
 from app.cli.__main__ import main
-from app.measured import connect
-from benchmarks import __main__ as benchmarks
-from worker import evaluate
+from lab import evaluate
+from lab.benchmarks import __main__ as benchmarks
+from lab.evaluation.remote import connect
 
 
 def test_everything_after_the_command_is_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,12 +12,13 @@ import pytest
 import torch
 from safetensors.numpy import load_file
 
+from scenes import scene
 from schemas.description import Floats
 from schemas.errors import SetupError
-from schemas.picture import Bytes2D, Picture
+from schemas.image import Bytes2D, Picture
 from schemas.settings import Settings
 from worker.bootstrap import make_encoder
-from worker.encoders.compact import (
+from worker.encoders.compact.encoder import (
     LONGEST,
     MULTIPLE,
     READERS,
@@ -28,9 +29,8 @@ from worker.encoders.compact import (
     resized,
     sureness,
 )
-from worker.encoders.compact_onnx import OnnxEngine
-from worker.encoders.compact_torch import TorchEngine
-from worker.scenes import scene
+from worker.encoders.compact.onnx import OnnxEngine
+from worker.encoders.compact.torch import TorchEngine
 
 ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from worker.scenes import DYNAMIC, LABELS, Scene, scene
+from scenes import DYNAMIC, LABELS, Scene, scene
 
 SMALL = (160, 120)
 

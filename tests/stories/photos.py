@@ -4,8 +4,8 @@ import io
 
 from PIL import Image
 
-from schemas.picture import Bytes2D
-from worker.scenes.scene import Scene
+from scenes.scene import Scene
+from schemas.image import Bytes2D
 
 
 def photo(look: Scene) -> bytes:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from app.main import create_app
+from app.http.application import create_app
+from scenes import scene
+from scenes.scene import Scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg
 from worker.bootstrap import build
-from worker.scenes import scene
-from worker.scenes.scene import Scene
 
 NAMES = ("mill lane", "the green", "school hill", "chapel row")
 

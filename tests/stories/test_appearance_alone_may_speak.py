@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from app.main import create_app
+from app.http.application import create_app
+from scenes import scene
 from schemas.recipe import Channel, DenseCells, Parameters
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.bootstrap import build
-from worker.scenes import scene
 
 NAMES = ("mill lane", "station road", "the green", "harbour street", "school hill", "chapel row")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from app.main import create_app
+from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.pictures import drawn, encoded

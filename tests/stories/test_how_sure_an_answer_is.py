@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from app.main import create_app
+from app.http.application import create_app
+from scenes import scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.bootstrap import build
-from worker.scenes import scene
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.main import create_app
+from app.http.application import create_app
 from schemas.description import SEMANTIC, PixelField
-from schemas.picture import Picture
+from schemas.image import Picture
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.pictures import drawn, encoded

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from app.main import create_app
+from app.http.application import create_app
+from scenes import scene
 from schemas.recipe import DenseCells
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.bootstrap import build
-from worker.scenes import scene
 
 STEPS = (0.0, 2.0, 4.0, 6.0)
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from app.main import create_app
+from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.pictures import drawn, encoded
 from worker.bootstrap import build
-from worker.describe import Describer
+from worker.description.describer import Describer
 
 JPEG = {"content-type": "image/jpeg"}
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from training.start import KEPT_AT_STRIDE4, State
-from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.compact.network import CompactNetwork
 
 CLIP_WORDS = (
     *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic sign", "traffic light", "vegetation", "tree"),

@@ -3,7 +3,7 @@ import torch
 from torch import Tensor, nn
 
 from training.depthwise import QuickDepthwise, quicken
-from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.compact.network import CompactNetwork
 
 KERNELS = [(5, 1), (3, 2), (5, 2)]
 """Kernel and dilation of the convolutions that torch is slow with."""

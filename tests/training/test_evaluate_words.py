@@ -9,10 +9,10 @@ import torch.nn.functional as F  # noqa: N812
 from training.evaluate_words import Task, confusion, fine_words, intersections_over_unions, words_field
 from training.lexicon import Floats
 from training.pictures import Picture
-from worker.encoders.compact import resized
-from worker.encoders.compact_fine import FineWords, SecondFineWords
-from worker.encoders.compact_network import CompactNetwork
-from worker.place.unit_length import unit
+from worker.encoders.compact.encoder import resized
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.method.unit_length import unit
 
 TASK = Task([0, 1], ["sky", "road"], [[0], [1, 2]], np.eye(3, dtype=np.float32))
 """Two classes, the second of two words."""

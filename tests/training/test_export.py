@@ -7,14 +7,14 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from schemas.picture import Picture
+from schemas.image import Picture
 from training.export import WORDS_TO_SHIP, export, network_of, reduced, shared_digest
 from training.export_fine import export_fine
 from training.fine_words import started_from
 from training.network import TrainedNetwork
-from worker.encoders.compact import READERS, CompactEncoder
-from worker.encoders.compact_fine import FineWords, SecondFineWords
-from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.compact.encoder import READERS, CompactEncoder
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import FineWords, SecondFineWords
 
 WEIGHTS = Path(__file__).parents[2] / "worker" / "encoders" / "weights"
 

@@ -8,10 +8,10 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from training.export_onnx import write_fields_graph, write_fine_graph, write_second_graph
-from worker.encoders.compact_fine import FineWords, SecondFineWords
-from worker.encoders.compact_network import CompactNetwork
-from worker.encoders.compact_onnx import OnnxEngine
-from worker.encoders.compact_torch import TorchEngine
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.onnx import OnnxEngine
+from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.encoders.compact.torch import TorchEngine
 
 
 class Files(NamedTuple):

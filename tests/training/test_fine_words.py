@@ -23,7 +23,7 @@ from training.pictures import Picture
 from training.start import State, second_started
 from training.teacher import OPINION_CELLS, Floats16, Teacher, write_opinions
 from training.word_loss import word_loss_of
-from worker.encoders.compact_fine import SecondFineWords
+from worker.encoders.compact.segmentation import SecondFineWords
 
 MIX = Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
 

@@ -4,8 +4,8 @@ import torch.nn.functional as F  # noqa: N812
 
 from training.fine_words import started_from
 from training.network import TrainedNetwork
-from worker.encoders.compact_fine import FineWords
-from worker.encoders.compact_network import CompactNetwork
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import FineWords
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (72, 100), (33, 47)])

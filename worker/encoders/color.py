@@ -8,9 +8,9 @@ import numpy as np
 
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError
-from schemas.picture import Picture
+from schemas.image import Picture
 from schemas.records import Meaning
-from worker.place.unit_length import unit
+from worker.method.unit_length import unit
 
 WORDS: Mapping[str, tuple[int, int, int]] = {
     "road": (90, 90, 95),

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from schemas.picture import Picture
+from schemas.image import Picture
 from worker.encoders.lseg.config import Config, ImageTower
 from worker.encoders.lseg.layout import Layout
 from worker.encoders.lseg.network import Network

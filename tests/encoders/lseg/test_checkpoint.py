@@ -13,7 +13,7 @@ from torch import Tensor
 
 from schemas.errors import SetupError
 from tests.encoders.lseg import small
-from worker import weights
+from worker.encoders import inspection
 from worker.encoders.lseg import checkpoint
 from worker.encoders.lseg.checkpoint import check, convert, load
 
@@ -181,7 +181,7 @@ def test_what_is_no_checkpoint_is_refused(tmp_path: Path, data: bytes) -> None:
 
     with pytest.raises(SetupError, match=f"weights {file}: (expected LSeg's demo_e200.ckpt|not a whole PyTorch file)"):
         load(file, small.SMALL)
-    assert weights.check(file).kind == "unknown"
+    assert inspection.check(file).kind == "unknown"
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_a_checkpoint_of_another_kind_is_refused(tmp_path: Path, whole: object, 
 
 
 def test_a_missing_file_is_a_setup_error(tmp_path: Path) -> None:
-    for act in (lambda p: load(p, small.SMALL), check, weights.check):
+    for act in (lambda p: load(p, small.SMALL), check, inspection.check):
         with pytest.raises(SetupError, match="No such file"):
             act(tmp_path / "absent.ckpt")
 
@@ -255,7 +255,7 @@ def test_the_built_in_weights_are_recognised(tmp_path: Path) -> None:
     file = tmp_path / "compact.safetensors"
     save_file({"words.weight": torch.ones(2), "detail.weight": torch.ones(2)}, file)
 
-    report = weights.check(file)
+    report = inspection.check(file)
 
     assert (report.kind, report.usable) == ("compact", True)
     assert report.digest == report.sha256 == checkpoint.file_digest(file)
@@ -274,7 +274,7 @@ def test_a_foreign_safetensors_file_is_unknown(tmp_path: Path) -> None:
     file = tmp_path / "foreign.safetensors"
     save_file({"a": torch.ones(2)}, file)
 
-    report = weights.check(file)
+    report = inspection.check(file)
 
     assert (report.kind, report.usable) == ("unknown", False)
     assert report.differences

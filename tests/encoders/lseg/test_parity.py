@@ -18,7 +18,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from schemas.picture import Picture
+from schemas.image import Picture
 from worker.encoders.lseg.encoder import LsegEncoder
 from worker.encoders.lseg.tokenizer import Tokenizer
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError, SetupError
-from schemas.picture import Picture
+from schemas.image import Picture
 from schemas.records import Meaning
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED, Config

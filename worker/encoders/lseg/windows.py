@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812 - the name everyone knows
 from torch import Tensor
 
-from schemas.picture import Bytes2D
+from schemas.image import Bytes2D
 from worker.encoders.lseg.config import Config
 from worker.encoders.lseg.decoder import Cells
 from worker.encoders.lseg.enlarge import Axis, stretch

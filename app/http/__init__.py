@@ -1,0 +1,1 @@
+"""The HTTP interface: routes, parameters, presenters, problems, middleware, metrics."""

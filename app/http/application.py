@@ -1,0 +1,66 @@
+"""The application: middleware around routes around use-cases."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from app.http import problems
+from app.http.metrics import Metrics
+from app.http.middleware import BodyLimit, Door, Entrance
+from app.http.openapi import document
+from app.http.routes import enroll, health, jobs, maps, pictures, places, query, views
+from app.http.service import Service
+from app.version import VERSION
+from schemas.settings import MEGA
+from worker.runtime import House
+
+TAGS = [
+    {"name": "enrol and ask", "description": "The two questions revisit is for."},
+    {"name": "views", "description": "Enrolled pictures and what was said about them."},
+    {"name": "pictures", "description": "Views as pictures."},
+    {"name": "maps", "description": "Named sets of views that are searched together."},
+    {"name": "jobs", "description": "Work in the background."},
+    {"name": "service", "description": "How the service is."},
+]
+
+
+def create_app(house: House) -> FastAPI:
+    """The application around a house that was built and not yet started: it starts and stops with the application."""
+    return application(Service.of(house))
+
+
+def application(service: Service) -> FastAPI:
+    """An application that starts and stops the service with itself."""
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        await service.condition.start()
+        try:
+            yield
+        finally:
+            await service.condition.stop()
+
+    app = FastAPI(
+        title="revisit",
+        version=VERSION,
+        lifespan=lifespan,
+        openapi_tags=TAGS,
+        # FastAPI's pages load their scripts from elsewhere; ours are in app.console.pages.
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    app.state.service = service
+    app.state.metrics = metrics = Metrics()
+    app.state.patching = asyncio.Lock()
+    for room in (enroll, query, views, pictures, maps, places, jobs, health):
+        app.include_router(room.router)
+    app.openapi = lambda: document(app)  # type: ignore[method-assign]
+    problems.install(app)
+    # Added last is outermost: every answer passes Entrance, and a body is not read before Door and BodyLimit agree.
+    app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
+    app.add_middleware(Door, state=lambda: (service.condition.started, service.condition.draining))
+    app.add_middleware(Entrance, metrics=metrics)
+    return app

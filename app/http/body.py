@@ -1,0 +1,222 @@
+"""Takes the body of a request apart: pictures and what is said about them, or JSON."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.requests import Request
+
+from app.http.values import strict_json
+from schemas.errors import BadBody, BadPicture, BodyTooLarge, InvalidParameters, ParameterError
+
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks
+
+PICTURE_PART = "image"
+
+MOST_PICTURES = 100
+MOST_PARAMETERS = 200
+LONGEST_PARAMETER = 64 * 1024
+LARGEST_JSON = 256 * 1024
+
+_QUICK = 1_000_000  # bytes that are taken apart within a few milliseconds
+
+_RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
+
+_REMEDY = "send the picture as the multipart part `image`, or as the body with content-type image/jpeg"
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A request with pictures, taken apart.
+
+    Parameters
+    ----------
+    pictures : sequence of (file name or None, bytes)
+        In the order of the body; never empty, and none of them is.
+    parameters : sequence of (name, value)
+        Of the URL, then of the body.
+    errors : sequence of ParameterError
+        What is wrong with the parts themselves; to be listed with the other mistakes.
+    """
+
+    pictures: Sequence[tuple[str | None, bytes]]
+    parameters: Sequence[tuple[str, str]]
+    errors: Sequence[ParameterError] = ()
+
+
+async def take(request: Request) -> Sent:
+    """Pictures and parameters of a request.
+
+    Raises
+    ------
+    BadBody
+        ``no-picture`` or ``malformed-body``.
+    BadPicture
+        ``not-a-picture``: the content type is neither multipart nor a picture's.
+    BodyTooLarge
+        From `app.http.middleware.BodyLimit`, while the body is read.
+    """
+    content_type = request.headers.get("content-type", "")
+    body = await request.body()
+    in_url = list(request.query_params.multi_items())
+    kind, options = parse_options_header(content_type)
+    if kind == b"multipart/form-data":
+        boundary = options.get(b"boundary", b"")
+        if len(body) <= _QUICK:
+            return _multipart(body, boundary, in_url)
+        # Milliseconds for a photo, but a body made of near-boundaries takes long: nobody else shall wait for it.
+        return await asyncio.to_thread(_multipart, body, boundary, in_url)
+    if not body:
+        raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
+    name = kind.decode("latin-1")
+    if name and not name.startswith("image/") and name not in _RAW_TYPES:
+        raise BadPicture("not-a-picture", f"the content type is {name}; {_REMEDY}")
+    return Sent([(None, body)], in_url)
+
+
+async def json_object(request: Request) -> dict[str, Any]:
+    """The body as a JSON object; {} when there is no body.
+
+    Raises
+    ------
+    BadBody
+        ``malformed-body``: it is not JSON, or no object.
+    BodyTooLarge
+    """
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > LARGEST_JSON:
+            raise BodyTooLarge(f"the body has more than {LARGEST_JSON:,} bytes, which are enough for this request")
+    if not body.strip():
+        return {}
+    try:
+        value = strict_json(bytes(body))
+    except ValueError as error:
+        raise BadBody("malformed-body", f"the body {error}") from None
+    if not isinstance(value, dict):
+        raise BadBody("malformed-body", "the body needs to be a JSON object")
+    return value
+
+
+@dataclass
+class _Part:
+    """One part of a multipart body while it is read."""
+
+    headers: dict[str, bytes] = field(default_factory=dict)
+    pieces: list[bytes] = field(default_factory=list)
+    header_name: bytes = b""
+    header_value: bytes = b""
+
+    @property
+    def content(self) -> bytes:
+        return b"".join(self.pieces)
+
+    def names(self) -> tuple[str, str | None]:
+        """(name, file name) as its Content-Disposition gives them."""
+        kind, options = parse_options_header(self.headers.get("content-disposition"))
+        if kind != b"form-data" or b"name" not in options:
+            raise BadBody("malformed-body", "a part of the multipart body has no Content-Disposition with a name")
+        file = options.get(b"filename")
+        return _utf8(options[b"name"]), None if file is None else _utf8(file)
+
+
+class _Reader:
+    """Collects parts from python-multipart's callbacks.
+
+    Starlette's own form parser would do, but it takes a body that breaks off for a whole one, and spools pictures
+    to files although the body is bounded already.
+    """
+
+    def __init__(self) -> None:
+        self.parts: list[_Part] = []
+        self.ended = False
+
+    def callbacks(self) -> "MultipartCallbacks":
+        return {
+            "on_part_begin": self._begin,
+            "on_header_field": self._header_name,
+            "on_header_value": self._header_value,
+            "on_header_end": self._header_end,
+            "on_part_data": self._data,
+            "on_end": self._end,
+        }
+
+    def _begin(self) -> None:
+        if len(self.parts) >= MOST_PICTURES + MOST_PARAMETERS:
+            raise BadBody("malformed-body", f"the body has more than {len(self.parts)} parts")
+        self.parts.append(_Part())
+
+    def _header_name(self, data: bytes, start: int, end: int) -> None:
+        self.parts[-1].header_name += data[start:end]
+
+    def _header_value(self, data: bytes, start: int, end: int) -> None:
+        self.parts[-1].header_value += data[start:end]
+
+    def _header_end(self) -> None:
+        part = self.parts[-1]
+        part.headers[part.header_name.decode("latin-1").lower()] = part.header_value
+        part.header_name = part.header_value = b""
+
+    def _data(self, data: bytes, start: int, end: int) -> None:
+        self.parts[-1].pieces.append(data[start:end])
+
+    def _end(self) -> None:
+        self.ended = True
+
+
+def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> Sent:
+    if not boundary:
+        raise BadBody("malformed-body", "the content type names no boundary; let your HTTP library write the header")
+    if not body:
+        raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
+    pictures: list[tuple[str | None, bytes]] = []
+    said: list[tuple[str, str]] = []
+    errors: list[ParameterError] = []
+    for part in _parts(body, boundary):
+        name, file = part.names()
+        content = part.content
+        if name == PICTURE_PART:
+            if not content:
+                raise BadBody("no-picture", f"the part `image` number {len(pictures) + 1} is empty")
+            pictures.append((file, content))
+        elif file is not None:
+            errors.append(ParameterError(name, "is a file; pictures are sent as parts named image"))
+        elif len(content) > LONGEST_PARAMETER:
+            errors.append(ParameterError(name, f"has {len(content)} bytes; at most {LONGEST_PARAMETER} are taken"))
+        else:
+            try:
+                said.append((name, content.decode()))
+            except UnicodeDecodeError:
+                errors.append(ParameterError(name, "is not UTF-8"))
+    if not pictures:
+        # A picture under another name is the likelier mistake, and its refusal names the part.
+        if errors:
+            raise InvalidParameters(errors)
+        raise BadBody("no-picture", f"no part is named image; {_REMEDY}")
+    if len(pictures) > MOST_PICTURES:
+        errors.append(ParameterError(PICTURE_PART, f"{len(pictures)} pictures; at most {MOST_PICTURES} at once"))
+    twice = {name for name, _ in in_url} & {name for name, _ in said}
+    errors += [ParameterError(name, "was given both in the URL and in the body") for name in sorted(twice)]
+    return Sent(pictures, [p for p in in_url if p[0] not in twice] + said, errors)
+
+
+def _parts(body: bytes, boundary: bytes) -> list[_Part]:
+    reader = _Reader()
+    try:
+        parser = MultipartParser(boundary, reader.callbacks())
+        parser.write(body)
+        parser.finalize()
+    except FormParserError as error:
+        raise BadBody("malformed-body", f"the multipart body is malformed: {error}") from None
+    if not reader.ended:
+        raise BadBody("malformed-body", "the multipart body breaks off before its closing boundary")
+    return reader.parts
+
+
+def _utf8(raw: bytes) -> str:
+    return raw.decode("utf-8", errors="replace")

@@ -1,0 +1,80 @@
+"""Idempotency-Key: the same call twice does the work once, and answers twice the same."""
+
+import hashlib
+import json
+import logging
+import re
+from collections.abc import Awaitable, Callable, Sequence
+
+from fastapi import Request
+from fastapi.responses import Response
+
+from app.http.curate import Curator
+from app.http.problems import problem_of, request_id
+from schemas.errors import InvalidParameters, RevisitError
+from schemas.records import Replay
+
+logger = logging.getLogger("revisit.http")
+
+HEADER = "Idempotency-Key"
+REPLAYED = "Idempotent-Replayed"
+
+_KEY = re.compile(r"[\x21-\x7e]{1,255}")
+_KEPT_HEADERS = ("content-type", "location")
+
+
+def key_of(request: Request) -> str | None:
+    """The caller's key, if there is one; raises InvalidParameters."""
+    keys = request.headers.getlist(HEADER)
+    if not keys:
+        return None
+    if len(keys) > 1 or not _KEY.fullmatch(keys[0]):
+        raise InvalidParameters.of(HEADER, "needs to be one word of 1 to 255 visible ASCII characters")
+    return keys[0]
+
+
+def fingerprint(pictures: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:
+    """SHA-256 of the pictures, in their order, and the parameters, in any order."""
+    whole = hashlib.sha256()
+    for picture in pictures:
+        whole.update(hashlib.sha256(picture).digest())
+    whole.update(json.dumps(sorted(parameters)).encode())
+    return whole.hexdigest()
+
+
+async def once(
+    curator: Curator, request: Request, key: str, print_: str, work: Callable[[], Awaitable[Response]]
+) -> Response:
+    """Do the work, unless this key has been answered: then answer the same again.
+
+    Refusals are answers too and are repeated; what is no fault of the request (429 and 5xx) is forgotten, so that
+    trying again helps.
+
+    Raises
+    ------
+    Conflict
+        The first call still runs.
+    KeyReused
+        The key belongs to another request.
+    """
+    replay = await curator.begin_call(key, print_)
+    if replay is not None:
+        return Response(replay.body, replay.status, {**replay.headers, REPLAYED: "true"})
+    try:
+        try:
+            response = await work()
+        except RevisitError as error:
+            response = problem_of(error, request_id(request))
+    except BaseException:
+        await curator.abandon_call(key)
+        raise
+    if response.status_code >= 500 or response.status_code == 429:
+        await curator.abandon_call(key)
+        return response
+    kept = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}
+    try:
+        await curator.end_call(key, Replay(response.status_code, kept, bytes(response.body)))
+    except RevisitError as error:
+        # The work is done and durable; only its answer could not be remembered. Denying it now would be wrong.
+        logger.warning("answer not remembered: %s", error, extra={"event": "answer_not_remembered"})
+    return response

@@ -1,0 +1,153 @@
+"""What happens to every request around its route: an id, a limit, a log line, a count. Pure ASGI, nothing buffered."""
+
+import logging
+import re
+import secrets
+import time
+from collections.abc import Callable
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.http.metrics import Metrics
+from app.http.problems import internal, problem_of
+from schemas.errors import BodyTooLarge, Unavailable
+
+access = logging.getLogger("revisit.access")
+
+_SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
+_METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+
+ALWAYS_OPEN = frozenset({"/livez", "/readyz", "/metrics"})
+"""Addresses that answer while the service starts and stops: they are how one learns that it does."""
+
+STARTING_RETRY_S = 2
+DRAINING_RETRY_S = 10
+
+
+class Entrance:
+    """Outermost: gives the request its id, logs and counts its answer, and turns what nobody caught into a 500."""
+
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app = app
+        self._metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        begin = time.perf_counter()
+        given = Headers(scope=scope).get("x-request-id", "")
+        request_id = given if _SANE_ID.fullmatch(given) else secrets.token_hex(16)
+        scope.setdefault("state", {})["request_id"] = request_id
+        status = 0
+
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-Id"] = request_id
+                # A browser must not take an enrolled picture for a page.
+                headers["X-Content-Type-Options"] = "nosniff"
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_with_id)
+        except Exception as error:
+            response = internal(error, request_id)
+            if status == 0:
+                await response(scope, receive, send_with_id)
+            else:
+                # The status line is out: breaking the connection is the only way left to say that it was no success.
+                raise
+        finally:
+            self._record(scope, request_id, status, time.perf_counter() - begin)
+
+    def _record(self, scope: Scope, request_id: str, status: int, seconds: float) -> None:
+        route: Any = scope.get("route")
+        template = getattr(route, "path", "unmatched")
+        method = scope["method"] if scope["method"] in _METHODS else "other"
+        self._metrics.answered(method, template, status, seconds)
+        # The path without its query: positions and metadata are nobody's business but the caller's.
+        access.info(
+            "%s %s %d",
+            method,
+            scope["path"],
+            status,
+            extra={
+                "event": "request",
+                "method": method,
+                "path": scope["path"],
+                "route": template,
+                "status": status,
+                "ms": round(seconds * 1000, 2),
+                "request_id": request_id,
+            },
+        )
+
+
+class Door:
+    """Answers 503 while the service starts or drains."""
+
+    def __init__(self, app: ASGIApp, state: Callable[[], tuple[bool, bool]]) -> None:
+        self._app = app
+        self._state = state  # (started, draining) at this moment
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request, or say when to come back."""
+        if scope["type"] != "http" or scope["path"] in ALWAYS_OPEN:
+            await self._app(scope, receive, send)
+            return
+        started, draining = self._state()
+        if draining:
+            await _refuse(Unavailable("the service is stopping", DRAINING_RETRY_S), scope, receive, send)
+        elif not started:
+            await _refuse(Unavailable("the service is starting", STARTING_RETRY_S), scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+
+class BodyLimit:
+    """Refuses bodies that are too large: by Content-Length before a byte is read, else as soon as it shows."""
+
+    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+        self._app = app
+        self._max_bytes = max_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request whose body is counted while it is read."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        announced = Headers(scope=scope).get("content-length", "")
+        if announced.isdigit() and int(announced) > self._max_bytes:
+            await _refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
+            return
+        seen = 0
+
+        async def receive_counted() -> Message:
+            nonlocal seen
+            message = await receive()
+            if message["type"] == "http.request":
+                seen += len(message.get("body", b""))
+                if seen > self._max_bytes:
+                    # Raised where the route reads its body, so that it becomes an answer like any other refusal.
+                    raise self._too_large(f"more than {self._max_bytes:,}")
+            return message
+
+        await self._app(scope, receive_counted, send)
+
+    def _too_large(self, seen: str) -> BodyTooLarge:
+        return BodyTooLarge(f"the body has {seen} bytes; at most {self._max_bytes:,} are taken")
+
+
+async def _refuse(error: BodyTooLarge | Unavailable, scope: Scope, receive: Receive, send: Send) -> None:
+    response: Response = problem_of(error, Request(scope).state.request_id)
+    # The body was not read, so the connection cannot carry another request.
+    response.headers["Connection"] = "close"
+    await response(scope, receive, send)

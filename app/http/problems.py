@@ -1,0 +1,170 @@
+"""Every refusal as RFC 9457 problem+json: one table, one shape, no stack traces."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+
+from schemas.errors import BadBody, Busy, InvalidParameters, NotFound, ParameterError, RevisitError, SetupError
+from schemas.wire import Problem, ProblemParameter
+
+logger = logging.getLogger("revisit.http")
+
+MEDIA_TYPE = "application/problem+json"
+URN = "urn:revisit:problem:"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of problem.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    title : str
+        The same for every problem of this kind.
+    remedy : str
+        What the caller can do; docs/errors.md says the same.
+    """
+
+    status: int
+    title: str
+    remedy: str
+
+
+KINDS: Mapping[str, Kind] = {
+    "no-picture": Kind(400, "No picture was sent", "Send the picture as the multipart part `image` or as the body."),
+    "malformed-body": Kind(
+        400, "The body cannot be taken apart", "Let an HTTP library write the body, and send all of it."
+    ),
+    "bad-request": Kind(400, "The request cannot be understood", "Compare it with /docs."),
+    "unauthorized": Kind(401, "A key is needed", "Send a valid key."),
+    "forbidden": Kind(403, "The key does not open this", "Use a key with the needed scope and map."),
+    "not-found": Kind(404, "There is no such thing", "Check the id or name; `GET /maps` and `GET /views` list them."),
+    "method-not-allowed": Kind(405, "The address does not answer this method", "Use a method that `Allow` names."),
+    "conflict": Kind(409, "It contradicts what is there or under way", "Wait for the other call, or follow `detail`."),
+    "body-too-large": Kind(413, "The body is too large", "Send fewer or smaller pictures; JPEG is compact."),
+    "not-a-picture": Kind(
+        415, "This is not a picture of an accepted type", "Send JPEG, PNG, WebP, BMP or TIFF with its content type."
+    ),
+    "invalid-parameter": Kind(422, "Parameters cannot be used", "Correct each parameter that `errors` lists."),
+    "undecodable-picture": Kind(
+        422, "The picture is truncated or corrupt", "Send the whole file; open it elsewhere to see whether it is sound."
+    ),
+    "picture-too-large": Kind(422, "The picture has too many pixels", "Scale it down; 1280 pixels a side are plenty."),
+    "picture-too-small": Kind(422, "The picture has too few pixels", "Send at least 32 x 32 pixels."),
+    "nothing-static": Kind(
+        422, "Everything in the picture moves", "Take the picture again when less is in the way, or change `dynamic`."
+    ),
+    "idempotency-key-reused": Kind(
+        422, "The Idempotency-Key belongs to another request", "Use a new key for every new request."
+    ),
+    "too-many-requests": Kind(429, "More is waiting than can be taken on", "Try again after `Retry-After` seconds."),
+    "internal": Kind(
+        500, "The service made a mistake", "Try again; report it with the request id, which the log has too."
+    ),
+    "unavailable": Kind(503, "The service is starting or stopping", "Try again after `Retry-After` seconds."),
+    "disk-full": Kind(507, "Nothing more can be written", "Free space or delete views; reading and deleting work."),
+}
+"""All codes that a client can see."""
+
+_OF_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
+
+_INTERNAL_DETAIL = "something went wrong inside the service; its log has the reason under this request id"
+
+
+def request_id(request: Request) -> str:
+    """The id that `app.http.middleware` gave the request."""
+    return str(getattr(request.state, "request_id", "none"))
+
+
+def problem(
+    code: str,
+    detail: str,
+    request_id: str,
+    *,
+    errors: Sequence[ParameterError] = (),
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """An answer of one kind of problem."""
+    kind = KINDS[code]
+    body = Problem(
+        type=URN + code,
+        title=kind.title,
+        status=kind.status,
+        detail=detail,
+        errors=[ProblemParameter(parameter=e.parameter, detail=e.detail) for e in errors],
+        request_id=request_id,
+    )
+    return Response(body.model_dump_json(), kind.status, dict(headers or {}), MEDIA_TYPE)
+
+
+def code_of(error: RevisitError) -> str:
+    """The code that a client sees: refusals that concern no client are `internal`."""
+    if isinstance(error, SetupError):
+        # Once the service runs, only a map is set up wrongly: its recipe needs another encoder or a lost vocabulary.
+        return "conflict"
+    return error.code if error.code in KINDS else "internal"
+
+
+def problem_of(error: RevisitError, request_id: str) -> Response:
+    """A refusal as an answer; what should never have reached a client is logged and becomes `internal`."""
+    code = code_of(error)
+    if code == "internal":
+        return internal(error, request_id)
+    headers = {"Retry-After": str(error.retry_after_s)} if isinstance(error, Busy) else None
+    errors = error.errors if isinstance(error, InvalidParameters) else ()
+    return problem(code, error.detail, request_id, errors=errors, headers=headers)
+
+
+def internal(error: BaseException, request_id: str) -> Response:
+    """A mistake of ours: the log gets the traceback, the client the request id."""
+    logger.error(
+        "request failed",
+        exc_info=(type(error), error, error.__traceback__),
+        extra={"event": "request_failed", "request_id": request_id},
+    )
+    return problem("internal", _INTERNAL_DETAIL, request_id)
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RevisitError)
+    return problem_of(error, request_id(request))
+
+
+async def _http(request: Request, error: Exception) -> Response:
+    """What the framework refuses by itself: unknown addresses and methods."""
+    assert isinstance(error, HTTPException)
+    code = _OF_STATUS.get(error.status_code, "bad-request")
+    if error.status_code >= 500:
+        return internal(error, request_id(request))
+    details = {
+        "not-found": NotFound("address", request.url.path, "/docs lists all of them").detail,
+        "method-not-allowed": f"{request.url.path} does not answer {request.method}",
+    }
+    return problem(code, details.get(code, str(error.detail)), request_id(request), headers=error.headers)
+
+
+async def _invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    errors = [ParameterError(".".join(map(str, e["loc"][1:])), str(e["msg"])) for e in error.errors()]
+    return problem_of(InvalidParameters(errors), request_id(request))
+
+
+async def _broken_off(request: Request, error: Exception) -> Response:
+    # Nobody is there to read it, but the access log and the metrics count it as the client's, not as ours.
+    return problem_of(BadBody("malformed-body", "the connection closed before the body ended"), request_id(request))
+
+
+def install(app: FastAPI) -> None:
+    """Answer every refusal with a problem; `app.http.middleware` does it for exceptions that are no refusals."""
+    app.add_exception_handler(RevisitError, _refused)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(ClientDisconnect, _broken_off)

@@ -1,0 +1,140 @@
+"""`POST /enroll`: keep pictures and what is said about them."""
+
+import asyncio
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+
+from app.http.body import Sent, take
+from app.http.dependencies import Curates, Measures, Recognises
+from app.http.examples import ENROLLED
+from app.http.idempotency import HEADER, fingerprint, key_of, once
+from app.http.openapi import asks_pictures, refusals
+from app.http.parameters import EnrollParameters, read
+from app.http.problems import KINDS, URN, code_of
+from schemas.errors import Busy, InvalidParameters, RevisitError
+from schemas.wire import Enrolled, EnrolledMany, EnrolmentError, ProblemParameter
+
+router = APIRouter(tags=["enrol and ask"])
+
+_LOCATION = {"Location": {"description": "The view, or the job that describes it.", "schema": {"type": "string"}}}
+_KEY: dict[str, Any] = {
+    "name": HEADER,
+    "in": "header",
+    "required": False,
+    "description": "A new key for every new request; repeating a request with its key repeats the answer for 24 hours.",
+    "schema": {"type": "string", "minLength": 1, "maxLength": 255},
+}
+_ANY = Enrolled | EnrolledMany
+
+
+@router.post(
+    "/enroll",
+    status_code=201,
+    response_model=_ANY,
+    openapi_extra=asks_pictures(EnrollParameters, several=True, headers=[_KEY]),
+    responses={
+        200: {"model": _ANY, "description": "The map had these very bytes already.", "headers": _LOCATION},
+        201: {
+            "description": "Durable and searchable.",
+            "headers": _LOCATION,
+            "content": {"application/json": {"example": ENROLLED}},
+        },
+        202: {"model": _ANY, "description": "Durable; `job` describes it.", "headers": _LOCATION},
+        207: {"model": EnrolledMany, "description": "Some pictures were refused; `errors` says why."},
+        **refusals(
+            "no-picture",
+            "malformed-body",
+            "conflict",
+            "body-too-large",
+            "not-a-picture",
+            "undecodable-picture",
+            "picture-too-large",
+            "picture-too-small",
+            "nothing-static",
+            "idempotency-key-reused",
+            "too-many-requests",
+            "disk-full",
+        ),
+    },
+)
+async def enroll(request: Request, recogniser: Recognises, curator: Curates, metrics: Measures) -> Response:
+    """Enrol one picture, or several, in a map."""
+    sent = await take(request)
+    asked = read(EnrollParameters, sent.parameters, sent.errors)
+
+    async def work() -> Response:
+        outcomes = await recogniser.enroll(sent.pictures, asked.map, asked.said(), asked.wait)
+        for outcome in outcomes:
+            if isinstance(outcome, Enrolled):
+                metrics.stages("enroll", outcome.timing_ms)
+        return _answer(sent, outcomes)
+
+    key = key_of(request)
+    if key is None:
+        return await work()
+    print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.pictures], sent.parameters)
+    return await once(curator, request, key, print_, work)
+
+
+def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
+    """One picture: its view or its refusal. Several: what came of each, unless nothing came of any."""
+    views = [o for o in outcomes if isinstance(o, Enrolled)]
+    refused = [(index, o) for index, o in enumerate(outcomes) if isinstance(o, RevisitError)]
+    if len(outcomes) == 1 and refused:
+        raise refused[0][1]
+    if not views:
+        raise _all_refused(refused)
+    body: Enrolled | EnrolledMany = views[0]
+    if len(outcomes) > 1:
+        body = EnrolledMany(
+            views=views,
+            errors=[_refusal(index, sent.pictures[index][0], error) for index, error in refused],
+            revision=max(view.revision for view in views),
+            timing_ms=_slowest(views),
+        )
+    headers = {}
+    if len(outcomes) == 1:
+        headers["Location"] = f"/jobs/{views[0].job}" if views[0].job else views[0].view.links.self
+    return Response(body.model_dump_json(), _status(views, bool(refused)), headers, "application/json")
+
+
+def _status(views: list[Enrolled], some_refused: bool) -> int:
+    if some_refused:
+        return 207
+    if any(view.job for view in views):
+        return 202
+    return 201 if any(view.created for view in views) else 200
+
+
+def _refusal(index: int, filename: str | None, error: RevisitError) -> EnrolmentError:
+    code = code_of(error)
+    kind = KINDS[code]
+    return EnrolmentError(
+        index=index,
+        filename=filename,
+        type=URN + code,
+        title=kind.title,
+        status=kind.status,
+        detail=error.detail,
+        errors=[ProblemParameter(parameter=e.parameter, detail=e.detail) for e in error.errors]
+        if isinstance(error, InvalidParameters)
+        else [],
+    )
+
+
+def _all_refused(refused: list[tuple[int, RevisitError]]) -> RevisitError:
+    """The first refusal, its text naming every picture; one that trying again may cure goes before the others."""
+    first = next((error for _, error in refused if isinstance(error, Busy)), refused[0][1])
+    first.detail = "; ".join(f"image {index}: {error.detail}" for index, error in refused)
+    return first
+
+
+def _slowest(views: list[Enrolled]) -> dict[str, float]:
+    """The longest time of each stage: pictures of one request are worked on side by side."""
+    times: dict[str, float] = {}
+    for view in views:
+        for stage, milliseconds in view.timing_ms.items():
+            times[stage] = max(times.get(stage, 0.0), milliseconds)
+    return times

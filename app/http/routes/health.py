@@ -1,0 +1,94 @@
+"""How the service is: for supervisors, for Prometheus and for people.
+
+`/livez` and `/readyz` run on the event loop itself and never wait for a thread: they answer while every thread works.
+"""
+
+import asyncio
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse, JSONResponse, Response
+
+from app.console import pages
+from app.http.curate import Curator
+from app.http.dependencies import Conditions, Curates, Measures, no_parameters
+from app.http.lifecycle import Condition
+from app.http.metrics import MEDIA_TYPE
+from app.http.middleware import STARTING_RETRY_S
+from app.http.openapi import answers_bytes, document, refusals
+from schemas.errors import RevisitError
+from schemas.wire import Maps, Readiness, Version
+
+router = APIRouter(tags=["service"], dependencies=[no_parameters])
+
+PATIENCE_S = 0.4
+"""Half a second is promised; what has not answered by then is named as the reason."""
+
+
+@router.get("/livez", responses={**answers_bytes("text/plain", description="Alive."), **refusals(always_open=True)})
+async def livez() -> Response:
+    """Does the process answer?"""
+    return Response("ok\n", media_type="text/plain")
+
+
+@router.get(
+    "/readyz",
+    response_model=Readiness,
+    responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(always_open=True)},
+)
+async def readyz(condition: Conditions) -> Response:
+    """Can it enrol and answer at this moment? Lists what cannot, and why."""
+    if condition.draining or not condition.started:
+        state = "stopping" if condition.draining else "starting"
+        readiness = Readiness(ready=False, checks={"service": state})
+    else:
+        try:
+            readiness = await asyncio.wait_for(condition.readiness(), PATIENCE_S)
+        except TimeoutError:
+            readiness = Readiness(ready=False, checks={"service": f"no answer within {PATIENCE_S * 1000:.0f} ms"})
+    headers = {} if readiness.ready else {"Retry-After": str(STARTING_RETRY_S)}
+    return JSONResponse(readiness.model_dump(mode="json"), 200 if readiness.ready else 503, headers)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(always_open=True)},
+)
+async def metrics(condition: Conditions, curator: Curates, measures: Measures) -> Response:
+    """Counters, times and sizes."""
+    maps = await _maps(condition, curator)
+    if maps is not None:
+        measures.state(await condition.queue_length(), maps.maps)
+    return Response(measures.text(), media_type=MEDIA_TYPE)
+
+
+@router.get("/version", response_model=Version, responses=refusals())
+async def version(condition: Conditions) -> Version:
+    """What is running: version, encoder, weights, libraries."""
+    return await condition.version()
+
+
+@router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
+async def docs(request: Request) -> Response:
+    """The API, described; one page that loads nothing from elsewhere."""
+    return _page(pages.docs(document(request.app)))
+
+
+@router.get("/", response_class=HTMLResponse, include_in_schema=False)
+async def console(request: Request, condition: Conditions, curator: Curates) -> Response:
+    """Where a person lands: what is there, and how to go on."""
+    return _page(pages.console(request.app.version, await _maps(condition, curator)))
+
+
+async def _maps(condition: Condition, curator: Curator) -> Maps | None:
+    """The maps if they can be had soon: numbers that are missing are better than a page that hangs."""
+    if not condition.started:
+        return None
+    try:
+        return await asyncio.wait_for(curator.maps(), PATIENCE_S)
+    except (TimeoutError, RevisitError):
+        return None
+
+
+def _page(html: str) -> Response:
+    return HTMLResponse(html, headers={"Content-Security-Policy": pages.POLICY})

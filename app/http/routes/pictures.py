@@ -1,0 +1,131 @@
+"""Pictures of a view: as enrolled, small, and as the method sees it. All with an ETag."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import Response
+
+from app.http.dependencies import Curates, in_url, no_parameters
+from app.http.openapi import answers_bytes, asks, refusals
+from app.http.parameters import ExplanationParameters, SegmentationParameters, ThumbnailParameters
+
+router = APIRouter(tags=["pictures"])
+
+_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff")
+_DRAWN = ("too-many-requests",)
+
+
+def _responses(*types: str, description: str, drawn: bool = False) -> dict[int | str, dict[str, Any]]:
+    return {
+        **answers_bytes(*types, description=description, etag=True),
+        **refusals("not-found", *(_DRAWN if drawn else ())),
+    }
+
+
+@router.get(
+    "/views/{view_id}/image",
+    response_class=Response,
+    dependencies=[no_parameters],
+    responses=_responses(*_TYPES, description="The enrolled picture, byte for byte."),
+)
+async def image(view_id: str, request: Request, curator: Curates) -> Response:
+    """The picture as it was enrolled."""
+    etag = await curator.view_etag(view_id, "image")
+    if _is_fresh(request, etag):
+        return _unchanged(etag)
+    data, media_type = await curator.image(view_id)
+    return _picture(data, media_type, etag)
+
+
+@router.get(
+    "/views/{view_id}/thumbnail",
+    response_class=Response,
+    openapi_extra=asks(ThumbnailParameters),
+    responses=_responses("image/jpeg", description="The picture, small and upright."),
+)
+async def thumbnail(
+    view_id: str,
+    asked: Annotated[ThumbnailParameters, Depends(in_url(ThumbnailParameters))],
+    request: Request,
+    curator: Curates,
+) -> Response:
+    """A small JPEG of the picture."""
+    etag = await curator.view_etag(view_id, f"thumbnail-{asked.size}")
+    if _is_fresh(request, etag):
+        return _unchanged(etag)
+    return _picture(await curator.thumbnail(view_id, asked.size), "image/jpeg", etag)
+
+
+@router.get(
+    "/views/{view_id}/segmentation.png",
+    response_class=Response,
+    openapi_extra=asks(SegmentationParameters),
+    responses=_responses("image/png", description="Each pixel is an index into the map's labels.", drawn=True),
+)
+async def segmentation(
+    view_id: str,
+    asked: Annotated[SegmentationParameters, Depends(in_url(SegmentationParameters))],
+    request: Request,
+    curator: Curates,
+) -> Response:
+    """What each pixel of the picture was taken for, as finely as the encoder can tell; the method has coarser cells."""
+    etag = await curator.view_etag(view_id, "overlay" if asked.overlay else "segmentation")
+    if _is_fresh(request, etag):
+        return _unchanged(etag)
+    return _picture(await curator.segmentation(view_id, asked.overlay), "image/png", etag)
+
+
+@router.get(
+    "/views/{view_id}/graph.png",
+    response_class=Response,
+    dependencies=[no_parameters],
+    responses=_responses("image/png", description="Nodes, labels and edges over the photo.", drawn=True),
+)
+async def graph(view_id: str, request: Request, curator: Curates) -> Response:
+    """The context graph, drawn over the picture."""
+    etag = await curator.view_etag(view_id, "graph")
+    if _is_fresh(request, etag):
+        return _unchanged(etag)
+    return _picture(await curator.graph(view_id), "image/png", etag)
+
+
+@router.get(
+    "/queries/{query_id}/explanation.png",
+    response_class=Response,
+    openapi_extra=asks(ExplanationParameters),
+    responses={
+        **answers_bytes("image/png", description="Query and match side by side, with what agrees."),
+        **refusals("not-found"),
+    },
+)
+async def explanation(
+    query_id: str,
+    asked: Annotated[ExplanationParameters, Depends(in_url(ExplanationParameters))],
+    curator: Curates,
+) -> Response:
+    """Why a question that was asked with `explain=true` got its answer; kept for a bounded time."""
+    return Response(await curator.explanation(query_id, asked.view), headers=_NO_STORE, media_type="image/png")
+
+
+# Kept by the caller, but asked about each time: a deleted view must not live on in a cache.
+_CACHE = {"Cache-Control": "private, no-cache"}
+_NO_STORE = {"Cache-Control": "private, no-store"}
+
+
+def _quoted(etag: str) -> str:
+    return etag if etag.endswith('"') else f'"{etag}"'
+
+
+def _is_fresh(request: Request, etag: str) -> bool:
+    """Whether If-None-Match names this ETag; weak and strong compare alike (RFC 9110, 13.1.2)."""
+    given = ",".join(request.headers.getlist("if-none-match"))
+    tags = [tag.strip().removeprefix("W/") for tag in given.split(",")]
+    return "*" in tags or _quoted(etag) in tags
+
+
+def _unchanged(etag: str) -> Response:
+    return Response(status_code=304, headers={"ETag": _quoted(etag), **_CACHE})
+
+
+def _picture(data: bytes, media_type: str, etag: str) -> Response:
+    return Response(data, headers={"ETag": _quoted(etag), **_CACHE}, media_type=media_type)

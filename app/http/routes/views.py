@@ -1,0 +1,125 @@
+"""`/views`: list, look at, correct and delete what is enrolled."""
+
+import asyncio
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request
+
+from app.http.body import json_object
+from app.http.dependencies import Curates, in_url, no_parameters
+from app.http.examples import PATCH, VIEW
+from app.http.merge_patch import merge
+from app.http.openapi import asks, refusals, takes_json
+from app.http.parameters import DeleteViews, ListViews, SaidDocument, validated
+from app.http.values import METADATA_DEPTH, within_depth
+from schemas.errors import InvalidParameters, ParameterError
+from schemas.records import Said
+from schemas.wire import Deleted, Position, View, Views, rfc3339
+
+router = APIRouter(tags=["views"])
+
+_VIEW: dict[int | str, dict[str, Any]] = {200: {"content": {"application/json": {"example": VIEW}}}}
+_PATCH_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "additionalProperties": False,
+    "description": "JSON merge patch (RFC 7396) of what was said about the view; null clears.",
+    "properties": {
+        "place": {"type": ["string", "null"]},
+        "position": {
+            "type": ["object", "null"],
+            "additionalProperties": False,
+            "properties": {name: {"type": ["number", "null"]} for name in Position.model_fields},
+        },
+        "captured_at": {"type": ["string", "null"], "format": "date-time"},
+        "metadata": {"type": ["object", "null"]},
+    },
+}
+_FIELDS = ("place", "position", "captured_at", "metadata")
+
+
+@router.get("/views", response_model=Views, openapi_extra=asks(ListViews), responses=refusals("not-found"))
+async def list_views(asked: Annotated[ListViews, Depends(in_url(ListViews))], curator: Curates) -> Views:
+    """A page of views, in the order of their enrolment."""
+    return await curator.views(
+        asked.map,
+        asked.filters(),
+        state=asked.state,
+        newest_first=asked.sort.startswith("-"),
+        cursor=asked.cursor,
+        limit=asked.limit,
+    )
+
+
+@router.delete(
+    "/views", response_model=Deleted, openapi_extra=asks(DeleteViews), responses=refusals("not-found", "conflict")
+)
+async def delete_views(asked: Annotated[DeleteViews, Depends(in_url(DeleteViews))], curator: Curates) -> Deleted:
+    """Delete the views of a map that fit the filters, or all of them with `all=true`."""
+    return await curator.delete_views(asked.map, asked.filters())
+
+
+@router.get(
+    "/views/{view_id}", response_model=View, dependencies=[no_parameters], responses={**_VIEW, **refusals("not-found")}
+)
+async def get_view(view_id: str, curator: Curates) -> View:
+    """One view."""
+    return await curator.view(view_id)
+
+
+@router.patch(
+    "/views/{view_id}",
+    response_model=View,
+    dependencies=[no_parameters],
+    openapi_extra=takes_json(
+        _PATCH_SCHEMA, media_types=("application/merge-patch+json", "application/json"), example=PATCH
+    ),
+    responses={**_VIEW, **refusals("malformed-body", "not-found", "body-too-large", "disk-full")},
+)
+async def patch_view(view_id: str, request: Request, curator: Curates) -> View:
+    """Correct what was said about a view: place, position, captured_at, metadata."""
+    patch = await json_object(request)
+    # Between reading what was said and writing it anew, no other patch may come: its change would be lost.
+    lock: asyncio.Lock = request.app.state.patching
+    async with lock:
+        return await curator.patch_view(view_id, _patched(await curator.said_of(view_id), patch))
+
+
+@router.delete(
+    "/views/{view_id}", response_model=Deleted, dependencies=[no_parameters], responses=refusals("not-found")
+)
+async def delete_view(view_id: str, curator: Curates) -> Deleted:
+    """Delete a view and its picture."""
+    return await curator.delete_view(view_id)
+
+
+def _patched(said: Said, patch: dict[str, Any]) -> Said:
+    """What is said after the patch; raises InvalidParameters."""
+    unknown = [ParameterError(name, "cannot be changed") for name in patch if name not in _FIELDS]
+    if not within_depth(patch, METADATA_DEPTH + 1):
+        raise InvalidParameters.of("metadata", f"must not be nested deeper than {METADATA_DEPTH} levels")
+    document: dict[str, Any] = {
+        "place": said.place,
+        "position": {name: value for name, value in asdict(said.where).items() if value is not None},
+        "captured_at": None if said.captured_at is None else rfc3339(said.captured_at),
+        "metadata": dict(said.metadata),
+    }
+    merged = merge(document, patch)
+    position = merged.pop("position", {})
+    if not isinstance(position, dict):
+        raise InvalidParameters.of("position", 'needs to be an object such as {"x": 1.5, "y": 2}, or null')
+    stray = position.keys() - Position.model_fields.keys()
+    unknown += [ParameterError(f"position.{name}", "is unknown") for name in sorted(stray)]
+    known = {name: value for name, value in merged.items() if name in _FIELDS and value is not None}
+    located = {name: value for name, value in position.items() if name not in stray}
+    try:
+        return validated(SaidDocument, {**known, **located}, unknown).said()
+    except InvalidParameters as error:
+        raise InvalidParameters([_in_document(one) for one in error.errors]) from None
+
+
+def _in_document(error: ParameterError) -> ParameterError:
+    """The mistake, named by its path in the view."""
+    if error.parameter in Position.model_fields:
+        return ParameterError(f"position.{error.parameter}", error.detail)
+    return error

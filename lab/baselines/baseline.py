@@ -1,0 +1,75 @@
+"""What every baseline promises, and how they read pictures."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats
+from schemas.errors import BadPicture
+
+Tick = Callable[[], object]
+"""Called once for each picture that has been described."""
+
+
+class Baseline(Protocol):
+    """A simple way of ranking. To add one: a file with a class like this, and a line in `lab.baselines.known`."""
+
+    @property
+    def name(self) -> str:
+        """As it stands in tables."""
+        ...
+
+    def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
+        """Distances, float32 (queries, database), small for alike; whatever is learned comes from the database."""
+        ...
+
+
+def nothing() -> None:
+    """A tick that nobody watches."""
+
+
+def grey(path: Path) -> npt.NDArray[np.uint8]:
+    """A picture as uint8 (height, width), upright.
+
+    Raises
+    ------
+    BadPicture
+        When the file cannot be decoded.
+    """
+    return _decoded(path, cv2.IMREAD_GRAYSCALE)
+
+
+def rgb(path: Path) -> npt.NDArray[np.uint8]:
+    """A picture as uint8 (height, width, 3), RGB, upright; raises as `grey`."""
+    return _decoded(path, cv2.IMREAD_COLOR_RGB)
+
+
+def city_block(database: Floats, queries: Floats) -> Floats:
+    """Sums of absolute differences, float32 (queries, database), of descriptors (pictures, dimensions)."""
+    return np.stack([np.abs(database - q).sum(axis=1, dtype=np.float32) for q in queries])
+
+
+def euclidean(database: Floats, queries: Floats) -> Floats:
+    """Euclidean distances, float32 (queries, database), of descriptors (pictures, dimensions)."""
+    squares = (queries**2).sum(axis=1)[:, None] + (database**2).sum(axis=1) - 2 * queries @ database.T
+    return np.asarray(np.sqrt(np.maximum(squares, 0)), np.float32)
+
+
+def described(pictures: Iterable[Path], describe: Callable[[Path], Floats], tick: Tick) -> Floats:
+    """Descriptors of pictures, float32 (pictures, dimensions)."""
+    rows = []
+    for picture in pictures:
+        rows.append(describe(picture))
+        tick()
+    return np.stack(rows)
+
+
+def _decoded(path: Path, how: int) -> npt.NDArray[np.uint8]:
+    pixels = cv2.imread(str(path), how)
+    if pixels is None:
+        raise BadPicture("undecodable-picture", f"{path} cannot be decoded as a picture")
+    return np.asarray(pixels, np.uint8)

@@ -1,0 +1,145 @@
+"""A set of pictures with ground truth, and what all readers share."""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lab.metrics.recall import Doubles, Indices, Truth
+from schemas.errors import RevisitError
+
+ENDINGS = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})
+"""Names of files that count as pictures."""
+
+RADIUS_M = 25.0
+"""How near a database picture must have been taken to be right, unless said otherwise (paper)."""
+
+
+class UnexpectedLayout(RevisitError):
+    """A folder does not hold what a reader looks for; the text shows what it expected and what it found."""
+
+    code = "unexpected-layout"
+
+    def __init__(self, root: Path, problem: str, expected: str) -> None:
+        super().__init__(f"{root}: {problem}\nExpected:\n{expected.rstrip()}")
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Pictures to enrol, pictures to ask with, and which answers are right.
+
+    Parameters
+    ----------
+    name : str
+        ``gardenspoint day_left -> day_right``; names the set in every table.
+    database, queries : tuple of Path
+        In the order that the ground truth counts them.
+    positives : tuple of int64 of shape (right answers of the query,)
+        Indices into `database`; empty where the database does not show the place.
+    truth : str
+        In words, what makes an answer right; printed with every result.
+    database_positions, query_positions : float64 of shape (pictures, 2) or None
+        Metres in the ground plane.
+    allowed : int64 of shape (queries,) or None
+        Online loop closure: how many of the first database pictures each query may be answered with. None: all.
+    """
+
+    name: str
+    database: tuple[Path, ...]
+    queries: tuple[Path, ...]
+    positives: tuple[Indices, ...]
+    truth: str
+    database_positions: Doubles | None = None
+    query_positions: Doubles | None = None
+    allowed: Indices | None = None
+
+    def __post_init__(self) -> None:
+        for pictures, positions in (
+            (self.database, self.database_positions),
+            (self.queries, self.query_positions),
+        ):
+            if positions is not None and positions.shape != (len(pictures), 2):
+                raise ValueError(f"{self.name}: {positions.shape} positions for {len(pictures)} pictures")
+        self.judged()
+
+    def judged(self) -> Truth:
+        """The ground truth in the form that `lab.metrics.recall` counts with."""
+        return Truth.of(self.positives, len(self.database) if self.allowed is None else self.allowed)
+
+    @property
+    def sequential(self) -> bool:
+        """Whether neighbouring queries mostly share right answers: a walk, whose queries are not independent."""
+        shared = [
+            len(np.intersect1d(a, b)) > 0
+            for a, b in zip(self.positives, self.positives[1:], strict=False)
+            if len(a) and len(b)
+        ]
+        return bool(shared) and float(np.mean(shared)) > 0.5
+
+
+def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Sort key by which img2 comes before img10; sorting by bare text offsets pictures from their truth."""
+    parts = re.split(r"(\d+)", path.name.lower())
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts], path.name
+
+
+def pictures_in(folder: Path, expected: str) -> list[Path]:
+    """The pictures directly in a folder, in natural order of their names.
+
+    Raises
+    ------
+    UnexpectedLayout
+        When it is no folder, or has no picture.
+    """
+    if not folder.is_dir():
+        raise UnexpectedLayout(folder, "there is no such folder", expected)
+    found = sorted((p for p in folder.iterdir() if p.suffix.lower() in ENDINGS), key=natural)
+    if not found:
+        kinds = sorted({p.suffix.lower() or "(no ending)" for p in folder.iterdir()})
+        raise UnexpectedLayout(folder, f"no pictures here; the files end in {', '.join(kinds) or 'nothing'}", expected)
+    return found
+
+
+def rows_of(path: Path, columns: Sequence[str], expected: str) -> list[dict[str, str]]:
+    """The rows of a CSV file that must have these columns.
+
+    Raises
+    ------
+    UnexpectedLayout
+        When the file or a column is missing, or there is no row.
+    """
+    if not path.is_file():
+        raise UnexpectedLayout(path, "there is no such file", expected)
+    with path.open(newline="", encoding="utf-8-sig") as lines:
+        reader = csv.DictReader(lines)
+        missing = [c for c in columns if c not in (reader.fieldnames or [])]
+        if missing:
+            raise UnexpectedLayout(
+                path,
+                f"column {', '.join(missing)} is missing; there are {', '.join(reader.fieldnames or [])}",
+                expected,
+            )
+        rows = list(reader)
+    if not rows:
+        raise UnexpectedLayout(path, "no rows below the heading", expected)
+    return rows
+
+
+def within(database: Doubles, queries: Doubles, radius_m: float) -> list[Indices]:
+    """For each query the database pictures taken within a radius (inclusive).
+
+    Parameters
+    ----------
+    database, queries : float64 of shape (pictures, 2)
+        Metres in the ground plane.
+    radius_m : float
+
+    Returns
+    -------
+    list of int64 of shape (right answers of the query,), ascending
+    """
+    # One query at a time: 7,608 x 10,000 distances at once would take 1.2 GB.
+    return [np.flatnonzero(((database - q) ** 2).sum(axis=1) <= radius_m**2) for q in queries]

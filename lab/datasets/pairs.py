@@ -1,0 +1,66 @@
+"""Folders of pictures with a table of right answers."""
+
+from pathlib import Path
+
+import numpy as np
+
+from lab.datasets.dataset import Dataset, UnexpectedLayout, pictures_in, rows_of
+
+COLUMNS = ("query_folder", "query_file", "database_folder", "database_file")
+
+EXPECTED = """\
+  ROOT/ground_truth.csv    with the columns query_folder,query_file,database_folder,database_file;
+                           each row is one right answer to one query
+  ROOT/<query_folder>/...  pictures
+  ROOT/<database_folder>/...
+ROOT may also be a folder of such folders."""
+
+
+def read(root: Path, *, table: str = "ground_truth.csv", unlisted: bool = False) -> list[Dataset]:
+    """One set for each pair of folders in the table.
+
+    Parameters
+    ----------
+    root : Path
+    table : str
+        Name of the table.
+    unlisted : bool
+        Whether pictures of a query folder that no row names are asked as queries without a right answer. Off by
+        default: a picture may be absent from a table because nobody looked, not because its place is unknown.
+
+    Returns
+    -------
+    list of Dataset
+        By name of the set, then in order of first mention.
+
+    Raises
+    ------
+    UnexpectedLayout
+        When there is no table, or it names a picture that is not there.
+    """
+    tables = [root / table] if (root / table).is_file() else sorted(root.glob(f"*/{table}"))
+    if not tables:
+        raise UnexpectedLayout(root, f"no {table} in it or one level below", EXPECTED)
+    return [dataset for path in tables for dataset in _sets(path, unlisted)]
+
+
+def _sets(table: Path, unlisted: bool) -> list[Dataset]:
+    folder = table.parent
+    right: dict[tuple[str, str], dict[str, set[str]]] = {}
+    for row in rows_of(table, COLUMNS, EXPECTED):
+        pair = right.setdefault((row["query_folder"], row["database_folder"]), {})
+        pair.setdefault(row["query_file"], set()).add(row["database_file"])
+    sets = []
+    for (asked, searched), answers in right.items():
+        database = pictures_in(folder / searched, EXPECTED)
+        queries = [p for p in pictures_in(folder / asked, EXPECTED) if unlisted or p.name in answers]
+        number = {p.name: i for i, p in enumerate(database)}
+        missing = {f"{asked}/{q}" for q in answers.keys() - {p.name for p in queries}}
+        missing |= {f"{searched}/{d}" for named in answers.values() for d in named - number.keys()}
+        if missing:
+            problem = f"{len(missing)} pictures that the table names are not there: {', '.join(sorted(missing)[:5])}"
+            raise UnexpectedLayout(table, problem, EXPECTED)
+        positives = tuple(np.array(sorted(number[d] for d in answers.get(q.name, ())), np.int64) for q in queries)
+        name = f"{folder.name} {asked} -> {searched}"
+        sets.append(Dataset(name, tuple(database), tuple(queries), positives, f"the pairs of {table.name}"))
+    return sets

@@ -1,0 +1,279 @@
+"""Measure a service on pictures with ground truth, beside chance, ceiling and baselines.
+
+``python -m lab.evaluate pairs --root DIR`` or ``./revisit evaluate``. docs/evaluation.md tells the protocol.
+"""
+
+import argparse
+import os
+import platform
+import resource
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from lab.baselines.baseline import Baseline
+from lab.baselines.known import NAMES, PLAIN, Needs, baselines
+from lab.datasets import aligned, folder, kitti, pairs, pitts30k
+from lab.datasets.dataset import Dataset
+from lab.datasets.hold_out import hold_out
+from lab.evaluation.asking import Asked, Progress, ask, counted, ranked_by
+from lab.evaluation.contender import Contender
+from lab.evaluation.gallery import Artist, answers, the_papers_figures
+from lab.evaluation.html import Example, as_html
+from lab.evaluation.measuring import Evaluation, frame, measure
+from lab.evaluation.tables import as_json, as_text, overview
+from schemas.errors import InvalidParameters, RevisitError
+from schemas.settings import read_settings
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run on one set leaves: figures, and pictures for the report."""
+
+    evaluation: Evaluation
+    examples: list[Example] = field(default_factory=list)
+
+
+def run(
+    dataset: Dataset,
+    contenders: Sequence[Contender],
+    rivals: Sequence[Baseline] = (),
+    *,
+    seed: int = 0,
+    journals: Path | None = None,
+    progress: Progress | None = None,
+    examples: int = 3,
+) -> Outcome:
+    """Measure services and baselines on one set.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    contenders : sequence of Contender
+    rivals : sequence of Baseline
+    seed : int
+        Of the order of enrolment, the intervals and the draw of examples.
+    journals : Path or None
+        Folder that remembers answers, so that a stopped run can go on.
+    progress : Progress or None
+    examples : int
+        Right and wrong answers of each contender that are drawn for the report; 0 draws none.
+
+    Returns
+    -------
+    Outcome
+    """
+    methods = []
+    shown: list[Example] = []
+    for contender in contenders:
+        with contender.open(dataset) as retriever:
+            asked = ask(dataset, retriever, seed=seed, journals=journals, progress=progress)
+            methods += measure(dataset, asked, seed=seed)
+            if examples:
+                artist = contender.artist(retriever) if contender.artist else None
+                shown += _pictures(dataset, asked, artist, examples, seed)
+    for rival in rivals:
+        total = len(dataset.database) + len(dataset.queries)
+        distances = rival.rank(dataset.database, dataset.queries, counted(progress, rival.name, total))
+        methods += measure(dataset, ranked_by(distances, dataset, rival.name), seed=seed)
+    found = replace(frame(dataset), methods=tuple(methods), circumstances=_circumstances(seed))
+    return Outcome(found, shown)
+
+
+def _pictures(dataset: Dataset, asked: Asked, artist: Artist | None, count: int, seed: int) -> list[Example]:
+    return answers(dataset, asked, artist, each=count, seed=seed) + the_papers_figures(dataset, asked, artist, seed)
+
+
+def _circumstances(seed: int) -> dict[str, str]:
+    """What has to be known to get the same figures again."""
+    packages = ("numpy", "opencv-python-headless", "faiss-cpu", "torch")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+        "threads": os.environ.get("OMP_NUM_THREADS", "all"),
+        "cores": str(os.cpu_count()),
+        "seed": str(seed),
+        # Kilobytes on Linux, bytes on macOS.
+        "peak memory": f"{peak / (1024**2 if sys.platform == 'darwin' else 1024):.0f} MB",
+    }
+
+
+def read(name: str, options: argparse.Namespace) -> list[Dataset]:
+    """The data sets that the command line asks for; raises UnexpectedLayout."""
+    root: Path = options.root
+    if name == "kitti":
+        found = kitti.read(
+            root,
+            sequence=options.sequence,
+            protocol=options.protocol,
+            radius_m=options.radius,
+            gap=options.gap,
+            every=options.every,
+            camera=options.camera,
+        )
+    elif name == "pitts30k":
+        limits = {"queries": options.queries, "database": options.database}
+        found = pitts30k.read(root, split=options.split, radius_m=options.radius, seed=options.seed, **limits)
+    elif name == "pairs":
+        found = pairs.read(root, unlisted=options.unlisted)
+    elif name == "aligned":
+        found = aligned.read(root, tolerance=options.tolerance)
+    else:
+        found = folder.read(root, radius_m=options.radius, heading_tolerance=options.heading)
+    if options.hold_out:
+        rng = np.random.default_rng(options.seed)
+        found = [hold_out(dataset, options.hold_out, rng) for dataset in found]
+    return found
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Everything that `main` understands; `./revisit evaluate` adds the same."""
+    parser.add_argument("dataset", choices=["kitti", "pitts30k", "pairs", "aligned", "folder"])
+    parser.add_argument("--root", type=Path, required=True, help="folder of the data set")
+    parser.add_argument("--out", type=Path, default=Path("runs/evaluation"), help="where reports and answers are kept")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--preset", action="append", help="preset to measure, may be repeated (default: default and paper)"
+    )
+    parser.add_argument("--baselines", default=",".join(PLAIN), help=f"comma-separated, of {', '.join(NAMES)}; or none")
+    parser.add_argument("--netvlad", type=Path, help="published weights for the baseline netvlad")
+    parser.add_argument("--device", default="cpu", help="where networks run")
+    parser.add_argument("--url", help="measure the service that runs there")
+    parser.add_argument("--no-service", action="store_true", help="baselines only")
+    parser.add_argument("--truth-only", action="store_true", help="only sizes, chance and ceiling of the ground truth")
+    parser.add_argument("--examples", type=int, default=3, help="right and wrong answers shown in the report")
+    parser.add_argument("--radius", type=float, default=25.0, help="metres within which an answer is right")
+    parser.add_argument("--hold-out", type=float, default=0.0, help="share of queries whose places are not enrolled")
+    one = parser.add_argument_group("kitti")
+    one.add_argument("--sequence", default="00")
+    one.add_argument("--protocol", choices=["loop", "halves"], default="loop")
+    one.add_argument("--gap", type=int, default=100, help="frames between a query and the newest it may know")
+    one.add_argument("--every", type=int, default=1, help="use every n-th frame")
+    one.add_argument("--camera", default="image_2")
+    two = parser.add_argument_group("pitts30k")
+    two.add_argument("--split", choices=["train", "val", "test"], default="val")
+    two.add_argument("--queries", type=int, help="draw this many queries")
+    two.add_argument("--database", type=int, help="draw this many database pictures, distractors included")
+    rest = parser.add_argument_group("pairs, aligned, folder")
+    rest.add_argument("--unlisted", action="store_true", help="ask pictures that no row names, as unanswerable")
+    rest.add_argument("--tolerance", type=int, default=2, help="frames by which an aligned answer may differ")
+    rest.add_argument("--heading", type=float, help="degrees by which the heading may differ")
+
+
+def main(argv: Sequence[str] | None = None, connect: Callable[[str, str], Contender] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    argv : sequence of str or None
+    connect : function or None
+        From a URL and a preset to the service that runs there; given by `app`, which knows HTTP.
+
+    Returns
+    -------
+    int
+        0, or 2 when it was used wrongly, or a folder or weights are not as they must be.
+    """
+    parser = argparse.ArgumentParser(prog="evaluate", description=__doc__.splitlines()[0])
+    add_arguments(parser)
+    options = parser.parse_args(argv)
+    try:
+        return evaluate(options, connect)
+    except RevisitError as refusal:
+        print(refusal.detail, file=sys.stderr)
+        return 2
+
+
+def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None) -> int:
+    """Run the command from parsed arguments; raises RevisitError."""
+    datasets = read(options.dataset, options)
+    if options.truth_only:
+        print("\n\n".join(as_text(frame(dataset)) for dataset in datasets))
+        return 0
+    names = [] if options.baselines in ("", "none") else options.baselines.split(",")
+    outcomes = []
+    with services(options, connect) as (contenders, needs):
+        rivals = baselines(names, needs, options.seed)
+        for dataset in datasets:
+            outcome = run(
+                dataset,
+                contenders,
+                rivals,
+                seed=options.seed,
+                journals=options.out / "answers",
+                progress=Bar(dataset.name),
+                examples=options.examples,
+            )
+            print(as_text(outcome.evaluation) + "\n", flush=True)
+            outcomes.append(outcome)
+    evaluations = [o.evaluation for o in outcomes]
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "evaluation.json").write_text(as_json(evaluations))
+    (options.out / "evaluation.md").write_text(overview(evaluations) + "\n")
+    pictures = {o.evaluation.dataset: o.examples for o in outcomes}
+    (options.out / "report.html").write_text(as_html(evaluations, pictures, f"revisit on {options.root.name}"))
+    print(f"report: {options.out / 'report.html'}")
+    return 0
+
+
+@contextmanager
+def services(
+    options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None
+) -> Iterator[tuple[list[Contender], Needs]]:
+    """The services to measure, and what baselines can use of them: one house, started, with a map for each preset."""
+    needs = Needs(netvlad=options.netvlad, device=options.device)
+    presets = options.preset or ["default", "paper"]
+    if options.no_service:
+        yield [], needs
+    elif options.url:
+        if connect is None:
+            raise InvalidParameters.of("url", "only `revisit evaluate` can measure a service by URL")
+        yield [connect(options.url, preset) for preset in presets], needs
+    else:
+        # Late: a house brings torch, the database and the index, which baselines do without.
+        from lab.evaluation.in_process import contender, house_for_measuring
+
+        with house_for_measuring(read_settings(), options.device) as house:
+            recipe = house.default_recipe
+            inside = replace(
+                needs,
+                encoder=house.encoder,
+                labels=recipe.labels,
+                dynamic=recipe.dynamic,
+                decode=lambda path: house.decode(path.read_bytes()),
+            )
+            yield [contender(house, preset) for preset in presets], inside
+
+
+class Bar:
+    """Progress on standard error: one line, rewritten on a terminal, a line each tenth elsewhere."""
+
+    def __init__(self, title: str) -> None:
+        self.title, self.last = title, ""
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """`done` of `total` pictures have been dealt with."""
+        terminal = sys.stderr.isatty()
+        part = 20 * done // max(total, 1) if terminal else 10 * done // max(total, 1)
+        now = f"{what} {part}"
+        if now == self.last and not (terminal and done == total):
+            return
+        self.last = now
+        if terminal:
+            end = "\n" if done == total else ""
+            bar = "#" * part + "." * (20 - part)
+            print(f"\r{self.title}: {what} [{bar}] {done}/{total} ", end=end, file=sys.stderr)
+        elif part:
+            print(f"{self.title}: {what} {done}/{total}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Parts of an evaluation: asking, measuring, reporting. `lab.evaluate` puts them together."""

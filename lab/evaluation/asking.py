@@ -1,0 +1,315 @@
+"""Enrol a data set, ask its queries one by one, and remember every answer so that a run can go on where it stopped."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from lab.datasets.dataset import Dataset
+from lab.metrics.recall import Booleans, Doubles, Indices
+from schemas.description import Floats
+from schemas.errors import RevisitError, SetupError
+from schemas.records import Where
+from worker.method.calibration import Verdict
+
+PICTURES_FAULT = frozenset(
+    {
+        "conflict",  # the same bytes again, at another position
+        "not-a-picture",
+        "nothing-static",
+        "picture-too-large",
+        "picture-too-small",
+        "undecodable-picture",
+    }
+)
+"""Codes of refusals that are a picture's own fault: the service was asked and said no, and that counts as no answer."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a service says to one query.
+
+    Parameters
+    ----------
+    views : tuple of str
+        Ids that `Retriever.enroll` gave, best first.
+    before : tuple of str or None
+        The same before re-ranking, by the histograms alone; None when that cannot be told.
+    scores : tuple of float
+        One for each of `views`.
+    confidence : float
+        Probability that the first is right, 0..1.
+    status : str
+        ``matched``, ``ambiguous`` or ``no_match``.
+    timing_ms : mapping of stage to milliseconds
+    features : mapping of str to float
+        What a calibration may read of the first answer (`worker.method.decision.features`); empty where it is not told.
+    """
+
+    views: tuple[str, ...]
+    before: tuple[str, ...] | None = None
+    scores: tuple[float, ...] = ()
+    confidence: float = 0.0
+    status: Verdict = "no_match"
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
+    features: Mapping[str, float] = field(default_factory=dict)
+
+
+class Retriever(Protocol):
+    """A service being measured: in this process, or behind a URL. It starts with nothing enrolled."""
+
+    @property
+    def name(self) -> str:
+        """As it stands in tables: its preset."""
+        ...
+
+    @property
+    def recipe(self) -> str:
+        """Names all that decides its answers; a run is only resumed with the same one."""
+        ...
+
+    def enroll(self, picture: Path, where: Where) -> str:
+        """Add a picture; searchable when this returns. The same bytes may give the id they had before."""
+        ...
+
+    def query(self, picture: Path, top: int) -> Answer:
+        """The views that look most like a picture, at most `top`."""
+        ...
+
+
+class Progress(Protocol):
+    """Told how far a run is."""
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """`done` of `total` pictures have been dealt with."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """All answers of one method to the queries of one set.
+
+    Parameters
+    ----------
+    method : str
+    ranked : int64 of shape (queries, depth)
+        Database indices, best first; -1 where there was no further answer.
+    confidence : float64 of shape (queries,) or None
+        Grows with sureness; a probability when `calibrated`. None where there is no telling.
+    before : int64 of shape (queries, depth) or None
+        As `ranked`, before re-ranking.
+    claimed : bool of shape (queries,) or None
+        Whether the status was ``matched``.
+    calibrated : bool
+    timing_ms : mapping of stage to float64 of shape (queries that reported it,)
+    features : mapping of str to float64 of shape (queries,)
+        Evidence of the first answers; 0 where there was none.
+    refused : mapping of error code to count
+        Pictures that could not be enrolled or asked.
+    """
+
+    method: str
+    ranked: Indices
+    confidence: Doubles | None
+    before: Indices | None = None
+    claimed: Booleans | None = None
+    calibrated: bool = False
+    timing_ms: Mapping[str, Doubles] = field(default_factory=dict)
+    features: Mapping[str, Doubles] = field(default_factory=dict)
+    refused: Mapping[str, int] = field(default_factory=dict)
+
+
+def ask(
+    dataset: Dataset,
+    retriever: Retriever,
+    *,
+    seed: int = 0,
+    depth: int = 20,
+    journals: Path | None = None,
+    progress: Progress | None = None,
+) -> Asked:
+    """Enrol the database and ask every query.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    retriever : Retriever
+        Empty.
+    seed : int
+        Orders the enrolment. Ties go to what was enrolled first; in the order of the files, that would favour a
+        walk over itself.
+    depth : int
+        Answers asked for.
+    journals : Path or None
+        Folder that remembers answers, a file for each (set, recipe, seed, depth): a run that was stopped goes on
+        after its last answer.
+    progress : Progress or None
+
+    Returns
+    -------
+    Asked
+
+    Notes
+    -----
+    In online loop closure the database grows as the drive goes on: before each query, what it may know is enrolled.
+    """
+    tell = progress or _silent
+    journal = _Journal(journals, dataset, retriever, seed, depth)
+    total = len(dataset.database)
+    if dataset.allowed is None:
+        allowed = np.full(len(dataset.queries), total, np.int64)
+        order = np.random.default_rng(seed).permutation(total)
+    else:
+        allowed, order = dataset.allowed, np.arange(total)
+    pictures: dict[str, list[int]] = {}
+    refused: dict[str, int] = {}
+    enrolled = 0
+    for done, query in enumerate(np.argsort(allowed, kind="stable").tolist(), start=1):
+        if query not in journal.answers:
+            while enrolled < allowed[query]:
+                picture = int(order[enrolled])
+                try:
+                    view = retriever.enroll(dataset.database[picture], _where(dataset, picture))
+                    pictures.setdefault(view, []).append(picture)
+                except RevisitError as refusal:
+                    _count(refused, refusal)
+                enrolled += 1
+                tell("enrolling", enrolled, total)
+            try:
+                answer = retriever.query(dataset.queries[query], depth)
+            except RevisitError as refusal:
+                _count(refused, refusal)
+                answer = Answer(())
+            journal.keep(query, answer, pictures)
+        tell("asking", done, len(dataset.queries))
+    return journal.asked(depth, refused)
+
+
+def _count(refused: dict[str, int], refusal: RevisitError) -> None:
+    """Count a picture that was refused; anything else, such as a service that is too busy, ends the run."""
+    if refusal.code not in PICTURES_FAULT:
+        raise refusal
+    refused[refusal.code] = refused.get(refusal.code, 0) + 1
+
+
+class _Journal:
+    """Answers so far, in memory and, if there is a folder, in a file of JSON lines."""
+
+    def __init__(self, folder: Path | None, dataset: Dataset, retriever: Retriever, seed: int, depth: int) -> None:
+        self.method, self.count = retriever.name, len(dataset.queries)
+        self.answers: dict[int, Answer] = {}
+        self.path: Path | None = None
+        if folder is None:
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        self.path = folder / f"{fingerprint(dataset, retriever.recipe, seed, depth)}.jsonl"
+        if not self.path.is_file():
+            return
+        lines = self.path.read_bytes().split(b"\n")
+        for line in lines[:-1]:  # what follows the last line break was cut off while being written
+            data = json.loads(line)
+            query = data.pop("query")
+            views, before = (None if v is None else tuple(v) for v in (data.pop("views"), data.pop("before")))
+            scores = tuple(data.pop("scores"))
+            self.answers[query] = Answer(views or (), before, scores, **data)
+        if lines[-1]:
+            self.path.write_bytes(b"\n".join(lines[:-1]) + b"\n" if len(lines) > 1 else b"")
+
+    def keep(self, query: int, answer: Answer, pictures: Mapping[str, list[int]]) -> None:
+        """Remember an answer, its ids turned into database numbers: ids are new in every run."""
+        named = Answer(
+            _numbers(answer.views, pictures),
+            None if answer.before is None else _numbers(answer.before, pictures),
+            answer.scores,
+            float(answer.confidence),
+            answer.status,
+            dict(answer.timing_ms),
+            dict(answer.features),
+        )
+        self.answers[query] = named
+        if self.path is not None:
+            with self.path.open("a") as lines:
+                lines.write(json.dumps({"query": query} | asdict(named)) + "\n")
+
+    def asked(self, depth: int, refused: Mapping[str, int]) -> Asked:
+        """All answers, in the order of the queries."""
+        answers = [self.answers[query] for query in range(self.count)]
+        stages = sorted({stage for a in answers for stage in a.timing_ms})
+        evidence = sorted({name for a in answers for name in a.features})
+        told = all(a.before is not None for a in answers if a.views)
+        return Asked(
+            method=self.method,
+            ranked=_table([a.views for a in answers], depth),
+            confidence=np.array([a.confidence for a in answers], np.float64),
+            before=_table([a.before or () for a in answers], depth) if told else None,
+            claimed=np.array([a.status == "matched" for a in answers], np.bool_),
+            calibrated=True,
+            timing_ms={s: np.array([a.timing_ms[s] for a in answers if s in a.timing_ms]) for s in stages},
+            features={name: np.array([a.features.get(name, 0.0) for a in answers]) for name in evidence},
+            refused=dict(refused),
+        )
+
+
+def fingerprint(dataset: Dataset, recipe: str, seed: int, depth: int) -> str:
+    """16 hex digits that change with anything that would change an answer: files, truth, recipe, seed."""
+    parts: list[object] = [dataset.name, dataset.truth, recipe, seed, depth]
+    parts += [[p.name, p.stat().st_size] for p in (*dataset.database, *dataset.queries)]
+    parts += [p.tolist() for p in dataset.positives]
+    parts += [None if dataset.allowed is None else dataset.allowed.tolist()]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20) -> Asked:
+    """The answers of a baseline from its distances (queries, database), what a query may not know left out."""
+    known = np.array(distances, np.float64)
+    if dataset.allowed is not None:
+        known[np.arange(known.shape[1]) >= dataset.allowed[:, None]] = np.inf
+    order = np.argsort(known, axis=1, kind="stable")[:, :depth]
+    nearest = np.take_along_axis(known, order, axis=1)
+    order[np.isinf(nearest)] = -1
+    best = nearest[:, 0] if known.shape[1] else np.full(len(known), np.inf)
+    # Infinitely far means nothing to answer with: less sure than any answer.
+    sureness = np.where(np.isinf(best), -np.finfo(np.float64).max, -best)
+    return Asked(method, order.astype(np.int64), sureness)
+
+
+def counted(progress: Progress | None, what: str, total: int) -> Callable[[], None]:
+    """A tick for baselines that tells how many pictures have been described."""
+    done = 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        (progress or _silent)(what, done, total)
+
+    return tick
+
+
+def _table(rows: list[tuple[str, ...]], depth: int) -> Indices:
+    table = np.full((len(rows), depth), -1, np.int64)
+    for line, row in zip(table, rows, strict=True):
+        line[: len(row)] = [int(v) for v in row[:depth]]
+    return table
+
+
+def _numbers(views: tuple[str, ...], pictures: Mapping[str, list[int]]) -> tuple[str, ...]:
+    """Database numbers of views; one view stands for several pictures when these are the same file, byte for byte."""
+    unknown = next((v for v in views if v not in pictures), None)
+    if unknown is not None:
+        raise SetupError(f"the service answered with {unknown}, which was not enrolled in this run: use an empty map")
+    return tuple(str(picture) for view in views for picture in pictures[view])
+
+
+def _where(dataset: Dataset, picture: int) -> Where:
+    if dataset.database_positions is None:
+        return Where()
+    x, y = (float(v) for v in dataset.database_positions[picture])
+    return Where(x=x, y=y)
+
+
+def _silent(what: str, done: int, total: int) -> None:
+    """Nobody is watching."""

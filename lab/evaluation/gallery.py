@@ -1,0 +1,144 @@
+"""Pictures for the report: right and wrong answers side by side, and the paper's figures made anew."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from lab.baselines.baseline import grey, rgb
+from lab.datasets.dataset import Dataset
+from lab.evaluation.asking import Asked
+from lab.evaluation.html import Example, Shown
+from lab.metrics.recall import Indices, first_right
+
+LONG_SIDE = 420
+"""Pixels of a picture in the report."""
+
+RATIO = 0.8
+"""Lowe's ratio between the best and the second best ORB match."""
+
+
+class Artist(Protocol):
+    """Draws what the method saw; given by whoever knows the method."""
+
+    def explain(self, query: Path, answer: Path) -> Sequence[Shown]:
+        """Context graphs of both, and what corresponds between them."""
+        ...
+
+    def portray(self, picture: Path) -> Sequence[Shown]:
+        """One picture as the method sees it: labels, what was dropped as moving, its nodes."""
+        ...
+
+
+def answers(dataset: Dataset, asked: Asked, artist: Artist | None, *, each: int = 3, seed: int = 0) -> list[Example]:
+    """Some right and some wrong first answers, drawn at random from a seed.
+
+    Drawn, not chosen: a gallery of the best cases says nothing.
+    """
+    truth = dataset.judged()
+    first = first_right(asked.ranked, truth)
+    answered = asked.ranked[:, 0] >= 0
+    rng = np.random.default_rng(seed)
+    examples = []
+    for right, mask in ((True, first == 1), (False, truth.answerable & answered & (first != 1))):
+        candidates = np.flatnonzero(mask)
+        chosen = np.sort(rng.choice(candidates, min(each, len(candidates)), replace=False))
+        examples += [_answer(dataset, asked, int(q), int(first[q]), right, artist) for q in chosen]
+    return examples
+
+
+def the_papers_figures(dataset: Dataset, asked: Asked, artist: Artist | None, seed: int = 0) -> list[Example]:
+    """Where ORB puts its features against where the method puts its own, and the matches of both.
+
+    For one query, drawn from a seed among those answered rightly (or among all, if none was).
+    """
+    truth = dataset.judged()
+    rightly = np.flatnonzero(first_right(asked.ranked, truth) == 1)
+    pool = rightly if len(rightly) else np.flatnonzero(asked.ranked[:, 0] >= 0)
+    if len(pool) == 0:
+        return []
+    query = int(np.random.default_rng(seed).choice(pool))
+    one, other = dataset.queries[query], dataset.database[int(asked.ranked[query, 0])]
+    features = [Shown("ORB's 500 features, moving things included", orb_features(one))]
+    matches = [orb_matches(one, other)]
+    if artist is not None:
+        features += [_smaller(shown) for shown in artist.portray(one)]
+        matches += [_smaller(shown) for shown in artist.explain(one, other)]
+    return [
+        Example(f"Where features lie: {one.name}", None, features),
+        Example(f"What is matched: {one.name} and {other.name}", None, matches),
+    ]
+
+
+def orb_features(path: Path) -> bytes:
+    """A picture with its ORB features, as JPEG."""
+    detector = cv2.ORB.create(nfeatures=500)
+    pixels = _fitted(rgb(path))
+    return _jpeg(cv2.drawKeypoints(pixels, detector.detect(_fitted(grey(path)), None), None, (255, 60, 60)))
+
+
+def orb_matches(one: Path, other: Path) -> Shown:
+    """ORB's matches between two pictures: each the other's nearest, and clearly nearer than the next."""
+    detector = cv2.ORB.create(nfeatures=500)
+    a, b = _fitted(grey(one)), _fitted(grey(other))
+    keys_a, bits_a = detector.detectAndCompute(a, None)
+    keys_b, bits_b = detector.detectAndCompute(b, None)
+    good = []
+    if bits_a is not None and bits_b is not None:
+        back = {(m.trainIdx, m.queryIdx) for m in cv2.BFMatcher(cv2.NORM_HAMMING).match(bits_b, bits_a)}
+        for pair in cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(bits_a, bits_b, k=2):
+            clear = len(pair) == 2 and pair[0].distance < RATIO * pair[1].distance
+            if clear and (pair[0].queryIdx, pair[0].trainIdx) in back:
+                good.append(pair[0])
+    drawn = cv2.drawMatches(_fitted(rgb(one)), keys_a, _fitted(rgb(other)), keys_b, good, None, flags=2)
+    return Shown(f"ORB: {len(good)} mutual matches with ratio below {RATIO}", _jpeg(drawn), wide=True)
+
+
+def thumbnail(path: Path) -> bytes:
+    """A picture small enough for a report, as JPEG."""
+    return _jpeg(_fitted(rgb(path)))
+
+
+def _answer(dataset: Dataset, asked: Asked, query: int, first: int, right: bool, artist: Artist | None) -> Example:
+    one = dataset.queries[query]
+    answer = dataset.database[int(asked.ranked[query, 0])]
+    pictures = [Shown(f"query {one.name}", thumbnail(one)), Shown(f"answer {answer.name}", thumbnail(answer))]
+    if not right:
+        positives: Indices = dataset.positives[query]
+        wanted = dataset.database[int(positives[len(positives) // 2])]
+        pictures.append(Shown(f"a right answer {wanted.name}", thumbnail(wanted)))
+    if artist is not None:
+        pictures += [_smaller(shown) for shown in artist.explain(one, answer)]
+    where = "" if right else f", first right answer at rank {first}" if first else ", no right answer among those asked"
+    sure = f", confidence {asked.confidence[query]:.2f}" if asked.calibrated and asked.confidence is not None else ""
+    return Example(f"{asked.method}, query {query}{where}{sure}", right, pictures)
+
+
+def _smaller(shown: Shown) -> Shown:
+    """A drawing small enough for a report: those of an artist are as large as the photo and losslessly packed."""
+    pixels = cv2.imdecode(np.frombuffer(shown.data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    scale = min(1.0, 2 * LONG_SIDE / max(pixels.shape[:2]))
+    size = (round(pixels.shape[1] * scale), round(pixels.shape[0] * scale))
+    return replace(shown, data=_jpeg(np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)))
+
+
+def _fitted(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """A picture whose longer side is `LONG_SIDE`."""
+    scale = LONG_SIDE / max(pixels.shape[:2])
+    size = (max(1, round(pixels.shape[1] * scale)), max(1, round(pixels.shape[0] * scale)))
+    smaller = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    return np.asarray(smaller, np.uint8)
+
+
+def _jpeg(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """RGB or grey pixels as JPEG."""
+    if pixels.ndim == 3:
+        pixels = np.ascontiguousarray(pixels[:, :, ::-1])
+    fine, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 82])
+    if not fine:
+        raise ValueError(f"a picture of shape {pixels.shape} cannot be encoded")
+    return bytes(data)

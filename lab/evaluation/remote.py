@@ -1,0 +1,80 @@
+"""A service behind a URL as something to be measured: what `lab.evaluation` cannot know, since it knows no HTTP."""
+
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from revisit_client.client import Revisit, RevisitProblem
+
+from lab.datasets.dataset import Dataset
+from lab.evaluation.asking import Answer
+from lab.evaluation.contender import Contender
+from schemas.errors import RevisitError
+from schemas.records import Where
+from schemas.wire import MapFacts
+
+
+class ServedRetriever:
+    """A map of its own in a running service.
+
+    Parameters
+    ----------
+    revisit : Revisit
+    facts : MapFacts
+        Of the map, which is empty.
+    name : str
+        In tables.
+    """
+
+    def __init__(self, revisit: Revisit, facts: MapFacts, name: str) -> None:
+        self._revisit, self._map, self.name = revisit, facts.name, name
+        self.recipe = f"{facts.recipe['id']} {revisit.version().version}"
+
+    def enroll(self, picture: Path, where: Where) -> str:
+        """Enrol and wait until it is searchable; raises RevisitError as the service refused."""
+        try:
+            return self._revisit.enroll(
+                picture, map=self._map, x=where.x, y=where.y, z=where.z, lat=where.lat, lon=where.lon, alt=where.alt
+            ).view.id
+        except RevisitProblem as problem:
+            raise _refusal(problem) from problem
+
+    def query(self, picture: Path, top: int) -> Answer:
+        """Ask twice: as usual, and for the histograms alone."""
+        try:
+            answer = self._revisit.query(picture, map=self._map, top=top)
+            plain = self._revisit.query(picture, map=self._map, top=top, candidates=0)
+        except RevisitProblem as problem:
+            raise _refusal(problem) from problem
+        return Answer(
+            views=tuple(match.view.id for match in answer.matches),
+            before=tuple(match.view.id for match in plain.matches),
+            scores=tuple(match.score for match in answer.matches),
+            confidence=answer.confidence,
+            status=answer.status,
+            timing_ms=answer.timing_ms,
+        )
+
+
+def connect(url: str, preset: str) -> Contender:
+    """A preset of a running service as something to be measured."""
+    return Contender(partial(_map_of_its_own, url, preset))
+
+
+@contextmanager
+def _map_of_its_own(url: str, preset: str, dataset: Dataset) -> Iterator[ServedRetriever]:
+    """A map that nobody else uses, removed afterwards."""
+    with Revisit(url) as revisit:
+        facts = revisit.put_map(f"evaluation-{uuid.uuid4().hex[:12]}", preset=preset)
+        try:
+            yield ServedRetriever(revisit, facts, preset)
+        finally:
+            revisit.delete_map(facts.name)
+
+
+def _refusal(problem: RevisitProblem) -> RevisitError:
+    refusal = RevisitError(problem.detail)
+    refusal.code = problem.code
+    return refusal

@@ -1,0 +1,191 @@
+"""A place that can be looked at from here and from there, by day and by night, with a bus in front or without."""
+
+import functools
+import hashlib
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from scenes import things as passing
+from scenes.canvas import Canvas
+from scenes.corridor import corridor
+from scenes.geometry import Camera, Pixels, Place, Sprite, Surface, Viewpoint, vector
+from scenes.light import Light, developed, hazed, sky
+from scenes.park import park
+from scenes.street import street
+from scenes.words import DYNAMIC, label
+
+Kind = Literal["street", "park", "corridor"]
+Condition = Literal["noon", "overcast", "dusk", "night"]
+
+KINDS = {"street": street, "park": park, "corridor": corridor}
+FINER = 2
+"""Pictures are drawn this much finer and reduced, so that edges are smooth."""
+
+_TELLING = {"park": "park", "garden": "park", "meadow": "park", "corridor": "corridor", "hall": "corridor"}
+
+
+@functools.lru_cache(maxsize=24)
+def _built(seed: int, kind: Kind) -> Place:
+    """Build a place; kept, because textures take longer to make than to look at."""
+    return KINDS[kind](np.random.default_rng([seed, sorted(KINDS).index(kind)]))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A place drawn from a seed, and how it is looked at.
+
+    Parameters
+    ----------
+    seed : int
+        Decides everything that stays: houses, trees, signs, where the camera stands.
+    kind : {"street", "park", "corridor"}
+    light : {"noon", "overcast", "dusk", "night"}
+    viewpoint : Viewpoint
+        Relative to the place's own.
+    things : tuple of {"bus", "car", "person"}
+        What stands in front.
+    size : (int, int)
+        (width, height) of its pictures.
+    """
+
+    seed: int
+    kind: Kind = "street"
+    light: Condition = "noon"
+    viewpoint: Viewpoint = field(default_factory=Viewpoint)
+    things: tuple[str, ...] = ()
+    size: tuple[int, int] = (640, 480)
+
+    def __post_init__(self) -> None:
+        unknown = set(self.things) - set(DYNAMIC)
+        if unknown or self.kind not in KINDS:
+            raise ValueError(f"no {sorted(unknown) or self.kind!r}; things are {DYNAMIC}, kinds {sorted(KINDS)}")
+
+    def at(self, light: Condition) -> "Scene":
+        """The same in another light."""
+        return replace(self, light=light)
+
+    def behind(self, *things: str) -> "Scene":
+        """The same with things in front."""
+        return replace(self, things=self.things + things)
+
+    def seen_from(
+        self, dx: float = 0.0, ahead: float = 0.0, up: float = 0.0, turn: float = 0.0, tilt: float = 0.0
+    ) -> "Scene":
+        """The same from another spot: metres to the right, ahead and up, degrees to the right and up."""
+        return replace(self, viewpoint=self.viewpoint.then(Viewpoint(dx, ahead, up, turn, tilt)))
+
+    def sized(self, width: int, height: int) -> "Scene":
+        """The same in pictures of another size."""
+        return replace(self, size=(width, height))
+
+    @property
+    def pixels(self) -> Pixels:
+        """The picture, uint8 RGB (height, width, 3)."""
+        return self.render()[0]
+
+    def render(
+        self,
+        viewpoint: Viewpoint | None = None,
+        light: Condition | None = None,
+        things: tuple[str, ...] | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> tuple[Pixels, Pixels]:
+        """Draw the picture and its labels.
+
+        Returns
+        -------
+        pixels : uint8 of shape (height, width, 3)
+            RGB.
+        labels : uint8 of shape (height, width)
+            Index into `LABELS` of what is seen at each pixel.
+        """
+        asked = replace(
+            self,
+            viewpoint=viewpoint or self.viewpoint,
+            light=light or self.light,
+            things=self.things if things is None else things,
+            size=size or self.size,
+        )
+        return asked._drawn()
+
+    def _drawn(self) -> tuple[Pixels, Pixels]:
+        place = _built(self.seed, self.kind)
+        # Clouds, grain and the paint of vehicles are another one's each time: they must not tell the place.
+        moment = np.random.default_rng(_digest(repr(self)))
+        fine = (self.size[0] * FINER, self.size[1] * FINER)
+        camera = Camera.at(place.start.then(self.viewpoint), fine)
+        light = Light(self.light, place)
+        if place.indoors:
+            background: Pixels = np.zeros((fine[1], fine[0], 3), np.uint8)
+        else:
+            background = sky(camera, light.day, moment)
+        canvas = Canvas(camera, background, label("wall" if place.indoors else "sky"))
+        surfaces, sprites = self._passing(place, moment)
+        for surface in [*_ground(place, light), *place.surfaces, *surfaces]:
+            canvas.draw(surface, light.on)
+        for sprite in [*place.sprites, *sprites]:
+            canvas.draw_sprite(sprite, light.on_sprite)
+        colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.nearness, light.day)
+        pixels = cv2.resize(colours, self.size, interpolation=cv2.INTER_AREA)
+        labels = np.ascontiguousarray(canvas.labels[FINER // 2 :: FINER, FINER // 2 :: FINER])
+        return developed(pixels, light.day, moment), labels
+
+    def _passing(self, place: Place, moment: np.random.Generator) -> tuple[list[Surface], list[Sprite]]:
+        surfaces: list[Surface] = []
+        sprites: list[Sprite] = []
+        for thing in self.things:
+            x, y, heading = place.stands[thing]
+            x, y = x + float(moment.normal(0, 0.2)), y + float(moment.normal(0, 0.3))
+            if thing == "bus":
+                surfaces += passing.bus(moment, x, y, heading)
+            elif thing == "car":
+                surfaces += passing.car(moment, x, y, heading)
+            else:
+                sprites.append(passing.person(moment, x, y))
+        return surfaces, sprites
+
+
+def scene(name: str, kind: Kind | None = None) -> Scene:
+    """The place of that name: the same name is always the same place.
+
+    The kind follows from words such as "park" or "corridor" in the name, and is a street otherwise.
+    """
+    told = next((k for word, k in _TELLING.items() if word in name.lower()), "street")
+    return Scene(_digest(name), kind or told)  # type: ignore[arg-type]
+
+
+def _digest(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def _ground(place: Place, light: Light) -> list[Surface]:
+    """The ground's map with its shadows, in strips that are drawn as finely as their distance asks."""
+    if place.ground is None or place.ground_texture is None or place.ground_labels is None:
+        return []
+    x0, x1, y0, y1 = place.ground
+    texture, labels = place.ground_texture, place.ground_labels
+    if not place.indoors:
+        small = (texture.shape[0] // 3, texture.shape[1] // 3)
+        factor = light.shadow_map(place, small)
+        grown = cv2.resize(factor, (texture.shape[1], texture.shape[0]), interpolation=cv2.INTER_LINEAR)
+        texture = (texture * grown[..., None]).astype(np.uint8)
+    rows = texture.shape[0]
+    strips, edge, step = [], y0, 3.0
+    while edge < y1:
+        far = min(y1, edge + step)
+        a, b = round((y1 - far) / (y1 - y0) * rows), round((y1 - edge) / (y1 - y0) * rows)
+        if b > a:
+            strips.append(
+                Surface(
+                    vector(x0, far, 0),
+                    vector(x1 - x0, 0, 0),
+                    vector(0, edge - far, 0),
+                    np.ascontiguousarray(texture[a:b]),
+                    np.ascontiguousarray(labels[a:b]),
+                )
+            )
+        edge, step = far, step * 1.35
+    return strips

@@ -1,0 +1,322 @@
+"""A house without a network or a database, for what happens between the socket and the use-cases.
+
+It keeps what it is told in dictionaries, checks pictures with the real codec, and can be told to fail.
+"""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, cast
+
+from fastapi import FastAPI
+from uuid6 import uuid7
+
+from app.http.application import application
+from app.http.curate import Curator
+from app.http.examples import MATCH, QUERY_ANSWER, VIEW
+from app.http.lifecycle import Condition
+from app.http.recognise import Recogniser
+from app.http.service import Service
+from schemas import wire
+from schemas.errors import Conflict, KeyReused, NotFound, RevisitError
+from schemas.image import PictureFacts
+from schemas.records import Filters, Replay, Said
+from schemas.settings import Settings
+from worker.images.codec import Limits, decode, facts, thumbnail
+
+NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
+
+
+@dataclass
+class Kept:
+    """A view of the fake."""
+
+    id: str
+    map: str
+    said: Said
+    data: bytes
+    facts: PictureFacts
+
+    def view(self) -> wire.View:
+        where = wire.Position(**vars(self.said.where))
+        return wire.View(
+            id=self.id,
+            map=self.map,
+            place=self.said.place,
+            position=where if any(value is not None for _, value in where) else None,
+            captured_at=self.said.captured_at,
+            enrolled_at=NOW,
+            metadata=dict(self.said.metadata),
+            image=wire.ImageFacts(
+                width=self.facts.width,
+                height=self.facts.height,
+                bytes=self.facts.byte_count,
+                format=self.facts.format,
+                sha256=self.facts.sha256,
+            ),
+            state="ready",
+            description=wire.DescriptionFacts.model_validate(VIEW["description"]),
+            links=wire.ViewLinks.model_validate({k: v.replace(VIEW["id"], self.id) for k, v in VIEW["links"].items()}),
+        )
+
+
+@dataclass
+class FakeRecogniser:
+    """Answers as the real one would, without describing anything."""
+
+    limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))
+    kept: dict[str, Kept] = field(default_factory=dict)
+    calls: dict[str, tuple[str, Replay | None]] = field(default_factory=dict)
+    fails: dict[str, BaseException] = field(default_factory=dict)
+    asked: dict[str, Any] = field(default_factory=dict)
+    made: dict[str, wire.PutMap] = field(default_factory=dict)
+    hold: asyncio.Event | None = None
+    enrolments: int = 0
+    events: list[str] = field(default_factory=list)
+    started: bool = True
+    draining: bool = False
+
+    def _may_fail(self, name: str) -> None:
+        if name in self.fails:
+            raise self.fails[name]
+
+    async def enroll(
+        self, pictures: Sequence[tuple[str | None, bytes]], map_name: str, said: Said, wait: bool
+    ) -> list[wire.Enrolled | RevisitError]:
+        self._may_fail("enroll")
+        self.asked = {"map": map_name, "said": said, "wait": wait, "names": [name for name, _ in pictures]}
+        self.enrolments += 1
+        if self.hold is not None:
+            await self.hold.wait()
+        return [self._enroll(data, map_name, said, wait) for _, data in pictures]
+
+    def _enroll(self, data: bytes, map_name: str, said: Said, wait: bool) -> wire.Enrolled | RevisitError:
+        try:
+            self._may_fail("enroll_one")
+            seen = facts(decode(data, self.limits))
+            known = next((k for k in self.kept.values() if (k.map, k.facts.sha256) == (map_name, seen.sha256)), None)
+            if known is not None and known.said != said and said != Said():
+                raise Conflict("these bytes are in the map already, with something else said about them")
+        except RevisitError as error:
+            return error
+        kept = known or Kept(str(uuid7()), map_name, said, data, seen)
+        self.kept[kept.id] = kept
+        return wire.Enrolled(
+            view=kept.view(),
+            created=known is None,
+            revision=len(self.kept),
+            job=None if wait or known else "0195f2a4-0000-7000-8000-000000000001",
+            timing_ms={"decode": 1.0, "total": 2.0},
+        )
+
+    async def query(
+        self,
+        picture: bytes,
+        map_name: str,
+        *,
+        top: int,
+        candidates: int | None,
+        filters: Filters,
+        explain: bool,
+        drive: str | None,
+    ) -> wire.QueryAnswer:
+        self._may_fail("query")
+        decode(picture, self.limits)
+        self.asked = {
+            "map": map_name,
+            "top": top,
+            "candidates": candidates,
+            "filters": filters,
+            "explain": explain,
+            "drive": drive,
+        }
+        views = [kept for kept in self.kept.values() if kept.map == map_name]
+        if not views:
+            raise NotFound("map", map_name)
+        matches = [
+            wire.Match.model_validate({**MATCH, "rank": rank, "view": kept.view().model_dump()})
+            for rank, kept in enumerate(views[:top], 1)
+        ]
+        return wire.QueryAnswer.model_validate({**QUERY_ANSWER, "map": map_name}).model_copy(
+            update={"matches": matches, "searched": len(views)}
+        )
+
+    def _view(self, view_id: str) -> Kept:
+        if view_id not in self.kept:
+            raise NotFound("view", view_id)
+        return self.kept[view_id]
+
+    async def view(self, view_id: str) -> wire.View:
+        self._may_fail("view")
+        return self._view(view_id).view()
+
+    async def views(self, map_name: str | None, filters: Filters, **how: Any) -> wire.Views:
+        self.asked = {"map": map_name, "filters": filters, **how}
+        return wire.Views(views=[k.view() for k in self.kept.values() if map_name in (None, k.map)], next=None)
+
+    async def said_of(self, view_id: str) -> Said:
+        return self._view(view_id).said
+
+    async def patch_view(self, view_id: str, said: Said) -> wire.View:
+        self._view(view_id).said = said
+        return self._view(view_id).view()
+
+    async def delete_view(self, view_id: str) -> wire.Deleted:
+        self._view(view_id)
+        del self.kept[view_id]
+        return wire.Deleted(views=1, pictures=1, revision=2)
+
+    async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
+        self.asked = {"map": map_name, "filters": filters}
+        gone = [key for key, kept in self.kept.items() if kept.map == map_name]
+        for key in gone:
+            del self.kept[key]
+        return wire.Deleted(views=len(gone), pictures=len(gone), revision=2)
+
+    async def image(self, view_id: str) -> tuple[bytes, str]:
+        kept = self._view(view_id)
+        return kept.data, f"image/{kept.facts.format}"
+
+    async def thumbnail(self, view_id: str, longest: int) -> bytes:
+        return thumbnail(self._view(view_id).data, longest)
+
+    async def segmentation(self, view_id: str, overlay: bool) -> bytes:
+        self._view(view_id)
+        return b"overlay" if overlay else b"segmentation"
+
+    async def graph(self, view_id: str) -> bytes:
+        self._view(view_id)
+        return b"graph"
+
+    async def explanation(self, query_id: str, view_id: str | None) -> bytes:
+        raise NotFound("explained query", query_id)
+
+    async def view_etag(self, view_id: str, kind: str) -> str:
+        return f'"{self._view(view_id).facts.sha256[:12]}-{kind}"'
+
+    async def maps(self) -> wire.Maps:
+        self._may_fail("maps")
+        return wire.Maps(maps=[self._facts(name) for name in sorted({k.map for k in self.kept.values()})])
+
+    async def map(self, name: str) -> wire.MapFacts:
+        if name not in self.made and name not in {k.map for k in self.kept.values()}:
+            raise NotFound("map", name)
+        return self._facts(name)
+
+    def _facts(self, name: str) -> wire.MapFacts:
+        return wire.MapFacts(
+            name=name,
+            revision=len(self.kept),
+            views={"pending": 0, "ready": len(self.kept), "failed": 0},
+            places=1,
+            bytes=1,
+            recipe={"id": "4c1d9ab02e7f6a35"},
+            labels=[],
+            vocabulary={},
+            extent=None,
+            created_at=NOW,
+        )
+
+    async def put_map(self, name: str, wanted: wire.PutMap) -> tuple[wire.MapFacts, bool]:
+        if any(kept.map == name for kept in self.kept.values()):
+            raise Conflict(f"the map {name!r} has views; POST /maps/{name}/recipe describes them anew")
+        created = name not in self.made
+        self.made[name] = wanted
+        return self._facts(name), created
+
+    async def delete_map(self, name: str) -> wire.Deleted:
+        await self.map(name)
+        return wire.Deleted(views=0, pictures=0, revision=None)
+
+    async def places(self, map_name: str | None, cursor: str | None, limit: int) -> wire.Places:
+        return wire.Places(
+            places=[wire.Place(map="default", place="hall", views=2, position=None, last_enrolled_at=NOW)], next=None
+        )
+
+    def _job(self, job_id: str) -> wire.Job:
+        return wire.Job(
+            id=job_id,
+            kind="describe",
+            state="waiting",
+            map="default",
+            view=None,
+            attempts=0,
+            created_at=NOW,
+            finished_at=None,
+            failure=None,
+            links={"self": f"/jobs/{job_id}"},
+        )
+
+    async def switch_recipe(self, name: str, wanted: wire.PutMap) -> wire.Job:
+        await self.map(name)
+        return self._job("j1")
+
+    async def train_vocabulary(self, name: str) -> wire.Job:
+        await self.map(name)
+        return self._job("j2")
+
+    async def job(self, job_id: str) -> wire.Job:
+        if job_id == "gone":
+            raise NotFound("job", job_id)
+        return self._job(job_id)
+
+    async def cancel_job(self, job_id: str) -> wire.Job:
+        raise Conflict(f"the job {job_id!r} is running already")
+
+    async def readiness(self) -> wire.Readiness:
+        self._may_fail("readiness")
+        if self.hold is not None:
+            await self.hold.wait()
+        return wire.Readiness(ready=True, checks={"store": "ok", "encoder": "ok"})
+
+    async def version(self) -> wire.Version:
+        return wire.Version(
+            version="0.1.0",
+            encoder="color",
+            weights="none",
+            preset="default",
+            schema_version="0001",
+            python="3.11",
+            libraries={},
+        )
+
+    async def begin_call(self, key: str, fingerprint: str) -> Replay | None:
+        if key not in self.calls:
+            self.calls[key] = (fingerprint, None)
+            return None
+        known, replay = self.calls[key]
+        if known != fingerprint:
+            raise KeyReused("this Idempotency-Key was used for another request")
+        if replay is None:
+            raise Conflict("the first call with this Idempotency-Key still runs")
+        return replay
+
+    async def end_call(self, key: str, replay: Replay) -> None:
+        self._may_fail("end_call")
+        self.calls[key] = (self.calls[key][0], replay)
+
+    async def abandon_call(self, key: str) -> None:
+        del self.calls[key]
+
+    async def queue_length(self) -> int:
+        return 3
+
+    async def start(self) -> None:
+        self.events.append("start")
+
+    async def stop(self) -> None:
+        self.events.append("stop")
+
+
+@dataclass
+class FakeHouse:
+    """One fake that stands for all use-cases; it fits by its shape, not by its type."""
+
+    recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
+    settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
+
+    def app(self) -> FastAPI:
+        """The application around this house."""
+        fake = self.recogniser
+        return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Condition, fake), self.settings))

@@ -1,0 +1,70 @@
+"""`/maps`, `/places` and `/jobs`."""
+
+from typing import Any
+
+import pytest
+
+from schemas.wire import PutMap
+from tests.http.fakes import FakeRecogniser
+from tests.openapi import CheckedClient
+from tests.pictures import photo
+
+
+def test_a_map_is_made_once(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    wanted = {"labels": ["wall", "car"], "dynamic": ["car"], "preset": "paper", "parameters": {"candidates": 50}}
+    assert client.put("/maps/campus", json=wanted).status_code == 201
+    assert client.put("/maps/campus", json=wanted).status_code == 200
+    assert recogniser.made["campus"] == PutMap.model_validate(wanted)
+    assert client.put("/maps/plain").status_code == 201
+    assert client.get("/maps/campus").json()["name"] == "campus"
+
+
+def test_a_map_with_views_is_not_given_another_recipe(client: CheckedClient) -> None:
+    client.post("/enroll?map=campus", content=photo(), headers={"content-type": "image/jpeg"})
+    answer = client.put("/maps/campus", json={"preset": "paper"})
+    assert answer.status_code == 409
+    assert "POST /maps/campus/recipe" in answer.json()["detail"]
+    assert [m["name"] for m in client.get("/maps").json()["maps"]] == ["campus"]
+
+
+@pytest.mark.parametrize(
+    ("body", "wrong"),
+    [
+        ({"labels": []}, "labels"),
+        ({"labels": "wall"}, "labels"),
+        ({"labels": ["wall", ""]}, "labels.1"),
+        ({"dynamic": [3]}, "dynamic.0"),
+        ({"preset": 3}, "preset"),
+        ({"parameters": []}, "parameters"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_a_map_that_cannot_be_made_is_told_why(client: CheckedClient, body: dict[str, Any], wrong: str) -> None:
+    answer = client.put("/maps/campus", json=body)
+    assert answer.status_code == 422
+    assert [e["parameter"] for e in answer.json()["errors"]] == [wrong]
+
+
+@pytest.mark.parametrize("name", [".hidden", "a%20b", "%C3%A9", "a" * 65, "a%0A"])
+def test_a_name_that_no_map_can_have_is_refused(client: CheckedClient, name: str) -> None:
+    for answer in (client.get(f"/maps/{name}"), client.put(f"/maps/{name}"), client.delete(f"/maps/{name}")):
+        assert answer.status_code == 422
+        assert answer.json()["errors"][0]["parameter"] == "map"
+
+
+def test_work_on_a_map_answers_with_its_job(client: CheckedClient) -> None:
+    client.put("/maps/campus")
+    for path in ("recipe", "vocabulary"):
+        answer = client.post(f"/maps/campus/{path}")
+        assert answer.status_code == 202
+        assert client.get(answer.headers["location"]).json() == answer.json()
+        assert client.post(f"/maps/nowhere/{path}").status_code == 404
+    assert client.delete("/maps/campus").status_code == 200
+
+
+def test_places_and_jobs(client: CheckedClient) -> None:
+    assert client.get("/places?map=default&limit=5").json()["places"][0]["place"] == "hall"
+    assert client.get("/places?limit=0").status_code == 422
+    assert client.get("/jobs/gone").status_code == 404
+    assert client.delete("/jobs/j1").status_code == 409
+    assert client.get("/jobs/j1?x=1").status_code == 422

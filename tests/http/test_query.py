@@ -1,0 +1,135 @@
+"""`POST /query` reads its question exactly, or says all that is wrong with it."""
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from schemas.errors import Busy, NothingStatic
+from schemas.records import Filters
+from tests.http.fakes import FakeRecogniser
+from tests.openapi import CheckedClient
+from tests.pictures import photo
+
+JPEG = {"content-type": "image/jpeg"}
+
+
+@pytest.fixture(autouse=True)
+def _enrolled(client: CheckedClient) -> None:
+    client.post("/enroll", content=photo(), headers=JPEG)
+
+
+def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    answer = client.post("/query", content=photo(1), headers=JPEG)
+    assert answer.status_code == 200
+    assert recogniser.asked == {
+        "map": "default",
+        "top": 5,
+        "candidates": None,
+        "filters": Filters(),
+        "explain": False,
+        "drive": None,
+    }
+
+
+def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    said = {
+        "top": "100",
+        "candidates": "0",
+        "explain": "true",
+        "drive": "monday-7",
+        "near": "48.1, 11.5, 250",
+        "frame": "geo",
+        "after": "2026-01-01T00:00:00Z",
+        "before": "2026-01-02T00:00:00.5Z",
+        "place": "hall",
+        "metadata.camera": "front",
+        "metadata.floor": "2",
+        "exclude_last": "30s",
+        "exclude": "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90,b",
+    }
+    assert client.post("/query", files={"image": photo(1)}, data=said).status_code == 200
+    assert recogniser.asked["filters"] == Filters(
+        near=(48.1, 11.5, 250.0),
+        geographic=True,
+        after=datetime(2026, 1, 1, tzinfo=UTC),
+        before=datetime(2026, 1, 2, 0, 0, 0, 500_000, tzinfo=UTC),
+        place="hall",
+        metadata={"camera": "front", "floor": "2"},
+        exclude_last=timedelta(seconds=30),
+        exclude=("0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90", "b"),
+    )
+    assert recogniser.asked["candidates"] == 0
+    assert recogniser.asked["drive"] == "monday-7"
+
+
+def test_exclude_last_counts_views_without_a_unit(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    client.post("/query?exclude_last=10", content=photo(1), headers=JPEG)
+    assert recogniser.asked["filters"].exclude_last == 10
+
+
+ERRORS: list[tuple[dict[str, Any], list[str]]] = [
+    ({"top": "0"}, ["top"]),
+    ({"top": "101"}, ["top"]),
+    ({"top": "five"}, ["top"]),
+    ({"top": ""}, ["top"]),
+    ({"top": "1.5"}, ["top"]),
+    ({"candidates": "501"}, ["candidates"]),
+    ({"candidates": "-1"}, ["candidates"]),
+    ({"explain": "si"}, ["explain"]),
+    ({"drive": "two words"}, ["drive"]),
+    ({"near": "1,2"}, ["near"]),
+    ({"near": "1,2,x"}, ["near"]),
+    ({"near": "1,2,0"}, ["near"]),
+    ({"near": "1,nan,3"}, ["near"]),
+    ({"near": "1,2,inf"}, ["near"]),
+    ({"near": "91,2,3", "frame": "geo"}, ["near"]),
+    ({"near": "1,2,3", "frame": "mars"}, ["frame"]),
+    ({"frame": "geo"}, ["frame"]),
+    ({"after": "yesterday"}, ["after"]),
+    ({"after": "2026-01-02T00:00:00Z", "before": "2026-01-01T00:00:00Z"}, ["after"]),
+    ({"exclude_last": "-1"}, ["exclude_last"]),
+    ({"exclude_last": "30m"}, ["exclude_last"]),
+    ({"exclude_last": "9999999999"}, ["exclude_last"]),
+    ({"exclude": "a,,b"}, ["exclude"]),
+    ({"exclude": "'; drop table"}, ["exclude"]),
+    ({"metadata": "{}"}, ["metadata"]),
+    ({"metadata.": "x"}, ["metadata."]),
+    ({"x": "1"}, ["x"]),
+    ({"wait": "true"}, ["wait"]),
+    ({"top": ["1", "2"]}, ["top"]),
+    ({"metadata.a": ["1", "2"]}, ["metadata.a"]),
+    ({"top": "0", "candidates": "x", "nonsense": "1", "near": "1"}, ["candidates", "near", "nonsense", "top"]),
+]
+
+
+@pytest.mark.parametrize(("said", "wrong"), ERRORS, ids=lambda value: str(value)[:50])
+def test_a_parameter_that_cannot_be_used_is_named(
+    client: CheckedClient, said: dict[str, Any], wrong: list[str]
+) -> None:
+    for answer in (
+        client.post("/query", content=photo(), params=said, headers=JPEG),
+        client.post("/query", files={"image": photo()}, data=said),
+    ):
+        assert answer.status_code == 422
+        assert answer.json()["type"].endswith(":invalid-parameter")
+        assert sorted({e["parameter"] for e in answer.json()["errors"]}) == wrong
+
+
+def test_a_question_is_about_one_picture(client: CheckedClient) -> None:
+    answer = client.post("/query", files=[("image", photo(1)), ("image", photo(2))])
+    assert answer.json()["errors"] == [{"parameter": "image", "detail": "2 pictures; a question is about one"}]
+
+
+def test_an_unknown_map_is_not_found(client: CheckedClient) -> None:
+    answer = client.post("/query?map=nowhere", content=photo(), headers=JPEG)
+    assert answer.status_code == 404
+    assert "nowhere" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(("error", "status"), [(NothingStatic("only cars"), 422), (Busy("32 wait", 3), 429)])
+def test_what_the_house_refuses_becomes_its_problem(
+    client: CheckedClient, recogniser: FakeRecogniser, error: Exception, status: int
+) -> None:
+    recogniser.fails["query"] = error
+    assert client.post("/query", content=photo(), headers=JPEG).status_code == status

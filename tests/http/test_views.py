@@ -1,0 +1,226 @@
+"""`/views` and the pictures of a view: list, look, correct, delete."""
+
+import asyncio
+from datetime import UTC, datetime
+from io import BytesIO
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from schemas.records import Filters, Said, Where
+from tests.http.fakes import FakeRecogniser
+from tests.openapi import CheckedClient
+from tests.pictures import photo
+
+UNKNOWN = "0195f2a4-7c1e-7b3a-9d52-000000000000"
+
+
+@pytest.fixture
+def view(client: CheckedClient) -> str:
+    said = {"place": "hall", "x": "1", "y": "2", "metadata": '{"camera": "front", "lens": {"mm": 4, "f": 2}}'}
+    answer = client.post("/enroll", files={"image": photo()}, data=said | {"captured_at": "2026-03-01T09:30:00Z"})
+    return str(answer.json()["view"]["id"])
+
+
+def test_a_view_can_be_looked_at_listed_and_deleted(client: CheckedClient, view: str) -> None:
+    seen = client.get(f"/views/{view}").json()
+    assert seen["place"] == "hall"
+    assert client.get("/views").json()["views"] == [seen]
+    for link in seen["links"].values():
+        assert client.get(link).status_code == 200
+    assert client.delete(f"/views/{view}").json()["views"] == 1
+    assert client.get(f"/views/{view}").status_code == 404
+
+
+def test_a_list_takes_filters_order_and_pages(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    query = "map=m&state=failed&sort=-enrolled_at&limit=7&cursor=abc&place=hall&metadata.a=b"
+    assert client.get(f"/views?{query}").status_code == 200
+    assert recogniser.asked == {
+        "map": "m",
+        "filters": Filters(place="hall", metadata={"a": "b"}),
+        "state": "failed",
+        "newest_first": True,
+        "cursor": "abc",
+        "limit": 7,
+    }
+
+
+@pytest.mark.parametrize(
+    "query", ["limit=0", "limit=501", "sort=place", "state=odd", "map=a%20b", "cursor=", "words=tree", "top=1"]
+)
+def test_a_list_refuses_what_it_does_not_know(client: CheckedClient, query: str) -> None:
+    answer = client.get(f"/views?{query}")
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["parameter"] == query.partition("=")[0]
+
+
+@pytest.mark.parametrize(
+    ("query", "wrong"),
+    [
+        ("", ["all", "map"]),
+        ("map=default", ["all"]),
+        ("map=default&frame=map", ["all", "frame"]),
+        ("place=hall", ["map"]),
+        ("map=default&all=false", ["all"]),
+        ("map=default&all=true&place=hall", ["all"]),
+        ("all=true", ["map"]),
+        ("map=default&plaice=hall", ["all", "plaice"]),
+    ],
+)
+def test_deleting_many_needs_a_map_and_a_filter_or_all(
+    client: CheckedClient, recogniser: FakeRecogniser, view: str, query: str, wrong: list[str]
+) -> None:
+    answer = client.delete(f"/views?{query}")
+    assert answer.status_code == 422
+    assert {"plaice"} <= {e["parameter"] for e in answer.json()["errors"]} or sorted(
+        e["parameter"] for e in answer.json()["errors"]
+    ) == wrong
+    assert view in recogniser.kept
+
+
+def test_deleting_many_by_a_filter_and_all(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
+    assert client.delete("/views?map=other&metadata.camera=front").json()["views"] == 0
+    assert recogniser.asked["filters"] == Filters(metadata={"camera": "front"})
+    assert client.delete("/views?map=default&all=true").json()["views"] == 1
+
+
+SAID = Said(
+    "hall",
+    Where(x=1.0, y=2.0),
+    datetime(2026, 3, 1, 9, 30, tzinfo=UTC),
+    {"camera": "front", "lens": {"mm": 4, "f": 2}},
+)
+
+
+def said(**changes: Any) -> Said:
+    return Said(**{**vars(SAID), **changes})
+
+
+@pytest.mark.parametrize(
+    ("patch", "expected"),
+    [
+        ({}, SAID),
+        ({"place": "cellar"}, said(place="cellar")),
+        ({"place": None}, said(place=None)),
+        ({"position": {"heading": 90}}, said(where=Where(x=1.0, y=2.0, heading=90.0))),
+        ({"position": {"x": 5.5, "z": 1}}, said(where=Where(x=5.5, y=2.0, z=1.0))),
+        ({"position": None}, said(where=Where())),
+        (
+            {"position": {"x": None, "y": None, "lat": 48, "lon": 11}},
+            said(where=Where(lat=48.0, lon=11.0)),
+        ),
+        ({"captured_at": None}, said(captured_at=None)),
+        ({"captured_at": "2026-01-01T01:00:00+01:00"}, said(captured_at=datetime(2026, 1, 1, tzinfo=UTC))),
+        ({"metadata": {"camera": None, "lens": {"f": None}}}, said(metadata={"lens": {"mm": 4}})),
+        ({"metadata": {"floor": 2}}, said(metadata={**SAID.metadata, "floor": 2})),
+        ({"metadata": None}, said(metadata={})),
+    ],
+    ids=str,
+)
+def test_a_patch_changes_what_it_names_and_nothing_else(
+    client: CheckedClient, recogniser: FakeRecogniser, view: str, patch: dict[str, Any], expected: Said
+) -> None:
+    answer = client.patch(f"/views/{view}", json=patch, headers={"content-type": "application/merge-patch+json"})
+    assert answer.status_code == 200, answer.text
+    assert recogniser.kept[view].said == expected
+
+
+@pytest.mark.parametrize(
+    ("patch", "wrong"),
+    [
+        ({"id": "x"}, ["id"]),
+        ({"state": "ready", "enrolled_at": None}, ["enrolled_at", "state"]),
+        ({"place": 7}, ["place"]),
+        ({"place": ""}, ["place"]),
+        ({"position": 7}, ["position"]),
+        ({"position": {"x": "1"}}, ["position.x"]),
+        ({"position": {"x": None}}, ["position.x"]),
+        ({"position": {"lat": 48, "lon": 11}}, ["position.x"]),
+        ({"position": {"height": 3}}, ["position.height"]),
+        ({"position": {"heading": 360}}, ["position.heading"]),
+        ({"captured_at": 17}, ["captured_at"]),
+        ({"captured_at": "noon"}, ["captured_at"]),
+        ({"metadata": []}, ["metadata"]),
+        ({"metadata": {"long": "x" * 17_000}}, ["metadata"]),
+        ({"metadata": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": 1}}}}}}}}}}, ["metadata"]),
+        ({"place": 7, "position": {"heading": -1}, "oops": 1}, ["oops", "place", "position.heading"]),
+    ],
+    ids=lambda value: str(value)[:50],
+)
+def test_a_patch_that_cannot_be_used_changes_nothing(
+    client: CheckedClient, recogniser: FakeRecogniser, view: str, patch: dict[str, Any], wrong: list[str]
+) -> None:
+    answer = client.patch(f"/views/{view}", json=patch)
+    assert answer.status_code == 422
+    assert sorted(e["parameter"] for e in answer.json()["errors"]) == wrong
+    assert recogniser.kept[view].said == SAID
+
+
+@pytest.mark.parametrize(
+    "body", [b"{", b"[1]", b'"x"', b'{"place": NaN}', b'{"a":1,"a":2}', b"\xff\xfe{}", b"[" * 9999]
+)
+def test_a_patch_that_is_no_json_object_is_malformed(client: CheckedClient, view: str, body: bytes) -> None:
+    answer = client.patch(f"/views/{view}", content=body, headers={"content-type": "application/json"})
+    assert (answer.status_code, answer.json()["type"]) == (400, "urn:revisit:problem:malformed-body")
+
+
+def test_a_patch_has_a_size(client: CheckedClient, view: str) -> None:
+    assert client.patch(f"/views/{view}", content=b" " * 300_000).status_code == 413
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["image", "thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=true", "graph.png"],
+)
+def test_pictures_are_cached_by_their_etag(client: CheckedClient, view: str, path: str) -> None:
+    first = client.get(f"/views/{view}/{path}")
+    assert first.status_code == 200
+    etag = first.headers["etag"]
+    assert "no-cache" in first.headers["cache-control"]
+    for given in (etag, f"W/{etag}", f'"other", {etag}', "*"):
+        again = client.get(f"/views/{view}/{path}", headers={"if-none-match": given})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", etag)
+    assert client.get(f"/views/{view}/{path}", headers={"if-none-match": '"other"'}).status_code == 200
+
+
+def test_options_of_a_picture_have_etags_of_their_own(client: CheckedClient, view: str) -> None:
+    paths = ["thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=1", "graph.png", "image"]
+    assert len({client.get(f"/views/{view}/{path}").headers["etag"] for path in paths}) == len(paths)
+
+
+def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: CheckedClient, view: str) -> None:
+    image = client.get(f"/views/{view}/image")
+    assert (image.content, image.headers["content-type"]) == (photo(), "image/jpeg")
+    assert image.headers["x-content-type-options"] == "nosniff"
+    assert Image.open(BytesIO(client.get(f"/views/{view}/thumbnail?size=32").content)).size == (32, 24)
+
+
+@pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])
+def test_a_picture_refuses_options_it_does_not_know(client: CheckedClient, view: str, path: str) -> None:
+    assert client.get(f"/views/{view}/{path}").status_code == 422
+
+
+def test_two_patches_at_once_lose_nothing(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
+    original = recogniser.said_of
+
+    async def slowly(view_id: str) -> Said:
+        found = await original(view_id)
+        await asyncio.sleep(0.01)
+        return found
+
+    recogniser.said_of = slowly  # type: ignore[method-assign]
+
+    async def both() -> None:
+        import httpx
+
+        transport = httpx.ASGITransport(client.app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://test") as http:
+            await asyncio.gather(
+                http.patch(f"/views/{view}", json={"place": "cellar"}),
+                http.patch(f"/views/{view}", json={"position": {"heading": 5}}),
+            )
+
+    asyncio.run(both())
+    assert recogniser.kept[view].said.place == "cellar"
+    assert recogniser.kept[view].said.where.heading == 5

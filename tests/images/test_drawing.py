@@ -1,0 +1,110 @@
+"""Drawings are right to the pixel where programs read them, and show what they should where people look."""
+
+import io
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from schemas.description import ContextGraph
+from worker.images import drawing
+from worker.images.palette import colour
+
+WORDS = ("sky", "building", "car")
+
+
+def decoded(png: bytes) -> np.ndarray:
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert picture is not None
+    return np.asarray(picture)
+
+
+def graph(*nodes: tuple[int, float, float, float]) -> ContextGraph:
+    labels, xs, ys, shares = zip(*nodes, strict=True)
+    return ContextGraph(
+        np.array(labels, np.int16),
+        np.stack([xs, ys], axis=1).astype(np.float32),
+        np.ones((len(nodes), 2), np.float32),
+        np.array(shares, np.float32),
+    )
+
+
+def test_a_segmentation_has_the_size_of_the_picture_and_labels_as_values() -> None:
+    labels = np.array([[0, 0, 1], [2, 1, 1]], np.int16)
+
+    image = Image.open(io.BytesIO(drawing.segmentation_png(labels, (30, 20), WORDS)))
+
+    assert (image.mode, image.size) == ("P", (30, 20))
+    values = np.asarray(image)
+    assert values[0, 0] == 0
+    assert values[19, 0] == 2
+    assert values[10, 29] == 1
+    np.testing.assert_array_equal(values[5::10, 5::10], labels)
+
+
+def test_the_palette_gives_each_label_the_colour_that_the_map_names_and_no_transparency() -> None:
+    image = Image.open(io.BytesIO(drawing.segmentation_png(np.array([[2]]), (4, 4), WORDS)))
+
+    assert "transparency" not in image.info
+    assert image.convert("RGB").getpixel((0, 0)) == colour("car")
+
+
+def test_the_picture_may_have_any_size() -> None:
+    image = Image.open(io.BytesIO(drawing.segmentation_png(np.zeros((60, 80), np.int16), (33, 41), WORDS)))
+
+    assert image.size == (33, 41)
+
+
+def test_an_overlay_greys_what_moves_and_colours_the_rest() -> None:
+    pixels = np.full((48, 64, 3), (200, 40, 40), np.uint8)
+    labels = np.array([[0, 2]], np.int16)
+
+    picture = decoded(drawing.overlay_png(pixels, labels, WORDS, np.array([[True, False]])))
+
+    assert picture.shape[0] > 48  # the key is below
+    assert picture.shape[1] == 64
+    moving, still = picture[20, 50].astype(int), picture[20, 10].astype(int)
+    assert np.ptp(moving) <= 2
+    np.testing.assert_allclose(still, 0.55 * pixels[0, 0] + 0.45 * np.array(colour("sky")), atol=2)
+
+
+def test_a_graph_draws_its_nodes_and_only_short_edges() -> None:
+    pixels = np.full((480, 640, 3), 90, np.uint8)
+    three = graph((0, 0.2, 0.3, 0.01), (1, 0.4, 0.3, 0.01), (1, 0.9, 0.3, 0.01))
+
+    picture = decoded(drawing.graph_png(pixels, three, WORDS, tau=0.25))
+
+    assert tuple(picture[192, 128]) == colour("sky")
+    assert tuple(picture[192, 576]) == colour("building")
+    background = picture[400, 320]
+    assert (picture[192, 192] != background).any()  # the edge between the first two
+    np.testing.assert_array_equal(picture[192, 416], background)  # none to the third
+
+
+@pytest.mark.parametrize("nodes", [0, 1])
+def test_graphs_without_edges_can_be_drawn(nodes: int) -> None:
+    empty = ContextGraph(
+        np.zeros(nodes, np.int16),
+        np.full((nodes, 2), 0.5, np.float32),
+        np.zeros((nodes, 2), np.float32),
+        np.zeros(nodes, np.float32),
+    )
+
+    assert decoded(drawing.graph_png(np.zeros((40, 50, 3), np.uint8), empty, WORDS, 0.1)).shape == (40, 50, 3)
+
+
+def test_an_explanation_joins_what_agrees_across_pictures_of_different_sizes() -> None:
+    query, view = np.full((60, 80, 3), 120, np.uint8), np.full((200, 150, 3), 120, np.uint8)
+
+    plain = decoded(drawing.explanation_png(query, view, [], [], ["score 0.8"]))
+    joined = decoded(
+        drawing.explanation_png(
+            query, view, [((0.5, 0.4), (0.3, 0.5))], [("sky", (0.1, 0.1), (0.2, 0.2))], ["score 0.8"]
+        )
+    )
+
+    assert plain.shape == joined.shape
+    assert plain.shape[1] == 640 + 12 + 360
+    assert (plain[200:300, 642:650] != joined[200:300, 642:650]).any()  # a line crosses the gap
+    assert (plain[485:] < 100).any()  # the text

@@ -1,0 +1,101 @@
+"""Every baseline finds a picture again, and none sees more than it should."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lab.baselines.baseline import Baseline, nothing
+from lab.baselines.hog import Hog, gradients
+from lab.baselines.known import PLAIN, Needs, baselines
+from lab.baselines.orb_words import OrbWords
+from lab.baselines.random_order import RandomOrder
+from lab.baselines.tiny import TinyPicture, thumbnail
+from schemas.errors import BadPicture, InvalidParameters
+
+
+def scene(path: Path, seed: int, light: float = 1.0) -> Path:
+    """A street of drawn blocks, under some light."""
+    rng = np.random.default_rng(seed)
+    pixels = np.full((96, 128, 3), 90, np.uint8)
+    for _ in range(25):
+        x, y, w, h = rng.integers(0, 100, 4)
+        cv2.rectangle(
+            pixels, (int(x), int(y)), (int(x + w // 3), int(y + h // 3)), rng.integers(0, 255, 3).tolist(), -1
+        )
+    assert cv2.imwrite(str(path), np.clip(pixels * light, 0, 255).astype(np.uint8))
+    return path
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], list[Path]]:
+    root = tmp_path_factory.mktemp("scenes")
+    noon = [scene(root / f"{i}_noon.png", i) for i in range(6)]
+    dusk = [scene(root / f"{i}_dusk.png", i, 0.6) for i in range(6)]
+    return noon, dusk
+
+
+@pytest.mark.parametrize("baseline", [TinyPicture(), Hog(), OrbWords(words=50)], ids=lambda b: str(b.name))
+def test_places_are_known_again_at_dusk(places: tuple[list[Path], list[Path]], baseline: Baseline) -> None:
+    noon, dusk = places
+    distances = baseline.rank(noon, dusk, nothing)
+    assert distances.shape == (6, 6)
+    assert distances.dtype == np.float32
+    assert distances.argmin(axis=1).tolist() == list(range(6))
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_a_ranking_depends_on_the_seed_alone(places: tuple[list[Path], list[Path]], name: str) -> None:
+    noon, dusk = places
+    ticks: list[int] = []
+    [one], [two] = baselines([name], Needs(), seed=3), baselines([name], Needs(), seed=3)
+    a = one.rank(noon, dusk, lambda: ticks.append(1))
+    assert np.array_equal(a, two.rank(noon, dusk, nothing))
+    assert len(ticks) == 12
+
+
+def test_one_query_does_not_change_the_answer_to_another(places: tuple[list[Path], list[Path]]) -> None:
+    noon, dusk = places
+    for baseline in (TinyPicture(), Hog(), OrbWords(words=50)):
+        alone = baseline.rank(noon, dusk[2:3], nothing)[0]
+        assert alone == pytest.approx(baseline.rank(noon, dusk, nothing)[2], abs=1e-5)
+
+
+def test_a_featureless_picture_is_far_from_everything(places: tuple[list[Path], list[Path]], tmp_path: Path) -> None:
+    fog = tmp_path / "fog.png"
+    assert cv2.imwrite(str(fog), np.full((96, 128), 128, np.uint8))
+    distances = OrbWords(words=50).rank([*places[0], fog], [fog], nothing)
+    assert distances.tolist() == [[1.0] * 7]
+
+
+def test_random_differs_by_seed() -> None:
+    paths = [Path("a"), Path("b")]
+    assert not np.array_equal(RandomOrder(0).rank(paths, paths, nothing), RandomOrder(1).rank(paths, paths, nothing))
+
+
+def test_hog_of_a_vertical_edge_by_hand() -> None:
+    picture = np.zeros((256, 256), np.uint8)
+    picture[:, 136:] = 200  # within a cell, in the middle of the picture
+    descriptor = gradients(picture).reshape(15, 15, 4, 9)
+    # The gradient points along x: angle 0 lies between the last bin and the first, half in each.
+    block = descriptor[7, 7]
+    assert block[0, 0] == pytest.approx(block[0, 8])
+    assert block[0, 1:8] == pytest.approx(np.zeros(7))
+    assert np.linalg.norm(block) == pytest.approx(1, abs=0.01)
+    assert np.abs(descriptor[7, 2]).max() == 0
+
+
+def test_a_thumbnail_is_normalised_patch_by_patch(tmp_path: Path) -> None:
+    patches = thumbnail(scene(tmp_path / "a.png", 0)).reshape(4, 8, 4, 8)
+    assert np.abs(patches.mean((1, 3))).max() < 1e-5
+
+
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
+    with pytest.raises(InvalidParameters, match="--netvlad FILE"):
+        baselines(["netvlad"], Needs())
+    with pytest.raises(InvalidParameters, match="there are random, tiny"):
+        baselines(["sift"], Needs())
+    (tmp_path / "text.png").write_text("no picture")
+    with pytest.raises(BadPicture):
+        TinyPicture().rank([tmp_path / "text.png"], [], nothing)

@@ -1,0 +1,154 @@
+"""pairs, aligned and folder: tiny sets in each layout, and what is said when it is not right."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lab.datasets import aligned, folder, pairs
+from lab.datasets.dataset import Dataset, UnexpectedLayout
+from lab.datasets.hold_out import hold_out
+from tests.lab.datasets.drawn import picture
+
+HEAD = "query_folder,query_file,database_folder,database_file\n"
+
+
+def a_set_of_pairs(root: Path) -> Path:
+    for name in ("q/1.jpg", "q/2.jpg", "q/10.jpg", "d/1.jpg", "d/2.jpg", "d/10.jpg", "e/1.jpg"):
+        picture(root / name)
+    (root / "ground_truth.csv").write_text(
+        HEAD + "q,1.jpg,d,10.jpg\nq,1.jpg,d,2.jpg\nq,10.jpg,d,1.jpg\nq,2.jpg,e,1.jpg\n"
+    )
+    return root
+
+
+def test_pairs_by_hand(tmp_path: Path) -> None:
+    first, second = pairs.read(a_set_of_pairs(tmp_path))
+    assert [p.name for p in first.database] == ["1.jpg", "2.jpg", "10.jpg"]
+    assert [p.name for p in first.queries] == ["1.jpg", "10.jpg"]
+    assert [p.tolist() for p in first.positives] == [[1, 2], [0]]
+    assert second.name.endswith("q -> e")
+    assert len(second.queries) == 1
+
+
+def test_pairs_can_ask_what_no_row_names(tmp_path: Path) -> None:
+    first, _ = pairs.read(a_set_of_pairs(tmp_path), unlisted=True)
+    assert [p.tolist() for p in first.positives] == [[1, 2], [], [0]]
+
+
+def test_a_folder_of_sets(tmp_path: Path) -> None:
+    a_set_of_pairs(tmp_path / "b")
+    a_set_of_pairs(tmp_path / "a")
+    assert [d.name for d in pairs.read(tmp_path)] == ["a q -> d", "a q -> e", "b q -> d", "b q -> e"]
+
+
+def test_pairs_say_what_they_expect(tmp_path: Path) -> None:
+    with pytest.raises(UnexpectedLayout, match=r"no ground_truth\.csv"):
+        pairs.read(tmp_path)
+    a_set_of_pairs(tmp_path)
+    (tmp_path / "d" / "2.jpg").unlink()
+    with pytest.raises(UnexpectedLayout, match=r"1 pictures that the table names are not there: d/2\.jpg"):
+        pairs.read(tmp_path)
+    (tmp_path / "ground_truth.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(UnexpectedLayout, match="column query_folder"):
+        pairs.read(tmp_path)
+    (tmp_path / "ground_truth.csv").write_text(HEAD)
+    with pytest.raises(UnexpectedLayout, match="no rows"):
+        pairs.read(tmp_path)
+
+
+def test_aligned_counts_frames_in_natural_order(tmp_path: Path) -> None:
+    for i in (1, 2, 9, 10, 11):
+        picture(tmp_path / "database" / f"img{i}.png")
+        picture(tmp_path / "query" / f"IMG{i}.png")
+    [found] = aligned.read(tmp_path, tolerance=1)
+    assert [p.name for p in found.database] == ["img1.png", "img2.png", "img9.png", "img10.png", "img11.png"]
+    assert [p.tolist() for p in found.positives] == [[0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4]]
+    assert found.sequential
+    assert not aligned.read(tmp_path, tolerance=0)[0].sequential
+    (tmp_path / "query" / "IMG2.png").unlink()
+    with pytest.raises(UnexpectedLayout, match="5 pictures in database, 4 in query"):
+        aligned.read(tmp_path)
+    with pytest.raises(UnexpectedLayout, match="no such folder"):
+        aligned.read(tmp_path, query="night")
+
+
+def walk(root: Path, rows: str, head: str = "file,x,y,heading") -> Path:
+    (root / "positions.csv").write_text(f"{head}\n{rows}\n")
+    for row in rows.splitlines():
+        picture(root / row.split(",")[0])
+    return root
+
+
+def test_folder_by_hand(tmp_path: Path) -> None:
+    walk(tmp_path, "database/a.jpg,0,0,350\ndatabase/b.jpg,0,30,0\nquery/c.jpg,0,10,20\nquery/d.jpg,500,0,0")
+    [found] = folder.read(tmp_path)
+    assert [p.tolist() for p in found.positives] == [[0, 1], []]
+    [near] = folder.read(tmp_path, radius_m=15)
+    assert [p.tolist() for p in near.positives] == [[0], []]
+    [facing] = folder.read(tmp_path, heading_tolerance=25)  # 350 and 20 are 30 degrees apart, across north
+    assert [p.tolist() for p in facing.positives] == [[1], []]
+
+
+def test_folder_in_degrees(tmp_path: Path) -> None:
+    # At 60 degrees north a degree of longitude is half as long: 0.001 degrees are 55.6 m.
+    rows = "a.jpg,60,24.999,database\nb.jpg,60,25.0003,database\nc.jpg,60,25,query"
+    [found] = folder.read(walk(tmp_path, rows, "file,lat,lon,role"))
+    assert [p.tolist() for p in found.positives] == [[1]]
+    assert found.database_positions is not None
+    assert found.query_positions is not None
+    apart = np.linalg.norm(found.database_positions - found.query_positions, axis=1)
+    assert apart == pytest.approx([55.6, 16.7], abs=0.1)
+
+
+def test_folder_stays_together_across_the_date_line(tmp_path: Path) -> None:
+    rows = "a.jpg,0,179.9999,database\nb.jpg,0,-179.9999,query"
+    [found] = folder.read(walk(tmp_path, rows, "file,lat,lon,role"))
+    assert [p.tolist() for p in found.positives] == [[0]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "head", "says"),
+    [
+        ("database/a.jpg,0\nquery/b.jpg,0", "file,x", "no column y"),
+        ("database/a.jpg,0,?\nquery/b.jpg,0,0", "file,x,y", "line 2: y is '\\?'"),
+        ("database/a.jpg,0,nan\nquery/b.jpg,0,0", "file,x,y", "line 2: y is 'nan'"),
+        ("database/a.jpg,0,0\ndatabase/b.jpg,0,0", "file,x,y", "both roles"),
+        ("database/a.jpg,0,0\nother/b.jpg,0,0", "file,x,y", "neither database nor query but 'other'"),
+    ],
+)
+def test_folder_says_what_it_expects(tmp_path: Path, rows: str, head: str, says: str) -> None:
+    with pytest.raises(UnexpectedLayout, match=says):
+        folder.read(walk(tmp_path, rows, head))
+
+
+def test_held_out_places_are_nowhere_in_the_database() -> None:
+    files = tuple(Path(f"{i}.jpg") for i in range(20))
+    whole = Dataset("walk", files, files, tuple(np.arange(max(0, i - 1), min(20, i + 2)) for i in range(20)), "+-1")
+    less = hold_out(whole, 0.5, np.random.default_rng(3))
+    unanswerable = np.flatnonzero(~less.judged().answerable)
+    assert len(unanswerable) >= 8
+    absent = {p.name for p in whole.database} - {p.name for p in less.database}
+    for query, right in enumerate(less.positives):
+        assert {less.database[i].name for i in right} == {
+            whole.database[i].name for i in whole.positives[query]
+        } - absent
+    with pytest.raises(ValueError, match="no database"):
+        hold_out(whole, 1.0, np.random.default_rng(0))
+
+
+@pytest.mark.shared
+def test_campus_by_position_gives_the_table_that_came_with_it(shared: Path) -> None:
+    root = shared / "data" / "places" / "campus_gps"
+    [by_position] = folder.read(root, heading_tolerance=45)
+    [by_table] = pairs.read(root)
+    named = {
+        q.name: {by_table.database[i].name for i in r}
+        for q, r in zip(by_table.queries, by_table.positives, strict=True)
+    }
+    found = {
+        q.name: {by_position.database[i].name for i in r}
+        for q, r in zip(by_position.queries, by_position.positives, strict=True)
+        if len(r)
+    }
+    assert found == named

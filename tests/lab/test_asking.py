@@ -1,0 +1,142 @@
+"""A run enrols, asks, remembers, and goes on where it stopped."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lab.evaluation.asking import Answer, ask, fingerprint, ranked_by
+from schemas.errors import SetupError, Unavailable
+from schemas.records import Where
+from tests.lab.fakes import FakeRetriever, walk
+
+
+def near(a: int, b: int) -> float:
+    return 1 - abs(a - b) / 10
+
+
+def test_answers_are_database_numbers(tmp_path: Path) -> None:
+    asked = ask(walk(tmp_path), FakeRetriever(near), depth=5)
+    assert asked.ranked[:30, 0].tolist() == list(range(30))
+    assert asked.ranked.shape == (40, 5)
+    assert asked.before is not None
+    assert np.array_equal(asked.before, asked.ranked[:, ::-1])
+    assert asked.claimed is not None
+    assert asked.claimed[:30].all()
+    assert not asked.claimed[35:].any()
+    assert asked.timing_ms["total"].tolist() == [1.5] * 40
+
+
+class Stopped(Exception):
+    pass
+
+
+def test_a_stopped_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    dataset = walk(tmp_path / "set")
+
+    def stop(what: str, done: int, total: int) -> None:
+        if what == "asking" and done == 17:
+            raise Stopped
+
+    first, second, third = FakeRetriever(near), FakeRetriever(near), FakeRetriever(near)
+    with pytest.raises(Stopped):
+        ask(dataset, first, journals=tmp_path / "runs", progress=stop)
+    [journal] = (tmp_path / "runs").iterdir()
+    with journal.open("a") as lines:
+        lines.write('{"query": 17, "vie')  # the power went while this was being written
+    resumed = ask(dataset, second, journals=tmp_path / "runs")
+    assert len(first.questions) + len(second.questions) == len(dataset.queries)
+    whole = ask(dataset, FakeRetriever(near))
+    assert np.array_equal(resumed.ranked, whole.ranked)
+    ask(dataset, third, journals=tmp_path / "runs")
+    assert third.questions == []
+    assert third.enrolled == {}
+
+
+def test_what_changes_an_answer_starts_a_new_journal(tmp_path: Path) -> None:
+    dataset = walk(tmp_path)
+    same = fingerprint(dataset, "r", 0, 20)
+    assert fingerprint(walk(tmp_path), "r", 0, 20) == same
+    others = [
+        fingerprint(dataset, "r2", 0, 20),
+        fingerprint(dataset, "r", 1, 20),
+        fingerprint(dataset, "r", 0, 10),
+        fingerprint(replace(dataset, truth="+-2"), "r", 0, 20),
+    ]
+    dataset.queries[0].write_bytes(b"another picture")
+    others.append(fingerprint(dataset, "r", 0, 20))
+    assert len({same, *others}) == 6
+
+
+def test_a_drive_knows_only_its_past(tmp_path: Path) -> None:
+    whole = walk(tmp_path)
+    frames = whole.database
+    allowed = np.maximum(np.arange(30) - 4, 0)
+    drive = replace(whole, queries=frames, allowed=allowed, positives=tuple(np.zeros(0, np.int64) for _ in frames))
+    asked = ask(drive, FakeRetriever(near))
+    best = asked.ranked[:, 0]
+    assert best[:5].tolist() == [-1] * 4 + [-1]
+    assert best[5:].tolist() == list(range(25))
+
+
+def test_pictures_that_are_refused_are_counted(tmp_path: Path) -> None:
+    dataset = walk(tmp_path)
+    cars = tmp_path / "d" / "0cars.jpg"
+    cars.write_bytes(b"")
+    asked = ask(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
+    assert asked.refused == {"nothing-static": 1}
+    assert asked.ranked[0, 0] == 1
+
+
+def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) -> None:
+    class Down(FakeRetriever):
+        def query(self, picture: Path, top: int) -> Answer:
+            raise Unavailable("stopping", 5)
+
+    with pytest.raises(Unavailable):
+        ask(walk(tmp_path / "set"), Down(near), journals=tmp_path / "runs")
+    assert [p.read_text() for p in (tmp_path / "runs").iterdir()] == []
+
+
+def test_the_same_file_twice_stands_for_both(tmp_path: Path) -> None:
+    dataset = walk(tmp_path)
+    twice = replace(dataset, database=(*dataset.database[:29], dataset.database[5]))
+    asked = ask(twice, FakeRetriever(near))
+    assert set(asked.ranked[5, :2].tolist()) == {5, 29}
+
+
+def test_a_map_that_is_not_empty_is_refused(tmp_path: Path) -> None:
+    class Occupied(FakeRetriever):
+        def query(self, picture: Path, top: int) -> Answer:
+            return Answer(("somebody-elses-view",))
+
+    with pytest.raises(SetupError, match="empty map"):
+        ask(walk(tmp_path), Occupied(near))
+
+
+def test_positions_are_enrolled_with_the_pictures(tmp_path: Path) -> None:
+    seen = []
+
+    class Watching(FakeRetriever):
+        def enroll(self, picture: Path, where: Where) -> str:
+            seen.append((int(picture.stem), where.x, where.y))
+            return super().enroll(picture, where)
+
+    dataset = walk(tmp_path)
+    places = np.column_stack([np.arange(30.0), np.zeros(30)])
+    ask(replace(dataset, database_positions=places), Watching(near))
+    assert all(x == number and y == 0 for number, x, y in seen)
+    assert [number for number, _, _ in seen] != sorted(number for number, _, _ in seen)  # ties favour no walk
+
+
+def test_a_baselines_distances_respect_what_a_query_may_know(tmp_path: Path) -> None:
+    dataset = walk(tmp_path)
+    drive = replace(
+        dataset, queries=dataset.database, allowed=np.arange(30), positives=tuple([np.zeros(0, np.int64)] * 30)
+    )
+    distances = np.abs(np.subtract.outer(np.arange(30.0), np.arange(30.0))).astype(np.float32)
+    asked = ranked_by(distances, drive, "perfect")
+    assert asked.ranked[:, 0].tolist() == [-1, *range(29)]
+    assert asked.confidence is not None
+    assert asked.confidence[0] < asked.confidence[1:].min()

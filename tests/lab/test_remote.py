@@ -1,0 +1,72 @@
+"""A service behind a URL is measured like one in this process."""
+
+import json
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from lab.datasets.dataset import Dataset
+from lab.evaluation.remote import connect
+from schemas.errors import RevisitError
+from schemas.records import Where
+from tests import answers
+from tests.cli.fake_service import FakeService, fake_service
+
+VERSION = {
+    "version": "1", "encoder": "compact", "weights": "w", "preset": "default", "schema_version": "1",
+    "python": "3", "libraries": {},
+}  # fmt: skip
+
+
+def replies(service: FakeService) -> None:
+    """Let the fake answer; whatever map is asked for, it makes one named m."""
+
+    class AnyMap(dict[str, Any]):
+        def get(self, key: str, default: Any = None) -> Any:
+            if key.startswith("PUT /maps/evaluation-"):
+                return 200, answers.map_facts("m")
+            return super().get(key, default)
+
+    service.replies = AnyMap(
+        {
+            "GET /version": (200, VERSION),
+            "DELETE /maps/m": (200, {"views": 1, "pictures": 1, "revision": None}),
+            "POST /enroll": (201, answers.enrolled()),
+            "POST /query": (200, answers.query_answer(answers.match())),
+        }
+    )
+
+
+def test_a_map_of_its_own_is_used_and_removed(tmp_path: Path) -> None:
+    picture = tmp_path / "a.jpg"
+    picture.write_bytes(b"picture")
+    with fake_service() as service:
+        replies(service)
+        with connect(service.url, "paper").open(cast(Dataset, None)) as retriever:
+            assert retriever.name == "paper"
+            assert retriever.enroll(picture, Where(x=1, y=2)) == answers.ID
+            answer = retriever.query(picture, 3)
+
+    assert answer.views == answer.before == (answers.ID,)
+    assert answer.status == "matched"
+    asked = [path for path, _ in service.asked]
+    assert json.loads(service.asked[0][1]) == {"preset": "paper"}
+    assert asked[-1] == "DELETE /maps/m"
+    plain = [body for path, body in service.asked if path == "POST /query"][1]
+    assert b'name="candidates"' in plain
+
+
+def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
+    picture = tmp_path / "a.jpg"
+    picture.write_bytes(b"picture")
+    with fake_service() as service:
+        replies(service)
+        service.replies["POST /enroll"] = 422, answers.problem("nothing-static", 422)
+        with (
+            connect(service.url, "default").open(cast(Dataset, None)) as retriever,
+            pytest.raises(RevisitError) as caught,
+        ):
+            retriever.enroll(picture, Where())
+
+    assert caught.value.code == "nothing-static"

@@ -1,0 +1,123 @@
+"""Reports say the same in text, JSON and HTML, and the HTML file needs nothing from outside."""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from lab.baselines.random_order import RandomOrder
+from lab.datasets.dataset import Dataset
+from lab.evaluate import Outcome, main, run
+from lab.evaluation.asking import Retriever
+from lab.evaluation.contender import Contender
+from lab.evaluation.html import Shown, as_html
+from lab.evaluation.tables import as_json, as_markdown, as_text, overview
+from tests.lab.datasets.drawn import picture
+from tests.lab.fakes import FakeRetriever
+
+
+class Painter:
+    """An artist who draws the same twice."""
+
+    def explain(self, query: Path, answer: Path) -> Sequence[Shown]:
+        return [Shown("what <corresponds>", query.read_bytes())]
+
+    def portray(self, one: Path) -> Sequence[Shown]:
+        return [Shown("labels", one.read_bytes())]
+
+
+@contextmanager
+def fake(dataset: Dataset) -> Iterator[Retriever]:
+    yield FakeRetriever(lambda a, b: 1 - abs(a - b) / 10)
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    root = tmp_path_factory.mktemp("walk & co")
+    files = {(f, i): picture(root / f / f"{i}.jpg", i) for f in "dq" for i in range(24)}
+    positives = tuple(np.arange(max(0, i - 1), min(20, i + 2)) if i < 20 else np.zeros(0, np.int64) for i in range(24))
+    database = tuple(files["d", i] for i in range(20))
+    dataset = Dataset("walk <q> -> d", database, tuple(files["q", i] for i in range(24)), positives, "+-1 frame")
+    return run(dataset, [Contender(fake, lambda _: Painter())], [RandomOrder()])
+
+
+def test_text_names_chance_ceiling_and_verdicts(outcome: Outcome) -> None:
+    text = as_text(outcome.evaluation)
+    assert "24 queries, 20 of them answerable" in text
+    assert "(chance)" in text
+    assert "(ceiling)" in text
+    assert "AT CHANCE: " in text
+    assert "random (p = 0." in text
+    assert "re-ranking changed recall@1 by" in text
+    assert "calibration error" in text
+
+
+def test_markdown_has_one_row_a_method_beside_chance_and_ceiling(outcome: Outcome) -> None:
+    lines = as_markdown(outcome.evaluation).splitlines()
+    assert len(lines) == 2 + 2 + 3
+    assert len({line.count("|") for line in lines}) == 1
+    assert "random (**at chance**)" in lines[-1]
+    assert len({line.count("|") for line in overview([outcome.evaluation]).splitlines()}) == 1
+
+
+def test_json_can_be_read_back_and_recalls_recomputed(outcome: Outcome) -> None:
+    [data] = json.loads(as_json([outcome.evaluation]))
+    first = np.array(data["methods"][0]["first"])
+    assert np.mean(first[:20] == 1) == data["methods"][0]["recall"][0]["value"]
+    assert data["circumstances"]["seed"] == "0"
+
+
+def test_html_is_self_contained_and_well_formed(outcome: Outcome) -> None:
+    page = as_html([outcome.evaluation], {outcome.evaluation.dataset: outcome.examples})
+    for link in re.findall(r'(?:src|href)="([^"]*)"', page):
+        assert link.startswith(("data:image/", "#set")), link
+    assert "<script" not in page
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
+    assert "walk &lt;q&gt;" in page
+    assert "what &lt;corresponds&gt;" in page
+    for svg in re.findall(r"<svg.*?</svg>", page, re.S):
+        ElementTree.fromstring(svg)
+        assert "nan" not in svg
+    body = re.sub(r"<(meta|img|br)([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
+    ElementTree.fromstring(body)
+
+
+def test_examples_show_right_and_wrong_and_the_papers_figures(outcome: Outcome) -> None:
+    assert [e.right for e in outcome.examples] == [True, True, True, None, None]
+    assert "ORB" in outcome.examples[-1].pictures[0].caption
+    assert "ORB" in outcome.examples[-2].pictures[0].caption
+
+
+def test_the_command_writes_its_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in ("database", "query"):
+        for i in range(25):
+            picture(tmp_path / "set" / folder / f"{i}.png", i)
+    given = ["aligned", "--root", str(tmp_path / "set"), "--no-service", "--out", str(tmp_path / "out")]
+    assert main([*given, "--baselines", "random,tiny", "--tolerance", "0"]) == 0
+    assert "tiny picture" in capsys.readouterr().out
+    [data] = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert data["methods"][1]["recall"][0]["value"] == 1
+    assert (tmp_path / "out" / "report.html").read_text().startswith("<!doctype html>")
+    assert (tmp_path / "out" / "evaluation.md").read_text().startswith("| set |")
+
+
+def test_truth_alone_needs_no_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in ("database", "query"):
+        for i in range(5):
+            picture(tmp_path / folder / f"{i}.png", i)
+    assert main(["aligned", "--root", str(tmp_path), "--truth-only"]) == 0
+    said = capsys.readouterr().out
+    assert "(chance)" in said
+    assert "suspicious" in said  # five pictures, five of them right with +-2
+
+
+def test_a_wrong_folder_is_explained_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["kitti", "--root", str(tmp_path)]) == 2
+    assert "Expected:" in capsys.readouterr().err
+    (tmp_path / "d").mkdir()
+    assert main(["pairs", "--root", str(tmp_path), "--url", "http://127.0.0.1:1"]) == 2

@@ -1,0 +1,88 @@
+"""Cells read with all channels joined, and one channel by itself."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas.description import Floats
+from worker.method import channel_fusion, dense_cells
+from worker.method.byte_vectors import quantise
+
+SHARES = {"words": 0.35, "detail": 0.65}
+
+
+def cells(seed: int, dimensions: int = 16) -> Floats:
+    drawn = np.random.default_rng(seed).normal(size=(8, 12, dimensions)).astype(np.float32)
+    unit: Floats = drawn / np.linalg.norm(drawn, axis=2, keepdims=True)
+    return unit
+
+
+def test_a_channel_cut_out_of_joined_cells_compares_as_it_would_by_itself() -> None:
+    query, view = ({"words": cells(seed), "detail": cells(seed + 1)} for seed in (0, 2))
+    view["detail"] = np.roll(query["detail"], 1, axis=1) * 0.8 + view["detail"] * 0.6
+    view["detail"] /= np.linalg.norm(view["detail"], axis=2, keepdims=True)
+    ours, theirs = (quantise(dense_cells.join(picture, SHARES)) for picture in (query, view))
+
+    mine = channel_fusion.part(ours, SHARES, "detail")
+    cut = channel_fusion.alone(ours, theirs[None], SHARES, "detail")
+
+    alone = dense_cells.compare(query["detail"], view["detail"][None])
+    assert channel_fusion.length(mine) == pytest.approx(np.sqrt(0.65), rel=0.01)
+    assert cut == pytest.approx(alone.scores, abs=0.01)
+    words = channel_fusion.part(ours, SHARES, "words")
+    np.testing.assert_array_equal(np.concatenate([mine, words], axis=-1), ours)
+
+
+def test_at_half_size_a_part_is_as_long_as_it_is_and_likenesses_stay_what_they_would_be_alone() -> None:
+    """Four neighbours have the same words and unlike details: averaged, little is left of the details."""
+    words = np.repeat(np.repeat(cells(0)[::2, ::2], 2, axis=0), 2, axis=1)
+    joined = {"words": words, "detail": cells(1)}
+    whole = quantise(dense_cells.join(joined, SHARES))
+    half = quantise(dense_cells.halve(whole))
+
+    mine = channel_fusion.part(half, SHARES, "detail")
+
+    assert channel_fusion.length(mine) < np.sqrt(0.65) - 0.1
+    assert channel_fusion.alone(half, half[None], SHARES, "detail") == pytest.approx([1.0], abs=0.15)
+    assert channel_fusion.length(np.zeros((2, 3, 4), np.int8)) == 1
+
+
+def test_readings_are_exchanged_so_that_what_most_candidates_get_is_the_same() -> None:
+    joined = np.array([0.2] * 9 + [0.3], np.float32)
+    alone = np.array([0.1] * 9 + [0.4], np.float32)
+
+    rate = channel_fusion.exchange(joined, alone)
+
+    assert rate == pytest.approx(2)
+    # The last one stands out more when it is read alone.
+    assert channel_fusion.stronger(joined, alone, rate).tolist() == pytest.approx([0.2] * 9 + [0.8])
+    assert channel_fusion.exchange(joined, np.zeros(10, np.float32)) == 0
+
+
+def test_what_little_agrees_in_a_picture_of_nothing_does_not_stand_out_without_bound() -> None:
+    joined = np.full(40, 0.2, np.float32)
+    alone = np.array([0.0] * 33 + [1e-20] * 6 + [0.05], np.float32)
+
+    assert channel_fusion.stronger(joined, alone, channel_fusion.exchange(joined, alone)) == pytest.approx(joined)
+
+
+def test_the_only_candidate_stands_out_in_neither_reading() -> None:
+    joined, alone = np.array([0.2], np.float32), np.array([0.7], np.float32)
+    assert channel_fusion.stronger(joined, alone, channel_fusion.exchange(joined, alone)) == pytest.approx([0.2])
+
+
+Likenesses = st.lists(st.floats(0, 1, width=32), min_size=1, max_size=20)
+
+
+@given(Likenesses, Likenesses, st.floats(0, 8))
+def test_reading_alone_lowers_nothing_and_what_was_not_read_so_stays(
+    joined: list[float], alone: list[float], rate: float
+) -> None:
+    alone = alone[: len(joined)]
+
+    merged = channel_fusion.stronger(np.array(joined, np.float32), np.array(alone, np.float32), rate)
+
+    assert merged.dtype == np.float32
+    assert ((merged >= np.array(joined, np.float32)) & (merged <= 1)).all()
+    assert merged[len(alone) :].tolist() == joined[len(alone) :]

@@ -1,0 +1,49 @@
+"""The stores that every promise is tried on."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.storage.databases import POSTGRES, data_folder, postgres_schema, sqlite_url
+from worker.storage.store import SqlStore, open_store
+
+Open = Callable[[], SqlStore]
+
+
+@pytest.fixture
+def data() -> Iterator[Path]:
+    """An empty data folder."""
+    with data_folder() as folder:
+        yield folder
+
+
+@pytest.fixture(params=["sqlite", "postgresql"] if POSTGRES else ["sqlite"])
+def database_url(request: pytest.FixtureRequest, data: Path) -> Iterator[str]:
+    """URL of an empty database; PostgreSQL too when REVISIT_TEST_POSTGRES has the URL of one."""
+    if request.param == "sqlite":
+        yield sqlite_url(data)
+        return
+    assert POSTGRES is not None
+    with postgres_schema(POSTGRES) as url:
+        yield url
+
+
+@pytest.fixture
+def reopen(database_url: str, data: Path) -> Iterator[Open]:
+    """Opens the store, again each time it is called, as another process would."""
+    opened: list[SqlStore] = []
+
+    def open_again() -> SqlStore:
+        opened.append(open_store(database_url, data))
+        return opened[-1]
+
+    yield open_again
+    for store in opened:
+        store.close()
+
+
+@pytest.fixture
+def store(reopen: Open) -> SqlStore:
+    """An empty store."""
+    return reopen()

@@ -1,0 +1,131 @@
+"""Pictures, recipes and descriptions to try a store with, and the simplest index that follows one."""
+
+import hashlib
+from collections.abc import Iterable
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
+from schemas.errors import LeaseLost
+from schemas.image import PictureFacts
+from schemas.ports import Store
+from schemas.recipe import Channel, Parameters, Recipe, Verification
+from schemas.records import Claim, Said, Submitted, ViewRecord
+
+NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
+LEASE = timedelta(seconds=60)
+UNSAID = Said()
+
+
+def recipe(preset: str = "default") -> Recipe:
+    """A recipe of two channels; another preset makes another recipe."""
+    channel = Channel(layer="words", words=4)
+    return Recipe(
+        encoder="color",
+        weights="0" * 64,
+        labels=("wall", "car"),
+        dynamic=("car",),
+        preset=preset,
+        parameters=Parameters(channels={"words": channel, "detail": channel}, verification=Verification()),
+        vocabulary="0" * 64,
+    )
+
+
+RECIPE = recipe()
+
+
+def picture(name: str) -> bytes:
+    """Bytes that stand for a picture; a store does not look into them."""
+    return f"picture {name}".encode()
+
+
+def facts(picture: bytes) -> PictureFacts:
+    """What a codec would find out."""
+    return PictureFacts(640, 480, len(picture), "png", hashlib.sha256(picture).hexdigest())
+
+
+def description(seed: int) -> Description:
+    """A description full of numbers drawn from a seed."""
+    draw = np.random.default_rng(seed)
+
+    def floats(*shape: int) -> Floats:
+        return draw.random(shape, np.float32)
+
+    def small(*shape: int) -> Int8s:
+        return draw.integers(-9, 9, shape, np.int8)
+
+    graph = ContextGraph(np.array([0, 1], np.int16), floats(2, 2), floats(2, 3), floats(2))
+    return Description(
+        vectors={"words": floats(4), "detail": floats(4)},
+        appearance=Appearance(small(1, 2, 4), graph, (1.0, 0.75)),
+        cells=small(3, 5, 4),
+        keypoints=LocalFeatures(floats(6, 2), small(6, 8)),
+        label_shares=np.array([0.75, 0.25], np.float32),
+        static_share=0.75,
+        descriptor_count=120,
+    )
+
+
+def vector(view: ViewRecord, recipe_id: str) -> list[float]:
+    """The vector that `describe` gives a view under a recipe."""
+    made = description(seed(view, recipe_id)).vectors
+    return [float(value) for value in np.concatenate([made["words"], made["detail"]])]
+
+
+def seed(view: ViewRecord, recipe_id: str) -> int:
+    """Of the description of a view: the same picture and recipe give the same description."""
+    return int(view.picture.sha256[:6] + recipe_id[:6], 16)
+
+
+def enroll(
+    store: Store, name: str, *, map: str = "campus", said: Said = UNSAID, now: datetime = NOW, by: Recipe = RECIPE
+) -> Submitted:
+    """Enrol the picture of that name."""
+    body = picture(name)
+    return store.submit(map, body, facts(body), said, by, now)
+
+
+def finish(store: Store, claim: Claim, now: datetime = NOW) -> int:
+    """Describe what was claimed."""
+    return store.finish(claim, description(seed(claim.view, claim.recipe.id)), now)
+
+
+def describe_all(store: Store, now: datetime = NOW) -> int:
+    """Work until nothing waits; returns how many descriptions that took."""
+    done = 0
+    while claims := store.claim("worker", 10, LEASE, now):
+        for claim in claims:
+            with suppress(LeaseLost):  # its view may be deleted meanwhile
+                finish(store, claim, now)
+                done += 1
+    return done
+
+
+class Follower:
+    """An index reduced to a dict: it knows of a map what `Store.since` told it, and nothing else."""
+
+    def __init__(self, store: Store, name: str = "campus") -> None:
+        self.store = store
+        self._name = name
+        self.revision = 0
+        self.recipe = ""
+        self.vectors: dict[int, list[float]] = {}
+
+    def catch_up(self) -> "Follower":
+        changes = self.store.since(self._name, self.revision)
+        if changes.recipe != self.recipe:
+            self.vectors.clear()
+            changes = self.store.since(self._name, 0)
+        for seq in changes.gone.tolist():
+            self.vectors.pop(seq, None)
+        assert changes.seqs.tolist() == sorted(set(changes.seqs.tolist()))
+        self.vectors.update(zip(changes.seqs.tolist(), changes.vectors.tolist(), strict=True))
+        self.revision, self.recipe = changes.revision, changes.recipe
+        return self
+
+
+def ids(views: Iterable[ViewRecord]) -> list[str]:
+    """Ids of views, in their order."""
+    return [view.id for view in views]

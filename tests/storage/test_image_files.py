@@ -1,0 +1,252 @@
+"""Pictures are whole and owned, or not there: whatever fails between the file and its row."""
+
+import errno
+import os
+import stat
+from contextlib import suppress
+from itertools import count
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from threading import Thread
+from typing import Any, NoReturn
+
+import pytest
+import sqlalchemy as sa
+
+from schemas.errors import Conflict, DiskFull, NotFound
+from schemas.records import Filters, Said
+from tests.storage.databases import sqlite_url
+from tests.storage.material import LEASE, NOW, Follower, describe_all, enroll, facts, picture
+from worker.storage.image_files import Pictures, sync_folder
+from worker.storage.store import SqlStore, open_store
+
+
+class PowerCut(BaseException):
+    """The process ends here: nothing after it runs."""
+
+
+def files(data: Path) -> list[Path]:
+    """All files of pictures, whole or not."""
+    return sorted(path for path in (data / "pictures").rglob("*") if path.is_file() and path.name != ".lock")
+
+
+@pytest.fixture
+def store(data: Path) -> SqlStore:
+    """A store of its own folder; the tests here are about files, so one database will do."""
+    return open_store(sqlite_url(data), data)
+
+
+@pytest.fixture(autouse=True)
+def closed(store: SqlStore) -> Any:
+    """Close the store after each test."""
+    yield
+    store.close()
+
+
+def test_a_picture_lies_in_two_levels_of_folders_under_its_digest(store: SqlStore, data: Path) -> None:
+    digest = enroll(store, "gate").view.picture.sha256
+    assert files(data) == [data / "pictures" / digest[:2] / digest[2:4] / digest]
+    assert files(data)[0].read_bytes() == picture("gate")
+
+
+def test_a_picture_is_durable_under_its_name_before_its_row_is_committed(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    events: list[str] = []
+    sync, rename = os.fsync, Path.rename
+
+    def note_sync(handle: int) -> None:
+        events.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file")
+        sync(handle)
+
+    def note_rename(self: Path, target: Path) -> Path:
+        events.append("rename")
+        return rename(self, target)
+
+    monkeypatch.setattr(os, "fsync", note_sync)
+    monkeypatch.setattr(Path, "rename", note_rename)
+    sa.event.listen(store._database.engine, "commit", lambda _: events.append("commit"))
+
+    enroll(store, "gate")
+
+    assert events == ["file", "rename", "folder", "folder", "folder", "commit"]
+
+
+@pytest.mark.parametrize("kind", [PowerCut, RuntimeError])
+def test_a_row_that_fails_takes_its_file_with_it(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
+) -> None:
+    def fail(*_: object) -> NoReturn:
+        raise kind
+
+    monkeypatch.setattr("worker.storage.enrolment.keep_pairs", fail)
+    with pytest.raises(kind):
+        enroll(store, "gate")
+    assert files(data) == []
+    assert store.maps() == []
+
+
+def test_a_crash_between_file_and_row_leaves_a_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
+    kept = enroll(store, "pond").view
+    orphan = Pictures(data / "pictures", owned=lambda digests: set(digests))
+    with pytest.raises(PowerCut), orphan.kept(facts(picture("gate")).sha256, picture("gate")):
+        raise PowerCut
+    assert len(files(data)) == 2
+
+    store.recover(NOW)
+
+    assert [path.name for path in files(data)] == [kept.picture.sha256]
+    assert store.picture(kept.id) == picture("pond")
+
+
+def test_a_crash_while_writing_leaves_an_unfinished_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
+    enroll(store, "gate")
+    [whole] = files(data)
+    unfinished = whole.parent.parent / ".writing-of-a-dead-process"
+    unfinished.write_bytes(b"half a pic")
+    store.recover(NOW)
+    assert files(data) == [whole]
+
+
+def test_a_crash_between_the_deletion_of_a_row_and_its_file_is_made_good(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = enroll(store, "gate").view
+
+    def cut(*_: object) -> NoReturn:
+        raise PowerCut
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", cut)
+        with pytest.raises(PowerCut):
+            store.delete_view(view.id)
+    with pytest.raises(NotFound):
+        store.view(view.id)
+    assert len(files(data)) == 1
+    store.recover(NOW)
+    assert files(data) == []
+
+
+def test_a_full_disk_is_said_and_leaves_nothing_behind(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> NoReturn:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(DiskFull):
+            enroll(store, "gate")
+    assert files(data) == []
+    assert store.maps() == []
+    enroll(store, "gate")
+
+
+def test_a_full_database_is_said_and_leaves_nothing_behind(store: SqlStore, data: Path) -> None:
+    view = enroll(store, "gate").view
+    describe_all(store)
+
+    @sa.event.listens_for(store._database.engine, "checkout")
+    def no_more_pages(connection: Any, *_: object) -> None:
+        connection.execute("PRAGMA max_page_count = 1").close()  # not below the present size
+
+    def fill() -> None:
+        for number in range(100):
+            enroll(store, f"{number}", said=Said(metadata={"text": "long " * 2000}))
+
+    with pytest.raises(DiskFull):
+        fill()
+
+    views, _ = store.views("campus", Filters(), limit=200)
+    assert {path.name for path in files(data)} == {view.picture.sha256 for view in views}
+    assert store.view(view.id).state == "ready"
+    assert store.delete_view(view.id).views == 1
+
+
+def test_a_conflict_leaves_the_picture_of_the_view_that_is_there(store: SqlStore, data: Path) -> None:
+    view = enroll(store, "gate", said=Said("gate")).view
+    with pytest.raises(Conflict):
+        enroll(store, "gate", said=Said("pond"))
+    assert store.picture(view.id) == picture("gate")
+
+
+def test_a_lost_file_is_healed_by_enrolling_its_picture_again(store: SqlStore, data: Path) -> None:
+    view = enroll(store, "gate").view
+    files(data)[0].unlink()
+    with pytest.raises(NotFound, match="enrol the picture again"):
+        store.picture(view.id)
+    enroll(store, "gate")
+    assert store.picture(view.id) == picture("gate")
+
+
+def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away(store: SqlStore, data: Path) -> None:
+    stop = False
+
+    def sweep() -> None:
+        while not stop:
+            store.recover(NOW)
+
+    def come_and_go() -> None:
+        while not stop:
+            view = enroll(store, "gate", map="museum").view
+            store.delete_view(view.id)
+
+    others = [Thread(target=sweep), Thread(target=come_and_go)]
+    for other in others:
+        other.start()
+    try:
+        for _ in range(25):
+            view = enroll(store, "gate").view
+            assert store.picture(view.id) == picture("gate")
+            assert store.delete_view(view.id).views == 1
+    finally:
+        stop = True
+        for other in others:
+            other.join()
+    assert files(data) == []
+    assert Follower(store).catch_up().vectors == {}
+
+
+def _enroll_until_killed(url: str, data: Path, acknowledged: Connection) -> None:
+    store = open_store(url, data)
+    for number in count():
+        view = enroll(store, f"{number}").view
+        acknowledged.send(view.id)
+        describe_all(store)
+        if number % 4 == 3:
+            store.delete_view(view.id)
+
+
+def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(store: SqlStore, data: Path) -> None:
+    spawn = get_context("spawn")
+    receive, send = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_enroll_until_killed, args=(sqlite_url(data), data, send))
+    process.start()
+    acknowledged = [receive.recv() for _ in range(15)]
+    process.kill()
+    process.join()
+    send.close()
+    with suppress(EOFError, OSError):  # it may have died in the middle of a word
+        while True:
+            acknowledged.append(receive.recv())
+    receive.close()
+
+    store.recover(NOW)
+
+    views, _ = store.views("campus", Filters(), limit=1000)
+    kept = {view.id for view in views}
+    for number, view_id in enumerate(acknowledged[:-1]):  # what came after the last one was cut short
+        assert (view_id in kept) == (number % 4 != 3)
+    assert {path.name for path in files(data)} == {view.picture.sha256 for view in views}
+    assert all(facts(store.picture(view.id)) == view.picture for view in views)
+    describe_all(store, NOW + LEASE)
+    assert Follower(store).catch_up().vectors.keys() == {view.seq for view in views}
+
+
+def test_a_folder_that_is_gone_is_noticed(store: SqlStore, data: Path) -> None:
+    assert store.check() == "ok"
+    (data / "pictures").rename(data / "elsewhere")
+    assert "pictures" in store.check()
+    (data / "elsewhere").rename(data / "pictures")
+    sync_folder(data)

@@ -1,0 +1,154 @@
+"""What a store promises about work: leases, tries, and several workers."""
+
+from datetime import timedelta
+from multiprocessing import get_context
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.records import Filters
+from tests.storage.conftest import Open
+from tests.storage.material import LEASE, NOW, RECIPE, Follower, describe_all, enroll, finish
+from worker.storage.store import SqlStore, open_store
+
+
+def test_the_oldest_job_goes_first(store: SqlStore) -> None:
+    names = ["gate", "pond", "stairs"]
+    views = [enroll(store, name).view for name in names]
+    assert [claim.view.id for claim in store.claim("one", 2, LEASE, NOW)] == [views[0].id, views[1].id]
+    assert [claim.view.id for claim in store.claim("two", 2, LEASE, NOW)] == [views[2].id]
+    assert store.claim("three", 2, LEASE, NOW) == []
+    assert store.waiting() == 3
+
+
+def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_nothing(store: SqlStore) -> None:
+    view = enroll(store, "gate").view
+    [late] = store.claim("late", 1, LEASE, NOW)
+    assert store.claim("other", 1, LEASE, NOW + LEASE - timedelta(seconds=1)) == []
+    [other] = store.claim("other", 1, LEASE, NOW + LEASE)
+    assert (other.job_id, other.attempts) == (late.job_id, 2)
+
+    with pytest.raises(LeaseLost):
+        finish(store, late)
+    with pytest.raises(LeaseLost):
+        store.fail(late, "undecodable-picture", "late", NOW)
+    store.release(late)
+
+    assert store.view(view.id).state == "pending"
+    finish(store, other)
+    with pytest.raises(LeaseLost):
+        finish(store, other)
+    assert store.view(view.id).state == "ready"
+
+
+def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> None:
+    view = enroll(store, "gate").view
+    [claim] = store.claim("slow", 1, LEASE, NOW)
+    finish(store, claim, NOW + 5 * LEASE)
+    assert store.view(view.id).state == "ready"
+
+
+def test_a_picture_that_kills_three_workers_is_given_up(store: SqlStore) -> None:
+    submitted = enroll(store, "bomb")
+    moment = NOW
+    for attempt in (1, 2, 3):
+        [claim] = store.claim("worker", 1, LEASE, moment)
+        assert claim.attempts == attempt
+        moment += LEASE
+    assert store.claim("worker", 1, LEASE, moment) == []
+    view = store.view(submitted.view.id)
+    assert view.state == "failed"
+    assert view.failure is not None
+    assert view.failure[0] == "worker-died"
+    assert "3 times" in view.failure[1]
+    assert store.job(claim.job_id).state == "failed"
+    assert store.job(claim.job_id).finished_at == moment
+    assert store.waiting() == 0
+
+
+def test_a_job_put_back_waits_unharmed(store: SqlStore) -> None:
+    enroll(store, "gate")
+    for _ in range(5):
+        [claim] = store.claim("worker", 1, LEASE, NOW)
+        assert claim.attempts == 1
+        store.release(claim)
+    assert store.job(claim.job_id).state == "waiting"
+    with pytest.raises(LeaseLost):
+        finish(store, claim)
+
+
+def test_a_job_goes_with_its_view(store: SqlStore) -> None:
+    view = enroll(store, "gate").view
+    [claim] = store.claim("worker", 1, LEASE, NOW)
+    store.delete_view(view.id)
+    with pytest.raises(LeaseLost, match="deleted"):
+        finish(store, claim)
+    with pytest.raises(NotFound):
+        store.job(claim.job_id)
+
+
+def test_only_a_waiting_job_can_be_cancelled(store: SqlStore) -> None:
+    submitted = enroll(store, "gate")
+    assert submitted.job_id is not None
+    job = store.cancel(submitted.job_id, NOW)
+    assert (job.state, job.view_id, job.map, job.finished_at) == ("cancelled", submitted.view.id, "campus", NOW)
+    view = store.view(submitted.view.id)
+    assert (view.state, view.failure and view.failure[0]) == ("failed", "cancelled")
+    with pytest.raises(Conflict, match="cancelled"):
+        store.cancel(submitted.job_id, NOW)
+
+    again = enroll(store, "gate")
+    [claim] = store.claim("worker", 1, LEASE, NOW)
+    assert claim.job_id == again.job_id
+    with pytest.raises(Conflict, match="running"):
+        store.cancel(claim.job_id, NOW)
+
+
+def _work(url: str, data: Path) -> None:
+    store = open_store(url, data)
+    describe_all(store)
+    store.close()
+
+
+def test_two_worker_processes_do_two_hundred_jobs_once_each(reopen: Open, database_url: str, data: Path) -> None:
+    store = reopen()
+    for number in range(200):
+        enroll(store, f"{number}")
+    processes = [get_context("spawn").Process(target=_work, args=(database_url, data)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert store.waiting() == 0
+    assert len(Follower(store).catch_up().vectors) == 200
+    views, _ = store.views("campus", Filters(), limit=200)
+    assert {store.view(view.id).state for view in views} == {"ready"}
+    assert store.revision("campus") == 200  # one revision each: none was finished twice
+
+
+def test_an_index_that_follows_while_others_write_misses_nothing(reopen: Open) -> None:
+    store = reopen()
+    store.put_map("campus", RECIPE, NOW)
+
+    def enroll_and_describe(writer: int) -> None:
+        own = reopen()
+        for number in range(15):
+            view = enroll(own, f"{writer} {number}").view
+            describe_all(own)
+            if number % 5 == 4:
+                own.delete_view(view.id)
+
+    writers = [Thread(target=enroll_and_describe, args=(writer,)) for writer in range(3)]
+    for writer in writers:
+        writer.start()
+    follower = Follower(store)
+    while any(writer.is_alive() for writer in writers):
+        follower.catch_up()
+    for writer in writers:
+        writer.join()
+    describe_all(store)
+    assert follower.catch_up().vectors == Follower(store).catch_up().vectors
+    assert len(follower.vectors) == 3 * 12

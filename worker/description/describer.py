@@ -1,0 +1,106 @@
+"""Picture to description: the encoder's field, then the method's steps in the paper's order."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from schemas.description import Appearance, Booleans, ContextGraph, Description, Floats, LocalFeatures, PixelField
+from schemas.errors import NothingStatic
+from schemas.image import Picture
+from schemas.ports import Encoder
+from schemas.recipe import Recipe
+from worker.description.local_features import local_features
+from worker.description.regions import components
+from worker.description.vocabularies import Vocabulary
+from worker.method import context_graph, dense_cells, labels, sampling, static_mask, vocabulary
+from worker.method.byte_vectors import Product, float_product, quantise
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a picture shows, cell by cell.
+
+    Parameters
+    ----------
+    labels : int16 of shape (rows, columns)
+    static : bool of shape (rows, columns)
+    """
+
+    labels: labels.LabelMap
+    static: Booleans
+
+
+class Describer:
+    """Describes pictures by one recipe. Holds no state that a picture could change, so the order never matters.
+
+    Parameters
+    ----------
+    encoder : Encoder
+        Whose fields it will be given; only its text vectors are used here.
+    recipe : Recipe
+    words : Vocabulary
+        The one that the recipe names.
+    product : Product
+    """
+
+    def __init__(self, encoder: Encoder, recipe: Recipe, words: Vocabulary, product: Product = float_product) -> None:
+        self.recipe = recipe
+        self.vocabulary = words
+        self._product = product
+        self._text = encoder.text_vectors(recipe.labels)
+        self._dynamic = np.isin(np.array(recipe.labels), np.array(recipe.dynamic))
+
+    def see(self, field: PixelField) -> Seen:
+        """Label map and static cells of a field."""
+        parameters = self.recipe.parameters.dynamic
+        scores = labels.scores(field.semantic, self._text)
+        static = static_mask.static_cells(scores, self._dynamic, parameters.margin, parameters.most)
+        return Seen(labels.label_map(scores), static)
+
+    def graph(self, field: PixelField, seen: Seen) -> ContextGraph:
+        """The context graph of a field."""
+        least = self.recipe.parameters.graph.min_region_cells
+        return context_graph.build(seen.labels, seen.static, field.semantic, field.extent, components, least)
+
+    def keypoints(self, picture: Picture) -> LocalFeatures | None:
+        """Local features for verification, if the recipe has one; they do not need the field."""
+        verification = self.recipe.parameters.verification
+        return local_features(picture.pixels, verification.keypoints) if verification else None
+
+    def describe(self, picture: Picture, field: PixelField, found: LocalFeatures | None) -> Description:
+        """Everything the recipe wants to know about a picture, of which `found` is what `keypoints` found.
+
+        Raises
+        ------
+        NothingStatic
+            Every cell is dynamic.
+        """
+        parameters = self.recipe.parameters
+        seen = self.see(field)
+        if not seen.static.any():
+            shown = ", ".join(self.recipe.labels[i] for i in np.unique(seen.labels))
+            raise NothingStatic(f"every part of the picture is something that moves ({shown}); show more of the place")
+        random = sampling.generator(parameters.seed, picture.digest)
+        vectors: dict[str, Floats] = {}
+        parts: dict[str, Floats] = {}
+        count = 0
+        for name, channel in parameters.channels.items():
+            layer = field.layers[channel.layer]
+            drawn = sampling.draw(seen.static, channel.descriptors, random)
+            count = max(count, len(drawn))
+            descriptors = layer.reshape(-1, layer.shape[2])[drawn]
+            learned = self.vocabulary.channels[name]
+            vectors[name] = vocabulary.vector(descriptors, learned, channel, self._product)
+            if parameters.dense is not None and learned.cells is not None:
+                grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
+                parts[name] = dense_cells.reduce(grid, learned.cells)
+        cells = quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
+        return Description(
+            vectors=vectors,
+            appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, seen), field.extent),
+            cells=cells,
+            keypoints=found,
+            label_shares=labels.shares(seen.labels, len(self.recipe.labels)),
+            static_share=float(seen.static.mean()),
+            descriptor_count=count,
+        )

@@ -1,0 +1,73 @@
+"""Describers by recipe: made once, shared by questions and enrolments."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable
+
+from schemas.errors import NotFound, SetupError
+from schemas.ports import Encoder, Store
+from schemas.recipe import Recipe
+from worker.description.describer import Describer
+from worker.description.vocabularies import Vocabulary
+from worker.method.byte_vectors import Product, float_product
+
+KEPT = 32
+"""Describers held ready; a service with more recipes in use makes the others anew, which takes milliseconds."""
+
+
+class Describers:
+    """Finds the vocabulary a recipe names and makes its describer.
+
+    Parameters
+    ----------
+    encoder : Encoder
+    store : Store
+        Keeps the vocabularies that maps have trained.
+    general : iterable of Vocabulary
+        Those that ship with the encoder.
+    product : Product
+    """
+
+    def __init__(
+        self, encoder: Encoder, store: Store, general: Iterable[Vocabulary], product: Product = float_product
+    ) -> None:
+        self._encoder = encoder
+        self._store = store
+        self._product = product
+        self._general = {vocabulary.digest: vocabulary for vocabulary in general}
+        self._made: OrderedDict[str, Describer] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, recipe: Recipe) -> Describer:
+        """The describer of a recipe.
+
+        Raises
+        ------
+        SetupError
+            The recipe was made with another encoder or other weights, or its vocabulary is gone.
+        """
+        with self._lock:
+            if recipe.id in self._made:
+                self._made.move_to_end(recipe.id)
+                return self._made[recipe.id]
+        if (recipe.encoder, recipe.weights) != (self._encoder.name, self._encoder.digest):
+            raise SetupError(
+                f"this recipe needs the encoder {recipe.encoder} with weights {recipe.weights[:12]}; running is "
+                f"{self._encoder.name} with {self._encoder.digest[:12]}; start that one, or give the map a new recipe"
+            )
+        vocabulary = self._vocabulary(recipe.vocabulary)
+        vocabulary.check(recipe.parameters, self._encoder.layers)
+        describer = Describer(self._encoder, recipe, vocabulary, self._product)
+        with self._lock:
+            self._made[recipe.id] = describer
+            while len(self._made) > KEPT:
+                self._made.popitem(last=False)
+        return describer
+
+    def _vocabulary(self, digest: str) -> Vocabulary:
+        if digest in self._general:
+            return self._general[digest]
+        try:
+            return Vocabulary.read(self._store.vocabulary(digest), f"vocabulary {digest[:12]}")
+        except NotFound:
+            raise SetupError(f"the vocabulary {digest[:12]} is not kept here; train the map another one") from None

@@ -1,0 +1,219 @@
+"""The one desk where pictures are encoded: questions first, enrolments when nobody asks."""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import count, groupby
+from typing import Any, Generic, TypeVar
+
+from schemas.description import PixelField
+from schemas.errors import Busy, Unavailable
+from schemas.image import Picture
+from schemas.ports import Encoder
+
+T = TypeVar("T")
+Finish = Callable[..., T]
+"""Of a picture and its field; and of what was made beside the network, where something was."""
+
+QUESTION, ENROLMENT, CLOSE = 0, 1, 2
+
+log = logging.getLogger("revisit.desk")
+
+
+@dataclass(frozen=True)
+class Served(Generic[T]):
+    """What came of a picture, and how long it took.
+
+    Parameters
+    ----------
+    value : T
+        Result of the `finish` function.
+    queue_ms, encode_ms, finish_ms : float
+        Waiting, the network (shared among a batch), and `finish`, with what was left to do beside the network.
+    """
+
+    value: T
+    queue_ms: float
+    encode_ms: float
+    finish_ms: float
+
+
+@dataclass(order=True)
+class _Request:
+    urgency: int
+    number: int
+    picture: Picture = field(compare=False)
+    finish: Finish[Any] = field(compare=False)
+    future: "Future[Served[Any]]" = field(compare=False)
+    since: float = field(compare=False)
+    fine: bool = field(compare=False, default=False)
+    beside: Callable[[Picture], Any] | None = field(compare=False, default=None)
+    made: "Future[Any] | None" = field(compare=False, default=None)
+
+
+class Desk:
+    """One thread that owns the encoder, and two for what can be done while it is busy.
+
+    What does not need the field (local features) is made beside the network: that of questions in a thread of their
+    own, so that it waits for no enrolment. What is enrolled is described while the next picture is encoded.
+
+    A question waits for the batch under way and for other questions, never for queued enrolments. The thread that
+    encodes it describes it too, so that it does not wait for the description of an enrolment either.
+
+    Parameters
+    ----------
+    encoder : Encoder
+    batch : int
+        Pictures encoded together. On a CPU one at a time is as quick, and keeps questions from waiting.
+    questions : int
+        Questions that may wait; more are refused with Busy.
+    """
+
+    def __init__(self, encoder: Encoder, batch: int, questions: int) -> None:
+        self._encoder = encoder
+        self._batch = batch
+        self._questions = questions
+        self._queue: queue.PriorityQueue[_Request] = queue.PriorityQueue()
+        self._numbers = count()
+        self._lock = threading.Lock()
+        self._asked = 0
+        self._pace_s = 0.2  # seconds per picture, a moving average; the start is a guess that the first ones correct
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="revisit-desk", daemon=True)
+        self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
+        self._beside_questions = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-beside-questions")
+
+    @property
+    def pace_s(self) -> float:
+        """Measured seconds per picture."""
+        return self._pace_s
+
+    @property
+    def alive(self) -> bool:
+        """Whether pictures are being served."""
+        return self._thread.is_alive() and not self._closed
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Serve what was handed in, then stop."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            nothing: Any = None
+            self._queue.put(_Request(CLOSE, next(self._numbers), nothing, nothing, Future(), 0))
+        if self._thread.is_alive():
+            self._thread.join()
+        self._describing.shutdown()
+        self._beside_questions.shutdown()
+
+    def hand_in(
+        self,
+        picture: Picture,
+        finish: Finish[T],
+        *,
+        urgent: bool,
+        fine: bool = False,
+        beside: Callable[[Picture], Any] | None = None,
+    ) -> "Future[Served[T]]":
+        """Have a picture encoded, and `finish` called with it and its field (in a thread of the desk).
+
+        With `fine` the field is that of `Encoder.fine`, which is for drawing. What `beside` makes of the picture, while
+        the network works on it, is the third argument of `finish`.
+
+        Raises
+        ------
+        Busy
+            Too many questions wait already; only for urgent ones.
+        Unavailable
+            The service is stopping.
+        """
+        future: Future[Served[T]] = Future()
+        with self._lock:
+            if self._closed:
+                raise Unavailable("the service is stopping", 5)
+            if urgent:
+                if self._asked >= self._questions:
+                    raise Busy.queue(self._asked, self._pace_s, "questions")
+                self._asked += 1
+                future.add_done_callback(self._answered)
+            urgency = QUESTION if urgent else ENROLMENT
+            self._queue.put(
+                _Request(urgency, next(self._numbers), picture, finish, future, time.perf_counter(), fine, beside)
+            )
+        return future
+
+    def _answered(self, _: "Future[Any]") -> None:
+        with self._lock:
+            self._asked -= 1
+
+    def _run(self) -> None:
+        while True:
+            first = self._queue.get()
+            if first.urgency == CLOSE:
+                return
+            batch = [first]
+            while len(batch) < self._batch:
+                try:
+                    following = self._queue.get_nowait()
+                except queue.Empty:
+                    break
+                if following.urgency != first.urgency:
+                    self._queue.put(following)
+                    break
+                batch.append(following)
+            self._serve([r for r in batch if r.future.set_running_or_notify_cancel()])
+
+    def _serve(self, batch: list[_Request]) -> None:
+        began = time.perf_counter()
+        served = 0
+        for request in batch:
+            if request.beside is not None and request.made is None:
+                thread = self._beside_questions if request.urgency == QUESTION else self._describing
+                request.made = thread.submit(request.beside, request.picture)
+        try:
+            fields = self._fields(batch)
+            for request in batch:
+                encoding = time.perf_counter()
+                pixel_field = next(fields)
+                encoded = time.perf_counter()
+                served += 1
+                waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
+                if request.urgency == QUESTION:
+                    _finish(request, pixel_field, waited_ms, encode_ms)
+                else:
+                    self._describing.submit(_finish, request, pixel_field, waited_ms, encode_ms)
+        except Exception as error:
+            left = batch[served:]
+            if len(left) > 1:  # one picture must not take others down with it
+                for request in left:
+                    self._serve([request])
+                return
+            log.exception("the encoder failed on a picture")
+            for request in left:
+                request.future.set_exception(error)
+        if batch:
+            self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
+
+    def _fields(self, batch: list[_Request]) -> Iterator[PixelField]:
+        for fine, alike in groupby(batch, key=lambda request: request.fine):
+            pictures = [request.picture for request in alike]
+            yield from map(self._encoder.fine, pictures) if fine else self._encoder.encode(pictures)
+
+
+def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:
+    began = time.perf_counter()
+    try:
+        made = () if request.made is None else (request.made.result(),)
+        value = request.finish(request.picture, pixel_field, *made)
+    except BaseException as error:  # belongs to the one who asked, not to the desk
+        request.future.set_exception(error)
+        return
+    request.future.set_result(Served(value, queue_ms, encode_ms, (time.perf_counter() - began) * 1000))

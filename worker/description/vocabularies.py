@@ -1,0 +1,177 @@
+"""Vocabularies as files: one set of tensors per recipe, named by the SHA-256 of its bytes."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from schemas.description import Booleans, Floats, PixelField
+from schemas.errors import SetupError
+from schemas.recipe import Channel, Parameters
+from worker.method import dense_cells, sampling, vocabulary
+from worker.method.vocabulary import ChannelVocabulary, Projection
+
+SHIPPED = Path(__file__).parents[1] / "encoders" / "weights"
+"""Folder of the general vocabularies, ``ENCODER-PRESET.vocabulary.safetensors``."""
+
+PER_PICTURE = 200
+"""Descriptors of a picture that take part in training, so that no picture counts more than another."""
+
+MOST_PICTURES = 1000
+"""Pictures that training looks at; more change nothing but the time it takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Vocabulary:
+    """The vocabulary of every channel of a recipe."""
+
+    channels: Mapping[str, ChannelVocabulary]
+
+    @cached_property
+    def tensors(self) -> bytes:
+        """As safetensors; equal vocabularies give equal bytes."""
+        named: dict[str, Floats] = {}
+        for name, channel in sorted(self.channels.items()):
+            named[f"{name}.words"] = channel.words
+            if channel.projection is not None:
+                named[f"{name}.mean"] = channel.projection.mean
+                named[f"{name}.projection"] = channel.projection.matrix
+            if channel.cells is not None:
+                named[f"{name}.cells"] = channel.cells
+        return save({key: np.ascontiguousarray(value, np.float32) for key, value in named.items()})
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of `tensors`, hexadecimal: what a recipe calls it."""
+        return hashlib.sha256(self.tensors).hexdigest()
+
+    @classmethod
+    def read(cls, tensors: bytes, source: str) -> "Vocabulary":
+        """A vocabulary from safetensors bytes; `source` names them in errors.
+
+        Raises
+        ------
+        SetupError
+            The bytes are no vocabulary.
+        """
+        try:
+            named = load(tensors)
+        except SafetensorError as error:
+            raise SetupError(f"{source} is no vocabulary: {error}") from None
+        channels = {}
+        for name in sorted(key.removesuffix(".words") for key in named if key.endswith(".words")):
+            mean = named.get(f"{name}.mean")
+            projection = None if mean is None else Projection(mean, named[f"{name}.projection"])
+            channels[name] = ChannelVocabulary(named[f"{name}.words"], projection, named.get(f"{name}.cells"))
+        if not channels:
+            raise SetupError(f"{source} is no vocabulary: it has the tensors {sorted(named)}")
+        return cls(channels)
+
+    def check(self, parameters: Parameters, layers: Mapping[str, int]) -> None:
+        """Refuse to serve a recipe that this vocabulary does not fit.
+
+        Raises
+        ------
+        SetupError
+            Names the first channel whose sizes disagree.
+        """
+        for name, channel in parameters.channels.items():
+            learned = self.channels.get(name)
+            if learned is None:
+                raise SetupError(f"the vocabulary has no channel {name!r}; it has {sorted(self.channels)}")
+            want = (channel.words, layers[channel.layer])
+            if learned.words.shape != want:
+                raise SetupError(
+                    f"channel {name!r}: the vocabulary has (words, channels) {learned.words.shape}, "
+                    f"the recipe wants {want}; train one with `./revisit vocabulary train`"
+                )
+            got = None if learned.projection is None else learned.projection.matrix.shape[1]
+            if got != channel.dimensions:
+                raise SetupError(
+                    f"channel {name!r}: the vocabulary projects to {got}, the recipe to {channel.dimensions}"
+                )
+
+
+def shipped(encoder: str, preset: str) -> Vocabulary | None:
+    """The general vocabulary that comes with an encoder, if one does."""
+    path = SHIPPED / f"{encoder}-{preset}.vocabulary.safetensors"
+    return Vocabulary.read(path.read_bytes(), path.name) if path.exists() else None
+
+
+def of_text(text_vectors: Floats, parameters: Parameters) -> Vocabulary:
+    """A vocabulary for an encoder that nothing has been trained for: the text vectors themselves are the words.
+
+    Every channel must take its descriptors from the language-aligned layer and have as many words as there are
+    text vectors; its histogram then counts labels.
+    """
+    return Vocabulary({name: ChannelVocabulary(text_vectors) for name in parameters.channels})
+
+
+StaticCells = Callable[[PixelField], Booleans]
+
+
+def train(fields: Iterable[PixelField], static_cells: StaticCells, parameters: Parameters, seed: int = 0) -> Vocabulary:
+    """Train the vocabulary of every channel on pictures (paper, "Visual-Language Vocabulary").
+
+    Parameters
+    ----------
+    fields : iterable of PixelField
+        Of database pictures only: a vocabulary that has seen the queries flatters every figure. Consumed once; at
+        most MOST_PICTURES are read.
+    static_cells : function
+        Field to bool (rows, columns): the cells that do not move.
+    parameters : Parameters
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        Too few pictures for the number of words or dimensions; says which.
+    """
+    random = np.random.default_rng(seed)
+    pictures: dict[str, list[Floats]] = {name: [] for name in parameters.channels}
+    grids: dict[str, list[Floats]] = {name: [] for name in parameters.channels}
+    for number, field in enumerate(fields):
+        if number == MOST_PICTURES:
+            break
+        static = static_cells(field)
+        for name, channel in parameters.channels.items():
+            layer = field.layers[channel.layer]
+            drawn = sampling.draw(static, channel.descriptors, random)
+            pictures[name].append(layer.reshape(-1, layer.shape[2])[drawn].astype(np.float16))
+            if parameters.dense is not None:
+                grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
+                grids[name].append(grid.reshape(-1, grid.shape[-1]))
+    return Vocabulary(
+        {
+            name: _train_channel(channel, pictures[name], grids[name], parameters, random)
+            for name, channel in parameters.channels.items()
+        }
+    )
+
+
+def _train_channel(
+    channel: Channel,
+    pictures: Sequence[Floats],
+    grids: Sequence[Floats],
+    parameters: Parameters,
+    random: np.random.Generator,
+) -> ChannelVocabulary:
+    sample = np.concatenate([p[random.permutation(len(p))[:PER_PICTURE]] for p in pictures]).astype(np.float32)
+    # Soft assignment compares cosines, so its words are kept on the sphere; counting the nearest is plain k-means.
+    words = vocabulary.train_words(sample, channel.words, random, spherical=channel.assignments > 1)
+    plain = ChannelVocabulary(words)
+    projection = None
+    if channel.dimensions is not None:
+        full = channel.model_copy(update={"dimensions": None})
+        histograms = np.stack([vocabulary.vector(p.astype(np.float32), plain, full) for p in pictures])
+        projection = vocabulary.fit_projection(histograms, channel.dimensions)
+    cells = None
+    if parameters.dense is not None:
+        cells = vocabulary.fit_cells(np.concatenate(grids), parameters.dense.dimensions)
+    return ChannelVocabulary(words, projection, cells)

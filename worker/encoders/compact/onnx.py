@@ -1,0 +1,69 @@
+"""The compact network in ONNX Runtime: how it runs on a CPU."""
+
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from schemas.description import Floats
+from schemas.errors import SetupError
+from schemas.image import Bytes2D
+
+_ONLY_ERRORS = 3
+
+
+class OnnxEngine:
+    """Runs the exported graphs. No result depends on the number of threads or on neighbours in a batch.
+
+    There are several graphs because ONNX Runtime computes all outputs of a graph, also those that nobody asks for.
+
+    Parameters
+    ----------
+    fields : Path
+        Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
+    fine : sequence of Path
+        Graphs with the output ``fine_words``, one for each reader, whose weights lie in safetensors files too.
+    threads : int
+
+    Raises
+    ------
+    SetupError
+        ONNX Runtime cannot be imported, or cannot load a graph.
+    """
+
+    def __init__(self, fields: Path, fine: Sequence[Path] = (), *, threads: int) -> None:
+        self._fields = _session(fields, threads)
+        self._fine = [_session(graph, threads) for graph in fine]
+
+    def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
+        """See `Engine.fields`."""
+        words, detail = self._fields.run(["words", "detail"], {"pictures": pictures})
+        return words, detail
+
+    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
+        """See `Engine.fine_words`."""
+        words: Floats = self._fine[reader].run(["fine_words"], {"pictures": pictures})[0]
+        return words
+
+
+def _session(graph: Path, threads: int) -> Any:
+    try:
+        runtime: Any = importlib.import_module("onnxruntime")
+    except ImportError as error:
+        raise SetupError(
+            f"on a CPU the encoder compact runs in ONNX Runtime, which cannot be imported ({error}); "
+            "install the package onnxruntime as requirements.lock has it"
+        ) from error
+    options = runtime.SessionOptions()
+    options.log_severity_level = _ONLY_ERRORS
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    # Threads that wait for work by spinning take the cores from whatever else the service does.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # A plan of the memory is kept for every size of picture: it gains nothing measurable, and memory grows with sizes.
+    options.enable_mem_pattern = False
+    try:
+        return runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime's errors have no base class of their own
+        reason = str(error).strip().splitlines()[0]
+        raise SetupError(f"ONNX Runtime {runtime.__version__} cannot load {graph.name}: {reason}") from error

@@ -1,0 +1,56 @@
+"""The compact network in torch: how it runs on a GPU, and what ONNX Runtime is compared with."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from safetensors.torch import load
+from torch import Tensor
+
+from schemas.description import Floats
+from schemas.image import Bytes2D
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+
+
+class TorchEngine:
+    """Runs `CompactNetwork` itself, in float32.
+
+    Parameters
+    ----------
+    content : bytes
+        Of ``compact.safetensors``.
+    fine : sequence of bytes
+        Of the weights of each of `worker.encoders.compact.encoder.READERS`, as far as there are such.
+    device : str
+        ``cuda``, ``cpu``, ...
+    """
+
+    def __init__(self, content: bytes, fine: Sequence[bytes], device: str) -> None:
+        state = {name: tensor for name, tensor in load(content).items() if not name.startswith("text.")}
+        self._device = torch.device(device)
+        self._network = CompactNetwork.loaded(state).to(self._device)
+        self._readers: list[Callable[[Tensor], Tensor]] = []
+        if fine:
+            first = FineWords.loaded(load(fine[0])).to(self._device)
+            self._readers.append(lambda batch: first(*self._network.levels(batch)))
+        self._readers += [SecondFineWords.loaded(load(second)).to(self._device) for second in fine[1:]]
+
+    @torch.inference_mode()
+    def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
+        """See `Engine.fields`."""
+        words, detail = self._network(self._batch(pictures))
+        return _cells(words), _cells(detail)
+
+    @torch.inference_mode()
+    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
+        """See `Engine.fine_words`."""
+        return _cells(self._readers[reader](self._batch(pictures)))
+
+    def _batch(self, pictures: Bytes2D) -> Tensor:
+        batch = torch.from_numpy(pictures).to(self._device).permute(0, 3, 1, 2)
+        return (batch.float() / 255).contiguous(memory_format=torch.channels_last)
+
+
+def _cells(layer: Tensor) -> Floats:
+    cells: Floats = layer.permute(0, 2, 3, 1).contiguous().float().cpu().numpy()
+    return cells

@@ -1,1 +1,0 @@
-"""Parts of an evaluation: asking, measuring, reporting. `worker.evaluate` puts them together."""

@@ -1,0 +1,297 @@
+"""Bytes to pictures and back, within limits; the only module that decodes what strangers send.
+
+The order matters: type by magic bytes, size from the header, completeness by structure, and only then the decoder.
+JPEG and PNG without peculiarities go through OpenCV, which is quicker; everything with alpha, a palette, CMYK or
+unusual depths goes through Pillow, which knows what they mean.
+"""
+
+import hashlib
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from schemas.errors import BadPicture, BodyTooLarge
+from schemas.image import Bytes2D, Picture, PictureFacts
+from schemas.settings import MEGA, Settings
+from worker.images.sniffing import ACCEPTED, picture_type
+
+# `decode` compares the header's size with its own, lower limit; Pillow's would only add a warning.
+Image.MAX_IMAGE_PIXELS = None
+
+SHORTEST_SIDE = 32
+"""Pixels; below that there is nothing to recognise."""
+
+_ORIENTATION = 0x0112  # EXIF tag
+_TURNED = range(5, 9)  # its values that swap width and height
+_THUMBNAIL_QUALITY = 85
+_QUICKER = ("jpeg", "png")  # by OpenCV; of WebP it also returns what is damaged
+_PLAIN_MODES = ("RGB", "L")  # what OpenCV decodes exactly as Pillow would
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a picture may measure.
+
+    Parameters
+    ----------
+    max_bytes : int
+        Of the encoded picture.
+    max_pixels : int
+        Width times height, as its header says.
+    """
+
+    max_bytes: int = 25 * MEGA
+    max_pixels: int = 50 * MEGA
+
+    @classmethod
+    def of(cls, settings: Settings) -> "Limits":
+        """The limits that an operator has set."""
+        return cls(round(settings.max_body_mb * MEGA), round(settings.max_megapixels * MEGA))
+
+
+def decode(data: bytes, limits: Limits) -> Picture:
+    """Decode a picture: upright, RGB, eight bits.
+
+    Orientation follows EXIF. Grey is repeated, alpha is laid over white, sixteen bits keep their upper eight, CMYK is
+    converted without a profile, and of several pages or frames of JPEG, PNG and TIFF the first counts.
+
+    Raises
+    ------
+    BadPicture
+        ``not-a-picture``, ``undecodable-picture``, ``picture-too-large`` or ``picture-too-small``.
+    BodyTooLarge
+    """
+    header = _Header.read(data, limits)
+    pixels = _with_opencv(data, header) if header.plain else _with_pillow(data, header)
+    return Picture(pixels, hashlib.sha256(data).hexdigest(), header.format, len(data))
+
+
+def probe(data: bytes, limits: Limits) -> PictureFacts:
+    """All that can be said of a picture without decoding it; raises as `decode`, but overlooks damaged pixels."""
+    header = _Header.read(data, limits)
+    return PictureFacts(header.width, header.height, len(data), header.format, hashlib.sha256(data).hexdigest())
+
+
+def facts(picture: Picture) -> PictureFacts:
+    """What is kept of a decoded picture besides its bytes."""
+    return PictureFacts(picture.width, picture.height, picture.byte_count, picture.format, picture.digest)
+
+
+def thumbnail(data: bytes, longest: int) -> bytes:
+    """A JPEG of a picture that `decode` accepts, upright, its longer side at most `longest`; never enlarged.
+
+    It carries no EXIF: where a photo was taken is not told by its thumbnail.
+    """
+    with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
+        # A JPEG can be decoded straight to a fraction of its size, which saves most of the time.
+        image.draft("RGB", (2 * longest, 2 * longest))
+        orientation = _orientation(image, data)
+        small = _rgb(image)
+    small.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+    out = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(_turned(np.asarray(small), orientation))).save(
+        out, "JPEG", quality=_THUMBNAIL_QUALITY
+    )
+    return out.getvalue()
+
+
+def shrink(picture: Picture, longest: int = 640) -> Picture:
+    """The picture with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
+    scale = longest / max(picture.width, picture.height)
+    if scale >= 1:
+        return picture
+    size = (max(1, round(picture.width * scale)), max(1, round(picture.height * scale)))
+    pixels = cv2.resize(picture.pixels, size, interpolation=cv2.INTER_AREA)
+    return replace(picture, pixels=np.asarray(pixels, np.uint8))
+
+
+_FORMATS = [name.upper() for name in ACCEPTED]
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a picture says of itself before it is decoded."""
+
+    format: str
+    stored: tuple[int, int]  # (width, height) as encoded
+    orientation: int
+    plain: bool
+
+    @property
+    def width(self) -> int:
+        return self.stored[self.orientation in _TURNED]
+
+    @property
+    def height(self) -> int:
+        return self.stored[self.orientation not in _TURNED]
+
+    @classmethod
+    def read(cls, data: bytes, limits: Limits) -> "_Header":
+        """Check everything that needs no decoding; raises as `decode`."""
+        if len(data) > limits.max_bytes:
+            raise BodyTooLarge(f"the picture has {len(data):,} bytes; at most {limits.max_bytes:,} are taken")
+        kind = picture_type(data)
+        try:
+            with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
+                stored = image.size
+                orientation = _orientation(image, data)
+                animated = kind == "webp" and getattr(image, "n_frames", 1) > 1
+                plain = kind in _QUICKER and image.mode in _PLAIN_MODES and "transparency" not in image.info
+        except Exception as error:
+            # Pillow's parsers raise whatever their struct and zlib calls do; by now the type is known to be right.
+            raise _undecodable(kind, f"its header cannot be read ({error})") from error
+        if animated:
+            raise BadPicture("not-a-picture", "this is an animated WebP; send a single picture")
+        _check_size(*stored, limits)
+        whole = _WHOLE.get(kind)
+        if whole is not None and not whole(data):
+            raise _undecodable(kind, "it ends before the picture does")
+        return cls(kind, stored, orientation, plain)
+
+
+def _check_size(width: int, height: int, limits: Limits) -> None:
+    if width * height > limits.max_pixels:
+        raise BadPicture(
+            "picture-too-large",
+            f"the picture is {width} x {height} = {width * height / MEGA:.1f} megapixels; "
+            f"at most {limits.max_pixels / MEGA:g} are taken",
+        )
+    if min(width, height) < SHORTEST_SIDE:
+        raise BadPicture(
+            "picture-too-small",
+            f"the picture is {width} x {height} pixels; at least {SHORTEST_SIDE} x {SHORTEST_SIDE} are needed",
+        )
+
+
+def _orientation(image: Image.Image, data: bytes) -> int:
+    """EXIF orientation, 1 to 8; 1 when there is none, or none that can be read. Decodes no pixels."""
+    if image.format == "TIFF":
+        return 1  # Pillow turns these by itself
+    try:
+        if image.format == "PNG":
+            # Pillow's own reader of a PNG's EXIF decodes the picture, since the chunk may stand behind the pixels.
+            for kind, content in _png_chunks(data):
+                if kind == b"eXIf":
+                    image.info["exif"] = b"Exif\x00\x00" + content
+            value = Image.Image.getexif(image).get(_ORIENTATION, 1)
+        else:
+            value = image.getexif().get(_ORIENTATION, 1)
+    except Exception:
+        # Broken EXIF is common in real photos and no reason to refuse the pixels.
+        return 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+# Where OpenCV gives up within a JPEG it leaves this grey; Pillow raises. A second opinion is asked only when the last
+# block is of exactly this grey, which hardly any sound picture has.
+_UNWRITTEN = 128
+
+
+def _with_opencv(data: bytes, header: _Header) -> Bytes2D:
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise _undecodable(header.format, "it is damaged") from error
+    if pixels is None or pixels.shape[1::-1] != header.stored:
+        raise _undecodable(header.format, "it is damaged")
+    if header.format == "jpeg" and (pixels[-8:, -8:] == _UNWRITTEN).all():
+        _with_pillow(data, header)
+    return np.ascontiguousarray(_turned(pixels, header.orientation))
+
+
+def _turned(pixels: Bytes2D, orientation: int) -> Bytes2D:
+    """Undo an EXIF orientation: 2 to 4 mirror or turn by half, 5 to 8 also swap rows and columns."""
+    if orientation in _TURNED:
+        pixels = pixels.transpose(1, 0, 2)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return pixels
+
+
+def _with_pillow(data: bytes, header: _Header) -> Bytes2D:
+    try:
+        with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
+            image.load()
+            upright = _rgb(image)
+    except BadPicture:
+        raise
+    except Exception as error:
+        raise _undecodable(header.format, f"it is damaged ({error})") from error
+    return np.ascontiguousarray(_turned(np.asarray(upright), header.orientation))
+
+
+def _rgb(image: Image.Image) -> Image.Image:
+    """Eight-bit RGB of any mode that means brightness or colour."""
+    if image.mode.startswith("I;16"):
+        return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert("RGB")
+    if image.mode in ("I", "F"):
+        # 32-bit numbers have no agreed white: showing them would be a guess.
+        raise BadPicture(
+            "undecodable-picture", "its pixels are 32-bit numbers without a known range; convert it to 8 or 16 bits"
+        )
+    if image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info:
+        alpha = image.convert("RGBA")
+        return Image.alpha_composite(Image.new("RGBA", alpha.size, "white"), alpha).convert("RGB")
+    return image.convert("RGB")
+
+
+# Marker other than a stuffed zero, a restart or a fill byte: the end of a run of entropy-coded data.
+_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_END_OF_IMAGE = 0xD9
+# What may stand before it: tables, frames, scans, application data, comments. Anything else is a flipped bit, at which
+# OpenCV would stop and return what it has.
+_SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDA, 0xDE), *range(0xE0, 0xF0), 0xFE} - {0xC8})
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    """Whether one known segment follows another up to an end-of-image marker that closes the picture itself.
+
+    Decoders fill what is missing with grey. Looking for the marker's bytes alone is not enough: the thumbnail in the
+    EXIF block has one too.
+    """
+    at = 2
+    while match := _MARKER.search(data, at):
+        marker = data[match.end() - 1]
+        if marker == _END_OF_IMAGE:
+            return True
+        if marker not in _SEGMENTS:
+            return False
+        length = int.from_bytes(data[match.end() : match.end() + 2], "big")
+        at = match.end() + max(length, 2)
+    return False
+
+
+def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and content of a PNG's chunks, one behind the other, up to IEND or to where the file breaks off."""
+    at = 8
+    while at + 12 <= len(data):
+        kind, length = data[at + 4 : at + 8], int.from_bytes(data[at : at + 4], "big")
+        yield kind, data[at + 8 : at + 8 + length]
+        if kind == b"IEND":
+            return
+        at += 12 + length
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Whether the chunks follow one another up to IEND."""
+    return any(kind == b"IEND" for kind, _ in _png_chunks(data))
+
+
+def _webp_is_whole(data: bytes) -> bool:
+    """Whether the file is as long as its RIFF header says."""
+    return len(data) >= 8 + int.from_bytes(data[4:8], "little")
+
+
+_WHOLE = {"jpeg": _jpeg_is_whole, "png": _png_is_whole, "webp": _webp_is_whole}
+
+
+def _undecodable(kind: str, why: str) -> BadPicture:
+    return BadPicture("undecodable-picture", f"this {kind} picture cannot be decoded: {why}")

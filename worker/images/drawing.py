@@ -1,0 +1,231 @@
+"""Pictures about pictures: labels as colours, the context graph over the photo, why two photos match.
+
+Pixels are uint8 RGB (height, width, 3); positions are (x, y) in fractions of a picture's longer side, as everywhere.
+"""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from schemas.description import Booleans, ContextGraph, Integers
+from worker.images.palette import Colour, colour
+
+Pixels = npt.NDArray[np.uint8]
+Point = tuple[float, float]
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+INK: Colour = (24, 26, 30)
+PAPER: Colour = (250, 250, 248)
+INLIER: Colour = (80, 220, 120)
+SHOWN_INLIERS = 80
+"""More lines than that hide the photos."""
+
+
+def segmentation_png(labels: Integers, size: tuple[int, int], words: Sequence[str]) -> bytes:
+    """Labels as an indexed PNG.
+
+    Parameters
+    ----------
+    labels : integers of shape (rows, columns)
+        Index into `words` per cell.
+    size : (int, int)
+        (width, height) of the picture, which the PNG gets too.
+    words : sequence of str
+        At most 256; the palette has the colour of each.
+
+    Returns
+    -------
+    bytes
+        PNG of colour type 3 without transparency: the value of a pixel is its label.
+    """
+    image = Image.fromarray(_stretched(labels, size), mode="P")
+    image.putpalette([part for word in words for part in colour(word)])
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", compress_level=6)
+    return buffer.getvalue()
+
+
+def overlay_png(pixels: Pixels, labels: Integers, words: Sequence[str], static: Booleans) -> bytes:
+    """The photo with its labels' colours laid over it, what moves in grey, and a key.
+
+    Parameters
+    ----------
+    pixels : uint8 of shape (height, width, 3)
+    labels : integers of shape (rows, columns)
+    words : sequence of str
+    static : bool of shape (rows, columns)
+        False where something moves.
+    """
+    height, width = pixels.shape[:2]
+    wide = _stretched(labels, (width, height))
+    still = _stretched(static.astype(np.uint8), (width, height)) > 0
+    palette = np.array([colour(word) for word in words], np.uint8)
+    blended = (pixels * np.float32(0.55) + palette[wide] * np.float32(0.45)).astype(np.uint8)
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    blended[~still] = (grey[~still] * np.float32(0.35) + 150)[:, None].astype(np.uint8)
+    edges = np.zeros((height, width), bool)
+    edges[:, 1:] |= wide[:, 1:] != wide[:, :-1]
+    edges[1:] |= wide[1:] != wide[:-1]
+    blended[edges] = (blended[edges] * np.float32(0.55)).astype(np.uint8)
+    return _png(_with_key(blended, labels, words, static))
+
+
+def graph_png(pixels: Pixels, graph: ContextGraph, words: Sequence[str], tau: float) -> bytes:
+    """The photo with the context graph: discs grow with their region's share, edges join nodes at most `tau` apart."""
+    picture = _toned_down(pixels)
+    longer = max(picture.shape[:2])
+    unit = _unit(picture)
+    at = [_pixel(position, longer) for position in graph.positions]
+    for i in range(len(graph)):
+        for j in range(i):
+            if np.linalg.norm(graph.positions[i] - graph.positions[j]) <= tau:
+                cv2.line(picture, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
+    radii = [max(3 * unit, float(np.sqrt(share)) * 0.11 * longer) for share in graph.shares]
+    for i in np.argsort(-graph.shares, kind="stable"):
+        radius = round(radii[i])
+        cv2.circle(picture, at[i], radius, colour(words[graph.labels[i]]), -1, cv2.LINE_AA)
+        cv2.circle(picture, at[i], radius, PAPER, max(1, round(unit)), cv2.LINE_AA)
+    taken: list[tuple[int, int, int, int]] = []
+    for i in np.argsort(-graph.shares, kind="stable"):  # large regions are named first; small ones where there is room
+        _name(picture, words[graph.labels[i]], (at[i][0], at[i][1] - round(radii[i] + 4 * unit)), unit, taken)
+    return _png(picture)
+
+
+def explanation_png(
+    query: Pixels,
+    view: Pixels,
+    inliers: Sequence[tuple[Point, Point]],
+    nodes: Sequence[tuple[str, Point, Point]],
+    text: Sequence[str],
+) -> bytes:
+    """Question and match side by side, with lines between what agrees.
+
+    Parameters
+    ----------
+    query, view : uint8 of shape (height, width, 3)
+        They may differ in size.
+    inliers : sequence of ((x, y), (x, y))
+        Keypoints that agree with the geometry, in query and view; thin green lines.
+    nodes : sequence of (word, (x, y), (x, y))
+        Nodes of the context graphs that correspond; thick lines in the word's colour, with the word.
+    text : sequence of str
+        Lines under the pictures.
+    """
+    height = 480
+    left, right = _at_height(_toned_down(query), height), _at_height(_toned_down(view), height)
+    gap, line = 12, 22
+    width = left.shape[1] + gap + right.shape[1]
+    sheet = np.full((height + 12 + line * len(text) + 6, width, 3), PAPER, np.uint8)
+    sheet[:height, : left.shape[1]] = left
+    sheet[:height, left.shape[1] + gap :] = right
+    shift = left.shape[1] + gap
+
+    def ends(pair: tuple[Point, Point]) -> tuple[tuple[int, int], tuple[int, int]]:
+        a, b = _pixel(pair[0], max(left.shape[:2])), _pixel(pair[1], max(right.shape[:2]))
+        return a, (b[0] + shift, b[1])
+
+    step = max(1, -(-len(inliers) // SHOWN_INLIERS))
+    for pair in inliers[::step]:
+        a, b = ends(pair)
+        cv2.line(sheet, a, b, INLIER, 1, cv2.LINE_AA)
+        for end in (a, b):
+            cv2.circle(sheet, end, 3, INLIER, 1, cv2.LINE_AA)
+    taken: list[tuple[int, int, int, int]] = []
+    for word, *places in nodes:
+        a, b = ends((places[0], places[1]))
+        cv2.line(sheet, a, b, colour(word), 2, cv2.LINE_AA)
+        for end in (a, b):
+            cv2.circle(sheet, end, 7, colour(word), -1, cv2.LINE_AA)
+            cv2.circle(sheet, end, 7, PAPER, 1, cv2.LINE_AA)
+            _name(sheet[:height], word, (end[0], end[1] - 10), 1.0, taken)
+    for row, words in enumerate(text):
+        at = (10, height + 12 + line * row + 14)
+        cv2.putText(sheet, words, at, FONT, 0.5, INK, 1, cv2.LINE_AA)
+    return _png(sheet)
+
+
+def _stretched(cells: npt.NDArray[Any], size: tuple[int, int]) -> Pixels:
+    """Cells as pixels of a picture of (width, height)."""
+    return np.asarray(cv2.resize(cells.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
+
+
+def _toned_down(pixels: Pixels) -> Pixels:
+    """The photo paler and darker, so that what is drawn on it stands out."""
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)[..., None]
+    return np.asarray((pixels * np.float32(0.55) + grey * np.float32(0.25)), np.uint8)
+
+
+def _unit(picture: Pixels) -> float:
+    """How large a thing of one pixel in a picture 640 wide needs to be in this one."""
+    return int(max(picture.shape[:2])) / 640
+
+
+def _pixel(position: Sequence[float] | npt.NDArray[Any], longer: int) -> tuple[int, int]:
+    return round(float(position[0]) * longer), round(float(position[1]) * longer)
+
+
+def _name(picture: Pixels, word: str, at: tuple[int, int], unit: float, taken: list[tuple[int, int, int, int]]) -> None:
+    """Write a word centred over a point unless another stands there; `taken` are the boxes of words so far."""
+    scale, thickness = 0.42 * unit, max(1, round(unit))
+    (width, height), _ = cv2.getTextSize(word, FONT, scale, thickness)
+    pad = max(2, round(3 * unit))
+    x = int(np.clip(at[0] - width // 2, pad, max(pad, picture.shape[1] - width - pad)))
+    y = int(np.clip(at[1], height + pad, max(height + pad, picture.shape[0] - pad)))
+    box = (x - pad, y - height - pad, x + width + pad, y + pad)
+    if any(box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken):
+        return
+    taken.append(box)
+    cv2.rectangle(picture, box[:2], box[2:], INK, -1)
+    cv2.putText(picture, word, (x, y), FONT, scale, _readable(colour(word)), thickness, cv2.LINE_AA)
+
+
+def _readable(background: Colour) -> Colour:
+    """The word's own colour, lightened until it can be read on dark ink."""
+    red, green, blue = (round(part + (255 - part) * 0.55) for part in background)
+    return red, green, blue
+
+
+def _with_key(picture: Pixels, labels: Integers, words: Sequence[str], static: Booleans) -> Pixels:
+    """The picture with a key of its labels below, most frequent first."""
+    unit = _unit(picture)
+    line, size = max(12, round(20 * unit)), max(8, round(12 * unit))
+    scale, thickness = 0.45 * unit, max(1, round(unit))
+    counts = np.bincount(labels.ravel().astype(np.intp), minlength=len(words))
+    entries: list[tuple[str, Colour]] = []
+    for index in np.argsort(-counts, kind="stable"):
+        if counts[index]:
+            of_label = labels == index
+            moves = static[of_label].mean() < 0.5
+            name = f"{words[index]} {100 * counts[index] / labels.size:.0f}%" + (" (moves)" if moves else "")
+            entries.append((name, (190, 190, 190) if moves else colour(words[index])))
+    width = picture.shape[1]
+    places, x, y = [], line // 3, 0
+    for name, _ in entries:
+        needed = size + 2 * line // 3 + int(cv2.getTextSize(name, FONT, scale, thickness)[0][0]) + line // 2
+        if x + needed > width and x > line // 3:
+            x, y = line // 3, y + line
+        places.append((x, y))
+        x += needed
+    key = np.full((y + line + line // 3, width, 3), PAPER, np.uint8)
+    for (name, tint), (x, y) in zip(entries, places, strict=True):
+        top = y + (line - size) // 2 + line // 6
+        cv2.rectangle(key, (x, top), (x + size, top + size), tint, -1)
+        cv2.rectangle(key, (x, top), (x + size, top + size), INK, 1)
+        cv2.putText(key, name, (x + size + line // 3, top + size), FONT, scale, INK, thickness, cv2.LINE_AA)
+    return np.vstack([picture, key])
+
+
+def _at_height(pixels: Pixels, height: int) -> Pixels:
+    rows, columns = pixels.shape[:2]
+    width = max(1, round(columns * height / rows))
+    return np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _png(pixels: Pixels) -> bytes:
+    encoded: Pixels = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1]
+    return encoded.tobytes()

@@ -1,1 +1,0 @@
-"""Adapters that find the nearest histograms."""

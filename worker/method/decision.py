@@ -1,0 +1,87 @@
+"""How sure an answer is: calibrated confidence, and one verdict for every answer."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from worker.description.vocabularies import SHIPPED
+from worker.method.calibration import Calibration, Logistic, Thresholds, Verdict
+from worker.search.searcher import Found
+
+UNCALIBRATED = Calibration(
+    ("score",),
+    Logistic(np.array([0.5]), np.array([0.1]), np.array([1.0]), 0.0),
+    Thresholds(),
+    "nothing: a plain curve through a score of one half, for encoders without labelled queries",
+)
+
+ALONE = 0.2
+"""What the only match has to beat: about the score that the best of a few wrong views gets."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict on an answer.
+
+    Parameters
+    ----------
+    status : {"matched", "ambiguous", "no_match"}
+    confidence : float
+        Of the first match; 0 when there is none.
+    confidences : tuple of float
+        Of each match, never rising with rank.
+    """
+
+    status: Verdict
+    confidence: float
+    confidences: tuple[float, ...]
+
+
+def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
+    """What a calibration may read of each match, float64 (matches,) each.
+
+    ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``standing``, by
+    how much its dense cells beat those of the median candidate, which tells a place from places that merely look like
+    it; ``margin``, by how much they beat those that most candidates stay below, which tells it from the few that look
+    most like it; ``inliers``, log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
+    """
+    scores = np.array([f.score for f in found], np.float64)
+    best, second = [*np.sort(scores)[::-1].tolist(), ALONE][:2]
+    read = {
+        "score": scores,
+        "lead": np.where(scores == best, best - second, scores - best),
+        "standing": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.typical for f in found]),
+        "margin": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.high for f in found]),
+        "inliers": np.log1p([0 if f.verified is None else f.verified.inliers for f in found]),
+    }
+    for term in sorted({term for f in found for term in f.parts}):
+        read[f"part.{term}"] = np.array([f.parts.get(term, 0.0) for f in found], np.float64)
+    return read
+
+
+def decide(found: Sequence[Found], calibration: Calibration) -> Decision:
+    """Confidence of each match and the verdict on the answer.
+
+    Parameters
+    ----------
+    found : sequence of Found
+        Best first.
+    calibration : Calibration
+    """
+    if not found:
+        return Decision("no_match", 0.0, ())
+    read = features(found)
+    nothing = np.zeros(len(found))
+    columns = np.stack([read.get(name, nothing) for name in calibration.features], axis=1)
+    probabilities = np.minimum.accumulate(np.clip(calibration.curve.probability(columns), 0, 1))
+    first = float(probabilities[0])
+    return Decision(calibration.thresholds.verdict(first), first, tuple(float(p) for p in probabilities))
+
+
+def shipped_calibration(encoder: str, preset: str) -> Calibration:
+    """The calibration that comes with an encoder and a preset, or UNCALIBRATED."""
+    path: Path = SHIPPED / f"{encoder}-{preset}.calibration.json"
+    return Calibration.from_json(path.read_text()) if path.exists() else UNCALIBRATED

@@ -1,0 +1,309 @@
+"""Dense cells: a coarse grid of embeddings, compared by mutually best cells that agree on one displacement.
+
+A cell joins the embeddings of all channels, so that one comparison weighs them where they disagree: cell by cell.
+
+Each cell of the query looks for its best counterpart anywhere in the candidate; pairs that are each other's best are
+correspondences. A picture of the same place gives correspondences that agree on how the picture moved (a shift, and
+a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
+"""
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats, Int8s
+from schemas.errors import DescriptorMismatch
+from worker.method.byte_vectors import Product, float_product, scale
+from worker.method.hough import Agreement, Correspondences, Doubles, agreement
+from worker.method.unit_length import unit
+
+Indices = npt.NDArray[np.intp]
+
+BLOCK = 200_000
+"""Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
+
+ROUNDING = 1e-6
+"""Cells no longer than this are what rounding left of nothing."""
+
+APART = 2
+"""Cells further from one another than this, in rows or columns, show different things."""
+
+
+def grid(field: Floats, rows: int, columns: int) -> Floats:
+    """Average a field of embeddings over equal cells, and take the picture's mean away.
+
+    Parameters
+    ----------
+    field : float32 of shape (height, width, channels)
+        Unit length.
+    rows, columns : int
+        At least 1; more than `height` or `width` is allowed.
+
+    Returns
+    -------
+    float32 of shape (rows, columns, channels)
+        Unit length; zero where a cell equals the picture's mean.
+
+    Notes
+    -----
+    Without centring, what all cells have in common (the light, the camera) drowns what tells them apart.
+    """
+    height, width, channels = field.shape
+    down = (_coverage(height, rows) @ field.reshape(height, -1)).reshape(rows, width, channels)
+    cells = unit(_coverage(width, columns) @ down, ROUNDING)
+    return unit(cells - cells.mean(axis=(0, 1)), ROUNDING)
+
+
+def reduce(cells: Floats, projection: Floats) -> Floats:
+    """Cells in fewer dimensions.
+
+    Parameters
+    ----------
+    cells : float32 of shape (rows, columns, channels)
+    projection : float32 of shape (channels, dimensions)
+        Orthonormal columns, the leading directions of general pictures' cells.
+
+    Returns
+    -------
+    float32 of shape (rows, columns, dimensions)
+        Unit length.
+
+    Raises
+    ------
+    DescriptorMismatch
+        The two disagree on the number of channels.
+    """
+    if cells.shape[-1] != projection.shape[0]:
+        raise DescriptorMismatch(got=cells.shape[-1], want=projection.shape[0])
+    return unit(cells @ projection, ROUNDING)
+
+
+def join(cells: Mapping[str, Floats], shares: Mapping[str, float]) -> Floats:
+    """One vector per cell from those of all channels, whose cosine is the mean of the channels' cosines.
+
+    Parameters
+    ----------
+    cells : mapping of channel to float32 of shape (rows, columns, dimensions)
+        Unit length, as `reduce` gives them.
+    shares : mapping of channel to float
+        Weight of each channel in the mean, greater than 0, scaled to sum to 1 over the channels that `cells` has; a
+        channel that is not named is left out. When none is named all count the same.
+
+    Returns
+    -------
+    float32 of shape (rows, columns, sum of dimensions)
+        Unit length, channels by name; of shape (0, 0, 0) when there are none.
+    """
+    named = sorted(name for name in cells if name in shares or not shares)
+    if not named:
+        return np.zeros((0, 0, 0), np.float32)
+    total = sum(shares.get(name, 1.0) for name in named)
+    joined: Floats = np.concatenate(
+        [cells[name] * np.float32(np.sqrt(shares.get(name, 1.0) / total)) for name in named], axis=-1
+    )
+    return joined
+
+
+def halve(cells: Int8s | Floats) -> Floats:
+    """The grid of half as many rows and columns: means of 2 x 2 cells, unit length.
+
+    Parameters
+    ----------
+    cells : int8 or float32 of shape (..., rows, columns, dimensions)
+        An odd last row or column is left out.
+
+    Returns
+    -------
+    float32 of shape (..., rows // 2, columns // 2, dimensions)
+    """
+    rows, columns = cells.shape[-3] // 2 * 2, cells.shape[-2] // 2 * 2
+    even = cells[..., :rows, :columns, :].astype(np.float32)
+    down = even[..., 0::2, :, :] + even[..., 1::2, :, :]
+    return unit(down[..., 0::2, :] + down[..., 1::2, :], ROUNDING)
+
+
+def distinctness(
+    cells: Int8s | Floats, apart: int = APART, product: Product = float_product, length: float = 1.0
+) -> Floats:
+    """How unlike the rest of its own picture each cell is.
+
+    Parameters
+    ----------
+    cells : int8 or float32 of shape (rows, columns, dimensions)
+        Of unit length, or as `quantise` stores them.
+    apart : int
+        Cells up to so many rows and columns away are no rest: neighbours share what they show.
+    product : Product
+    length : float
+        Of the vectors, where they are part of longer ones.
+
+    Returns
+    -------
+    float32 of shape (rows * columns,)
+        1 less the largest cosine with a cell further away, 0..1; 1 where there is none.
+
+    Notes
+    -----
+    A stretch of sky or of bare floor is many cells, each of which finds a counterpart in any other sky. What is seen
+    once in a picture says more (burstiness: Jegou et al. 2009).
+    """
+    rows, columns = cells.shape[:2]
+    flat = cells.reshape(rows * columns, cells.shape[2])
+    products = product(flat, flat)
+    products *= _far(rows, columns, apart)
+    # Along columns, which is quicker: the matrix is symmetric.
+    closest = products.max(axis=0).astype(np.float32) * np.float32((scale(cells) / length) ** 2)
+    unlike: Floats = 1 - np.clip(closest, 0, 1)
+    return unlike
+
+
+def correspondences(
+    query: Int8s | Floats, candidates: Int8s | Floats, product: Product = float_product, length: float = 1.0
+) -> Correspondences:
+    """Pairs of cells that are each other's best, for each candidate.
+
+    Parameters
+    ----------
+    query : int8 or float32 of shape (rows, columns, dimensions)
+        Of unit length, or as `quantise` stores them.
+    candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
+    product : Product
+    length : float
+        Of the vectors of both, where they are part of longer ones.
+
+    Returns
+    -------
+    Correspondences
+        Of equally good cells the first is the best; pairs without a positive cosine are left out.
+
+    Raises
+    ------
+    DescriptorMismatch
+        Query and candidates differ in dimensions.
+    ValueError
+        They differ in rows or columns.
+    """
+    if query.shape[-1] != candidates.shape[-1]:
+        raise DescriptorMismatch(got=query.shape[-1], want=candidates.shape[-1])
+    if query.shape[:2] != candidates.shape[1:3]:
+        raise ValueError(f"a grid of {query.shape[:2]} cells cannot be compared with one of {candidates.shape[1:3]}")
+    cells = query.shape[0] * query.shape[1]
+    ours = query.reshape(cells, query.shape[-1])
+    theirs = candidates.reshape(len(candidates), cells, query.shape[-1])
+    best, largest, highest = _best(ours, theirs, product)
+    which, cell = np.nonzero((largest == np.take_along_axis(highest, best, axis=1)) & (largest > 0))
+    counterpart = best[which, cell]
+    # Of equal cells of the query that share a best counterpart, the first has it: it is written last.
+    taken = which * cells + counterpart
+    owner = np.empty(len(candidates) * cells, np.intp)
+    owner[taken[::-1]] = cell[::-1]
+    first = owner[taken] == cell
+    which, cell, counterpart = which[first], cell[first], counterpart[first]
+    cosine = largest[which, cell] * np.float32(scale(query) * scale(candidates) / length**2)
+    return Correspondences(which, cell, counterpart, np.minimum(cosine, 1))
+
+
+def compare(
+    query: Int8s | Floats,
+    candidates: Int8s | Floats,
+    product: Product = float_product,
+    length: float = 1.0,
+    *,
+    stretch: Doubles | None = None,
+    measured: bool = True,
+) -> Agreement:
+    """How well the cells of several candidates agree with those of a query.
+
+    Parameters
+    ----------
+    query : int8 or float32 of shape (rows, columns, dimensions)
+    candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
+    product : Product
+    length : float
+        Of the vectors of both, where they are part of longer ones.
+    stretch : float64 of shape (candidates, 2), optional
+        Height and width of the candidates' cells, in those of the query (`worker.method.hough.stretches`); all 1 where
+        the pictures have one shape.
+    measured : bool
+        Whether scales are asked for.
+
+    Raises
+    ------
+    DescriptorMismatch, ValueError
+        As `correspondences`.
+    """
+    pairs = correspondences(query, candidates, product, length)
+    distinct, shape = distinctness(query, product=product, length=length), (query.shape[0], query.shape[1])
+    return agreement(pairs, distinct, shape, len(candidates), stretch=stretch, measured=measured)
+
+
+def nearness(scales: Floats, penalty: float) -> Floats:
+    """What a similarity is multiplied by for showing the place larger or smaller than the query does.
+
+    Parameters
+    ----------
+    scales : float32 of shape (candidates,)
+        As in `worker.method.hough.Agreement`.
+    penalty : float
+        At least 0.
+
+    Returns
+    -------
+    float32 of shape (candidates,)
+        min(s, 1 / s) ** penalty: 1 at the same scale.
+
+    Notes
+    -----
+    Along a path several views show the same things, and their cells agree nearly as well. The one taken nearest to the
+    query is the one that shows them at the same size.
+    """
+    near: Floats = np.minimum(scales, 1 / scales) ** np.float32(penalty)
+    return near
+
+
+@lru_cache(maxsize=64)
+def _coverage(pixels: int, cells: int) -> Floats:
+    """Share of each cell that each pixel covers, float32 (cells, pixels); rows sum to 1."""
+    edges = np.linspace(0, pixels, cells + 1)
+    start = np.arange(pixels)
+    overlap = np.minimum(edges[1:, None], start + 1) - np.maximum(edges[:-1, None], start)
+    share: Floats = (np.clip(overlap, 0, None) * cells / pixels).astype(np.float32)
+    return share
+
+
+@lru_cache(maxsize=16)
+def _far(rows: int, columns: int, apart: int) -> Int8s:
+    """1 where cells lie more than `apart` rows or columns from one another, 0 elsewhere, int8 (cells, cells)."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
+    far: Int8s = (distance > apart).astype(np.int8)
+    return far
+
+
+def _best(ours: Int8s | Floats, theirs: Int8s | Floats, product: Product) -> tuple[Indices, Floats, Floats]:
+    """Each cell's best counterpart: (cells, d) against (candidates, cells, d).
+
+    Returns
+    -------
+    best : intp of shape (candidates, cells)
+        For each query cell the candidate's cell with the largest product; of equals the first.
+    largest : float32 of shape (candidates, cells)
+        That product.
+    highest : float32 of shape (candidates, cells)
+        For each candidate cell its largest product with any query cell.
+    """
+    count, cells = theirs.shape[:2]
+    best = np.empty((count, cells), np.intp)
+    largest, highest = np.empty((2, count, cells), np.float32)
+    block = max(1, BLOCK // max(1, cells**2))
+    for at in range(0, count, block):
+        some = theirs[at : at + block]
+        products = product(ours, some.reshape(-1, some.shape[2]))
+        highest[at : at + block] = products.max(axis=0).reshape(len(some), cells)
+        found = products.reshape(cells, len(some), cells).argmax(axis=2)
+        starts = np.arange(0, products.size, cells).reshape(found.shape)
+        best[at : at + block] = found.T
+        largest[at : at + block] = products.ravel()[starts + found].T
+    return best, largest, highest

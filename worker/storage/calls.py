@@ -1,0 +1,69 @@
+"""Repeated calls, and vocabularies: what is kept under a key."""
+
+import json
+from datetime import datetime, timedelta
+
+import sqlalchemy as sa
+
+from schemas.errors import Conflict, KeyReused, NotFound
+from schemas.records import Replay
+from worker.storage.part import Part
+from worker.storage.rows import as_json
+from worker.storage.tables import CALLS, VOCABULARIES
+
+KEPT = timedelta(hours=24)
+
+
+class Calls(Part):
+    """The promises of `schemas.ports.Store` about Idempotency-Keys."""
+
+    def begin_call(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
+        """Claim an Idempotency-Key; see `Store.begin_call`."""
+        with self._database.writing() as connection:
+            connection.execute(sa.delete(CALLS).where(CALLS.c.begun_at <= now - KEPT))
+            row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
+            if row is None:
+                connection.execute(sa.insert(CALLS).values(key=key, fingerprint=fingerprint, begun_at=now))
+                return None
+        if row.fingerprint != fingerprint:
+            raise KeyReused(f"the Idempotency-Key {key!r} came before with another request; take a new key")
+        if row.finished_at is None:
+            raise Conflict(f"the first call with the Idempotency-Key {key!r} still runs; try again when it has ended")
+        return Replay(row.status, json.loads(row.headers), row.body)
+
+    def end_call(self, key: str, replay: Replay, now: datetime) -> None:
+        """Remember the answer of a call."""
+        with self._database.writing(in_turn=False) as connection:
+            connection.execute(
+                sa.update(CALLS)
+                .where(CALLS.c.key == key)
+                .values(
+                    finished_at=now,
+                    status=int(replay.status),
+                    headers=as_json(dict(replay.headers)),
+                    body=bytes(replay.body),
+                )
+            )
+
+    def abandon_call(self, key: str) -> None:
+        """Forget a call that failed, so that it can be tried again."""
+        with self._database.writing(in_turn=False) as connection:
+            connection.execute(sa.delete(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None)))
+
+
+class Vocabularies(Part):
+    """The promises of `schemas.ports.Store` about vocabularies."""
+
+    def keep_vocabulary(self, digest: str, tensors: bytes) -> None:
+        """Keep a map's own vocabulary; the same one twice is kept once."""
+        with self._database.writing() as connection:
+            if connection.scalar(sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == digest)) is None:
+                connection.execute(sa.insert(VOCABULARIES).values(digest=digest, tensors=bytes(tensors)))
+
+    def vocabulary(self, digest: str) -> bytes:
+        """A kept vocabulary; raises NotFound."""
+        with self._database.reading() as connection:
+            tensors = connection.scalar(sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == digest))
+        if tensors is None:
+            raise NotFound("vocabulary", digest)
+        return bytes(tensors)

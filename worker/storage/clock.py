@@ -1,0 +1,22 @@
+"""Revisions: one clock for all maps, so that a map made anew is later than any index of its namesake."""
+
+import sqlalchemy as sa
+
+from worker.storage.tables import CLOCK, MAPS
+
+_LAST = sa.select(CLOCK.c.revision)
+_FORWARD = sa.update(CLOCK).values(revision=CLOCK.c.revision + 1)
+_GIVE = sa.update(MAPS).where(MAPS.c.id == sa.bindparam("of")).values(revision=sa.bindparam("given"))
+
+
+def read(connection: sa.Connection) -> int:
+    """The last revision given out."""
+    return int(connection.scalar(_LAST) or 0)
+
+
+def tick(connection: sa.Connection, map_id: int) -> int:
+    """Give a map its next revision, inside a transaction that is written in turn."""
+    connection.execute(_FORWARD)
+    revision = read(connection)
+    connection.execute(_GIVE, {"of": map_id, "given": revision})
+    return revision

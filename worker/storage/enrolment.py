@@ -1,0 +1,136 @@
+"""Enrolment: a picture and what was said about it, durable and queued."""
+
+from datetime import datetime
+from functools import cache
+from typing import Any
+
+import sqlalchemy as sa
+from uuid6 import uuid7
+
+from schemas.errors import Conflict, NotFound
+from schemas.image import PictureFacts
+from schemas.recipe import Recipe
+from schemas.records import Said, Submitted
+from worker.storage import switching
+from worker.storage.filtering import metadata_pairs
+from worker.storage.maps import make_map
+from worker.storage.part import Part
+from worker.storage.rows import (
+    COORDINATES,
+    as_json,
+    find_map,
+    find_view,
+    inserting,
+    said_columns,
+    said_of,
+    view_record,
+    view_rows,
+)
+from worker.storage.tables import METADATA_PAIRS, VIEWS
+
+
+def contradictions(kept: Said, anew: Said) -> list[str]:
+    """Names of the fields that are said anew and differ from what was said before."""
+    differing = []
+    if anew.place is not None and anew.place != kept.place:
+        differing.append("place")
+    for coordinate in COORDINATES:
+        value = getattr(anew.where, coordinate)
+        if value is not None and value != getattr(kept.where, coordinate):
+            differing.append(coordinate)
+    if anew.captured_at is not None and anew.captured_at != kept.captured_at:
+        differing.append("captured_at")
+    for key, value in anew.metadata.items():
+        # As JSON: 1 and true are equal in Python.
+        if key not in kept.metadata or as_json(value) != as_json(kept.metadata[key]):
+            differing.append(f"metadata.{key}")
+    return differing
+
+
+def keep_pairs(connection: sa.Connection, seq: int, said: Said) -> None:
+    """Make a view known by its metadata, in place of what it was known by."""
+    connection.execute(sa.delete(METADATA_PAIRS).where(METADATA_PAIRS.c.seq == seq))
+    pairs = [{"pair": pair, "seq": seq} for pair in metadata_pairs(said.metadata)]
+    if pairs:
+        connection.execute(sa.insert(METADATA_PAIRS), pairs)
+
+
+@cache
+def _same_picture() -> sa.Select[Any]:
+    """The view of a map that has a picture already."""
+    return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), VIEWS.c.sha256 == sa.bindparam("sha256"))
+
+
+class Enrolment(Part):
+    """The promise of `schemas.ports.Store` about enrolment."""
+
+    def submit(
+        self, name: str, picture: bytes, facts: PictureFacts, said: Said, recipe: Recipe, now: datetime
+    ) -> Submitted:
+        """Keep a picture and queue its description; see `Store.submit`."""
+        with self._pictures.kept(facts.sha256, picture), self._database.writing() as connection:
+            try:
+                row = find_map(connection, name)
+            except NotFound:
+                make_map(connection, name, recipe, now)
+                row = find_map(connection, name)
+            view = connection.execute(_same_picture(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
+            if view is None:
+                return self._enrol(connection, row, facts, said, now)
+            return self._enrol_again(connection, row, view, said, now)
+
+    def _enrol(
+        self, connection: sa.Connection, row: sa.Row[Any], facts: PictureFacts, said: Said, now: datetime
+    ) -> Submitted:
+        view_id = str(uuid7())
+        connection.execute(
+            inserting(VIEWS),
+            {
+                "id": view_id,
+                "map_id": row.id,
+                "enrolled_at": now,
+                "sha256": facts.sha256,
+                "width": int(facts.width),
+                "height": int(facts.height),
+                "byte_count": int(facts.byte_count),
+                "format": facts.format,
+                "state": "pending",
+                **said_columns(said),
+            },
+        )
+        view = view_record(find_view(connection, view_id))
+        keep_pairs(connection, view.seq, said)
+        job = self._queue(connection, row, view.seq, now)
+        return Submitted(view, job, created=True, revision=row.revision)
+
+    def _enrol_again(
+        self, connection: sa.Connection, row: sa.Row[Any], view: sa.Row[Any], said: Said, now: datetime
+    ) -> Submitted:
+        differing = contradictions(said_of(view), said)
+        if differing:
+            raise Conflict(
+                f"this picture is in the map {row.name!r} already, as {view.id}, with another "
+                f"{', '.join(differing)}; PATCH /views/{view.id} changes what is said about it"
+            )
+        job: str | None
+        if view.state == "failed":  # whoever sends it again wants it tried again
+            job = self._queue(connection, row, view.seq, now)
+            connection.execute(
+                sa.update(VIEWS)
+                .where(VIEWS.c.seq == view.seq)
+                .values(state="pending", failure_code=None, failure_detail=None)
+            )
+            view = find_view(connection, view.id)
+        else:
+            job = switching.unfinished_job(connection, view.seq, row.recipe)
+        return Submitted(view_record(view), job, created=False, revision=row.revision)
+
+    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, now: datetime) -> str:
+        """Have a view described by the map's recipe and, while it changes over, by the next one too."""
+        job = switching.unfinished_job(connection, seq, row.recipe)
+        if job is None:
+            [job] = switching.queue(connection, row.id, [seq], row.recipe, now, background=False)
+        following = row.next_recipe
+        if following is not None and not switching.settled(connection, seq, following):
+            switching.queue(connection, row.id, [seq], following, now, background=True)
+        return job

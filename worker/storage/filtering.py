@@ -1,0 +1,112 @@
+"""Filters as SQL, exactly, with the indexes doing the coarse part.
+
+Distances on the globe are compared without trigonometry, which SQLite may lack: views are kept as points of the unit
+sphere, and the great-circle distance d is within r exactly when the chord is within 2 sin(r / 2R). The square of half
+the chord is the haversine of d / R. A box around the point, for the index, then knows neither antimeridian nor poles.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from datetime import timedelta
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.records import Filters
+from worker.storage.columns import UtcDateTime
+from worker.storage.rows import as_json, unit_vector
+from worker.storage.tables import METADATA_PAIRS, VIEWS
+
+EARTH_RADIUS_M = 6_371_008.8
+"""Mean radius of WGS 84, (2a + b) / 3."""
+
+Condition = sa.ColumnElement[bool]
+
+
+def metadata_pair(key: str, text: str) -> str:
+    """What the index knows a key and the text of its value by."""
+    return hashlib.sha256(as_json([key, text]).encode()).hexdigest()
+
+
+def metadata_pairs(metadata: Mapping[str, Any]) -> list[str]:
+    """The pairs of a view: each top-level key with the text of its value."""
+    return [metadata_pair(key, _text(value)) for key, value in metadata.items()]
+
+
+def _text(value: object) -> str:
+    """What a user types to find a value: text as it is, anything else as compact JSON with sorted keys."""
+    if isinstance(value, str):
+        return value
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def allowing(filters: Filters) -> list[Condition]:
+    """Conditions on `views` that only some views fulfil: all but the exclusions."""
+    conditions: list[Condition] = []
+    if filters.near is not None:
+        conditions += (_near_degrees if filters.geographic else _near_metres)(*map(float, filters.near))
+    if filters.after is not None:
+        conditions.append(VIEWS.c.captured_at >= filters.after)
+    if filters.before is not None:
+        conditions.append(VIEWS.c.captured_at <= filters.before)
+    if filters.place is not None:
+        conditions.append(VIEWS.c.place == filters.place)
+    for key, text in filters.metadata.items():
+        pair = METADATA_PAIRS.c.pair == metadata_pair(key, text)
+        conditions.append(VIEWS.c.seq.in_(sa.select(METADATA_PAIRS.c.seq).where(pair)))
+    return conditions
+
+
+def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Condition]:
+    """Conditions on `views`, each fulfilled by views that the filters leave out.
+
+    Parameters
+    ----------
+    connection : Connection
+    filters : Filters
+    map_id : int or None
+        Map whose newest views `exclude_last` is about; None for the newest of all maps.
+    """
+    conditions: list[Condition] = []
+    scope: list[Condition] = [] if map_id is None else [VIEWS.c.map_id == map_id]
+    last = filters.exclude_last
+    if isinstance(last, timedelta):
+        newest = connection.scalar(sa.select(sa.func.max(VIEWS.c.enrolled_at, type_=UtcDateTime())).where(*scope))
+        if newest is not None:
+            conditions.append(VIEWS.c.enrolled_at >= newest - last)
+    elif last:
+        newest_first = sa.select(VIEWS.c.seq).where(*scope).order_by(VIEWS.c.seq.desc())
+        oldest = connection.scalar(newest_first.offset(int(last) - 1).limit(1))
+        conditions.append(VIEWS.c.seq >= (0 if oldest is None else oldest))
+    if filters.exclude:
+        conditions.append(VIEWS.c.id.in_(filters.exclude))
+    return conditions
+
+
+def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Condition]:
+    """Conditions on `views` that together are fulfilled by those that the filters are about."""
+    return allowing(filters) + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
+
+
+def _near_metres(x: float, y: float, radius: float) -> list[Condition]:
+    return _near((VIEWS.c.x, VIEWS.c.y), (x, y), radius, slack=1e-6)
+
+
+def _near_degrees(lat: float, lon: float, radius: float) -> list[Condition]:
+    half_angle = radius / (2 * EARTH_RADIUS_M)
+    if half_angle >= math.pi / 2:  # the whole globe, and no rounding at the antipode
+        return [VIEWS.c.globe_z.is_not(None)]
+    chord = 2 * math.sin(half_angle)
+    # z first: the index has it first, because views of one city differ in it wherever the city lies.
+    x, y, z = unit_vector(lat, lon)
+    return _near((VIEWS.c.globe_z, VIEWS.c.globe_x, VIEWS.c.globe_y), (z, x, y), chord, slack=1e-12)
+
+
+def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: float, slack: float) -> list[Condition]:
+    """A box, a little too large so that rounding loses nothing, and then the distance itself."""
+    reach = radius * (1 + 1e-9) + slack
+    box = [column.between(at - reach, at + reach) for column, at in zip(columns, centre, strict=True)]
+    squares = [(column - at) * (column - at) for column, at in zip(columns, centre, strict=True)]
+    return [*box, sum(squares[1:], squares[0]) <= radius * radius]

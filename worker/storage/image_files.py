@@ -1,0 +1,149 @@
+"""Enrolled pictures as files, named by what is in them.
+
+A file is durable before the row that needs it is committed, and goes after the last such row has gone. What a crash
+leaves in between is a file without a row, never a row without its file; `sweep` removes it.
+
+Files live in ``ab/cd/abcd...``, named by the SHA-256 of their bytes. The first folder has a lock: whoever writes a
+picture holds it until the row is committed, and whoever removes one asks for the rows under it, so that no picture is
+taken away between another's file and row.
+"""
+
+import hashlib
+import os
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from itertools import groupby
+from pathlib import Path
+
+from schemas.errors import DiskFull
+from worker.storage import dialect
+from worker.storage.locks import held
+
+UNFINISHED = ".writing-"
+
+Owned = Callable[[list[str]], set[str]]
+"""Given digests, those that some view still needs."""
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+class Pictures:
+    """The folder of pictures.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when there is none.
+    owned : function
+        Asks the database which digests views still need.
+    """
+
+    def __init__(self, folder: Path, owned: Owned) -> None:
+        self._folder = folder
+        self._owned = owned
+        folder.mkdir(parents=True, exist_ok=True)
+
+    @contextmanager
+    def kept(self, digest: str, picture: bytes) -> Iterator[None]:
+        """Keep a picture durably for a block that commits a row with its digest.
+
+        When the block raises, the file goes again unless a view needs it.
+
+        Raises
+        ------
+        ValueError
+            The digest is not that of the picture.
+        DiskFull
+        """
+        if hashlib.sha256(picture).hexdigest() != digest:
+            raise ValueError(f"{digest} is not the SHA-256 of the picture")
+        with self._locked(digest[:2]):
+            written = self._write(digest, picture)
+            try:
+                yield
+            except BaseException:
+                if written:
+                    self._discard([digest])
+                raise
+
+    def read(self, digest: str) -> bytes:
+        """The bytes of a picture.
+
+        Raises
+        ------
+        FileNotFoundError
+        """
+        return self._path(digest).read_bytes()
+
+    def discard(self, digests: Iterable[str]) -> int:
+        """Remove the pictures that no view needs any more, after their rows have gone; returns how many."""
+        removed = 0
+        for first, group in groupby(sorted(set(digests)), key=lambda digest: digest[:2]):
+            with self._locked(first):
+                removed += self._discard(list(group))
+        return removed
+
+    def sweep(self) -> int:
+        """Remove what a crash left: unfinished files and pictures without a view; returns how many."""
+        removed = 0
+        for folder in sorted(self._folder.glob("[0-9a-f][0-9a-f]")):
+            with self._locked(folder.name):  # whoever was writing here has finished, or has died
+                for unfinished in folder.glob(UNFINISHED + "*"):
+                    unfinished.unlink()
+                    removed += 1
+                removed += self._discard([path.name for path in folder.glob("[0-9a-f][0-9a-f]/*")])
+        return removed
+
+    def _path(self, digest: str) -> Path:
+        return self._folder / digest[:2] / digest[2:4] / digest
+
+    @contextmanager
+    def _locked(self, first: str) -> Iterator[None]:
+        with held(self._folder / first / ".lock"):
+            yield
+
+    def _write(self, digest: str, picture: bytes) -> bool:
+        """Write a picture unless it is there; returns whether it was written."""
+        path = self._path(digest)
+        # A file gets its name after its bytes are durable, so one of the right length is whole.
+        if path.is_file() and path.stat().st_size == len(picture):
+            self._sync_name(path)  # whoever wrote it may have died before this
+            return False
+        unfinished = path.parent.parent / f"{UNFINISHED}{uuid.uuid4().hex}"
+        try:
+            path.parent.mkdir(exist_ok=True)
+            with unfinished.open("xb") as file:
+                file.write(picture)
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.rename(path)
+            self._sync_name(path)
+        except BaseException as error:
+            unfinished.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+            if dialect.is_full(error):
+                raise DiskFull("the disk of the pictures is full; free some space or delete views") from error
+            raise
+        return True
+
+    def _sync_name(self, path: Path) -> None:
+        """Make the name of a picture durable, and those of its folders, which may be new."""
+        for folder in (path.parent, path.parent.parent, self._folder):
+            sync_folder(folder)
+
+    def _discard(self, digests: list[str]) -> int:
+        removed = 0
+        for digest in sorted(set(digests) - self._owned(digests)):
+            path = self._path(digest)
+            if path.is_file():
+                path.unlink()
+                removed += 1
+        return removed

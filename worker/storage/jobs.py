@@ -1,0 +1,184 @@
+"""Jobs: claimed under a lease, finished once, given up after three attempts."""
+
+import secrets
+from datetime import datetime, timedelta
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.description import Description
+from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.records import Claim, JobRecord
+from worker.storage import clock, switching
+from worker.storage.descriptions import keep_description
+from worker.storage.part import Part
+from worker.storage.rows import batches, find_recipe, view_record, views_of
+from worker.storage.tables import JOBS, MAPS, VIEWS
+
+ATTEMPTS = 3
+
+WORKER_DIED = (
+    f"a worker took this picture {ATTEMPTS} times and each time ended before the description was finished, most likely "
+    "for want of memory; see the worker's log, then enrol the picture again"
+)
+
+
+# Statements that every enrolment runs are made once: making one takes longer than running it.
+_IS_LEFT = (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
+_ANY_WAITING = sa.select(JOBS.c.id).where(JOBS.c.state == "waiting").limit(1)
+_LEFT = sa.select(JOBS.c.id, JOBS.c.attempts).where(_IS_LEFT)
+_OLDEST = (
+    sa.select(JOBS)
+    .order_by(JOBS.c.background, JOBS.c.number)
+    .limit(sa.bindparam("most", type_=sa.Integer))
+    .with_for_update(skip_locked=True)
+)
+_OLDEST_WAITING = _OLDEST.where(JOBS.c.state == "waiting")
+_OLDEST_LEFT = _OLDEST.where(_IS_LEFT, JOBS.c.attempts < ATTEMPTS)
+_LEASED = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of")).values(attempts=JOBS.c.attempts + 1)
+_UNFINISHED = sa.select(sa.func.count()).select_from(JOBS).where(JOBS.c.state.in_(switching.UNFINISHED))
+_ENROLMENTS = _UNFINISHED.where(JOBS.c.background.is_(False))
+_RECIPE_OF_MAP = sa.select(MAPS.c.recipe).where(MAPS.c.id == sa.bindparam("of"))
+_JOB_LOCKED = sa.select(JOBS).where(JOBS.c.id == sa.bindparam("of")).with_for_update()
+_JOB_ENDS = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of"))
+_VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
+
+
+class Jobs(Part):
+    """The promises of `schemas.ports.Store` about work."""
+
+    def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
+        """Take up to `count` jobs; see `Store.claim`."""
+        with self._database.reading() as connection:  # a worker that asks in vain keeps no writer waiting
+            waits = connection.execute(_ANY_WAITING).first()
+            left = list(connection.execute(_LEFT, {"moment": now}))
+        for row in left:
+            if row.attempts >= ATTEMPTS:
+                self._bury(row.id, now)
+        if waits is None and not left:
+            return []
+        with self._database.writing(in_turn=False) as connection:
+            jobs = list(connection.execute(_OLDEST_WAITING, {"most": int(count)}))
+            if left:
+                jobs += connection.execute(_OLDEST_LEFT, {"moment": now, "most": int(count)})
+            jobs = sorted(jobs, key=lambda job: (job.background, job.number))[:count]
+            return self._lease(connection, jobs, worker, now + lease)
+
+    def _lease(self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str, until: datetime) -> list[Claim]:
+        tokens = {job.number: secrets.token_hex(16) for job in jobs}
+        views = {}
+        for portion in batches(job.seq for job in jobs):
+            rows = connection.execute(views_of(), {"seqs": portion})
+            views.update({row.seq: view_record(row) for row in rows})
+        recipes = {recipe: find_recipe(connection, recipe) for recipe in {job.recipe for job in jobs}}
+        for job in jobs:
+            lease = {"state": "running", "worker": worker, "token": tokens[job.number], "lease_until": until}
+            connection.execute(_LEASED, {"of": job.number, **lease})
+        return [
+            Claim(job.id, tokens[job.number], views[job.seq], recipes[job.recipe], job.attempts + 1) for job in jobs
+        ]
+
+    def _bury(self, job_id: str, now: datetime) -> None:
+        """Give up a job whose workers have all died."""
+        with self._database.writing() as connection:
+            job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
+            # Its last worker may have been late rather than dead.
+            if job is not None and job.state == "running" and job.lease_until <= now:
+                self._settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
+
+    def finish(self, claim: Claim, description: Description, now: datetime) -> int:
+        """Keep a description; see `Store.finish`."""
+        with self._database.writing() as connection:
+            job = self._held(connection, claim)
+            current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
+            if job.recipe == current:
+                revision = clock.tick(connection, job.map_id)
+            else:  # nobody sees it before the map changes over
+                revision = int(connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == job.map_id)) or 0)
+            keep_description(connection, job, claim.recipe, description, revision)
+            return self._settle(connection, job, "done", now) or revision
+
+    def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
+        """Give a job up; see `Store.fail`."""
+        with self._database.writing() as connection:
+            self._settle(connection, self._held(connection, claim), "failed", now, (code, detail))
+
+    def _held(self, connection: sa.Connection, claim: Claim) -> sa.Row[Any]:
+        """The job of a claim that is still valid; raises LeaseLost."""
+        # Locked, because another worker may be claiming it at this moment.
+        job = connection.execute(_JOB_LOCKED, {"of": claim.job_id}).one_or_none()
+        if job is None:
+            raise LeaseLost(f"the job {claim.job_id} went with its view {claim.view.id}, which was deleted")
+        if job.state != "running" or job.token != claim.token:
+            raise LeaseLost(f"the lease of job {claim.job_id} ended and the job is {job.state} without this worker")
+        return job
+
+    def _settle(
+        self,
+        connection: sa.Connection,
+        job: sa.Row[Any],
+        state: str,
+        now: datetime,
+        failure: tuple[str | None, str | None] = (None, None),
+    ) -> int | None:
+        """End a job, and let its view and map know; returns the revision if the map changed over."""
+        code, detail = failure
+        outcome = {"failure_code": code, "failure_detail": detail}
+        ended = {"state": state, "token": None, "lease_until": None, "finished_at": now, **outcome}
+        connection.execute(_JOB_ENDS, {"of": job.number, **ended})
+        current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
+        if job.recipe == current:
+            view_state = "ready" if state == "done" else "failed"
+            connection.execute(_VIEW_SETTLES, {"of": job.seq, "state": view_state, **outcome})
+        return switching.finish_if_done(connection, job.map_id)
+
+    def release(self, claim: Claim) -> None:
+        """Put a job back unharmed; one that is no longer this worker's is left alone."""
+        with self._database.writing(in_turn=False) as connection:
+            connection.execute(
+                sa.update(JOBS)
+                .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
+                .values(state="waiting", worker=None, token=None, lease_until=None, attempts=JOBS.c.attempts - 1)
+            )
+
+    def waiting(self, *, redescriptions: bool = False) -> int:
+        """Jobs not yet finished; see `Store.waiting`."""
+        with self._database.reading() as connection:
+            return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)
+
+    def job(self, job_id: str) -> JobRecord:
+        """One job; raises NotFound."""
+        with self._database.reading() as connection:
+            return self._record(connection, job_id)
+
+    def cancel(self, job_id: str, now: datetime) -> JobRecord:
+        """Cancel a job that is waiting; its view is then failed. See `Store.cancel`."""
+        with self._database.writing() as connection:
+            job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
+            if job is None:
+                raise NotFound("job", job_id)
+            if job.state != "waiting":
+                raise Conflict(f"the job {job_id} is {job.state}; only a waiting job can be cancelled")
+            reason = "its description was cancelled; enrol the picture again to have it described"
+            self._settle(connection, job, "cancelled", now, ("cancelled", reason))
+            return self._record(connection, job_id)
+
+    def _record(self, connection: sa.Connection, job_id: str) -> JobRecord:
+        rows = (
+            sa.select(JOBS, MAPS.c.name.label("map"), VIEWS.c.id.label("view_id"))
+            .join(VIEWS, VIEWS.c.seq == JOBS.c.seq)
+            .join(MAPS, MAPS.c.id == JOBS.c.map_id)
+        )
+        row = connection.execute(rows.where(JOBS.c.id == job_id)).one_or_none()
+        if row is None:
+            raise NotFound("job", job_id)
+        return JobRecord(
+            id=row.id,
+            state=row.state,
+            map=row.map,
+            view_id=row.view_id,
+            attempts=row.attempts,
+            created_at=row.created_at,
+            finished_at=row.finished_at,
+            failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+        )

@@ -1,0 +1,82 @@
+"""Selections for a search, and places."""
+
+import math
+from collections.abc import Iterable
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from schemas.records import Filters, Selection, Sequence64, Where
+from worker.storage.filtering import allowing, excluding
+from worker.storage.paging import cursor_after, read_cursor
+from worker.storage.part import Part
+from worker.storage.rows import find_map
+from worker.storage.tables import MAPS, VIEWS
+
+BY_PLACE = "places"
+
+MEANS = ("x", "y", "z", "alt", "globe_x", "globe_y", "globe_z")
+
+
+class Listings(Part):
+    """The promises of `schemas.ports.Store` about which views there are."""
+
+    def select(self, name: str, filters: Filters) -> Selection:
+        """The views of a map that filters allow; see `Store.select`."""
+        with self._database.reading() as connection:
+            map_id = find_map(connection, name).id
+            seqs = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id)
+            only = None
+            allowed = allowing(filters)
+            if allowed:
+                only = _ascending(connection.scalars(seqs.where(*allowed)))
+            # Each by itself: a search that leaves out the newest views comes with every frame of a robot.
+            never = [_ascending(connection.scalars(seqs.where(e))) for e in excluding(connection, filters, map_id)]
+        return Selection(only, np.unique(np.concatenate([_ascending(()), *never])))
+
+    def places(
+        self, name: str | None, cursor: str | None, limit: int
+    ) -> tuple[list[tuple[str, str, int, Where, datetime]], str | None]:
+        """A page of places, by map and name; see `Store.places`."""
+        means = [sa.func.avg(VIEWS.c[column]).label(column) for column in MEANS]
+        page = (
+            sa.select(
+                MAPS.c.name.label("map"),
+                VIEWS.c.place,
+                sa.func.count().label("views"),
+                sa.func.max(VIEWS.c.enrolled_at, type_=VIEWS.c.enrolled_at.type).label("last"),
+                *means,
+            )
+            .join(MAPS, MAPS.c.id == VIEWS.c.map_id)
+            .where(VIEWS.c.place.is_not(None), MAPS.c.name.is_not(None))
+            .group_by(MAPS.c.name, VIEWS.c.place)
+            .order_by(MAPS.c.name, VIEWS.c.place)
+            .limit(limit + 1)
+        )
+        if cursor is not None:
+            last_map, last_place = read_cursor(BY_PLACE, cursor, str, str)
+            later = sa.and_(MAPS.c.name == last_map, VIEWS.c.place > last_place)
+            page = page.where(sa.or_(MAPS.c.name > last_map, later))
+        with self._database.reading() as connection:
+            if name is not None:
+                page = page.where(VIEWS.c.map_id == find_map(connection, name).id)
+            rows = list(connection.execute(page))
+        following = cursor_after(BY_PLACE, rows[limit - 1].map, rows[limit - 1].place) if len(rows) > limit else None
+        return [(row.map, row.place, row.views, _mean_position(row), row.last) for row in rows[:limit]], following
+
+
+def _mean_position(row: sa.Row[Any]) -> Where:
+    """The middle of a place; in metres where views are given in both frames."""
+    if row.x is not None:
+        return Where(x=row.x, y=row.y, z=row.z)
+    # The middle of points on the sphere, because the mean of 179 and -179 degrees is not 0.
+    if row.globe_x is None or math.hypot(row.globe_x, row.globe_y, row.globe_z) < 1e-9:
+        return Where()
+    lat = math.degrees(math.atan2(row.globe_z, math.hypot(row.globe_x, row.globe_y)))
+    return Where(lat=lat, lon=math.degrees(math.atan2(row.globe_y, row.globe_x)), alt=row.alt)
+
+
+def _ascending(seqs: Iterable[int]) -> Sequence64:
+    return np.sort(np.fromiter(seqs, np.int64))

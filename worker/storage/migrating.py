@@ -1,0 +1,128 @@
+"""Bring a database to the tables that this version of revisit knows."""
+
+from functools import cache
+from pathlib import Path
+
+import sqlalchemy as sa
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+from schemas.errors import SetupError
+from worker.storage import dialect
+from worker.storage.database import Database
+from worker.storage.locks import MIGRATE, USE, FolderLock, held
+
+SCRIPTS = Path(__file__).parent / "migrations"
+
+
+def _config() -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(SCRIPTS).replace("%", "%%"))
+    return config
+
+
+@cache
+def _revisions() -> tuple[str, ...]:
+    """All revisions that this version knows, newest first."""
+    return tuple(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
+
+
+def newest() -> str:
+    """The revision of the tables that this version needs, such as ``0001``."""
+    return _revisions()[0]
+
+
+def current(connection: sa.Connection) -> str | None:
+    """The revision of a database's tables; None when it has none yet."""
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def is_current(connection: sa.Connection) -> bool:
+    """Whether a database has the tables that this version needs.
+
+    Raises
+    ------
+    SetupError
+        The database was made by a newer version.
+    """
+    found = current(connection)
+    if found is not None and found not in _revisions():
+        raise SetupError(
+            f"the database has tables of revision {found}, which is newer than this version of revisit "
+            f"({newest()}); run the newer version, or restore a snapshot made by this one"
+        )
+    return found == newest()
+
+
+def migrate(url: str, data: Path) -> str:
+    """Bring a database up to date, alone with its data folder; returns the revision of its tables.
+
+    Raises
+    ------
+    SetupError
+        Others use the folder, or the database is newer than this version.
+    """
+    database = Database(url)
+    try:
+        enter(database, data, may_migrate=True).release()
+    finally:
+        database.close()
+    return newest()
+
+
+def enter(database: Database, data: Path, *, may_migrate: bool) -> FolderLock:
+    """Take a share in a data folder, migrating its database first when needed.
+
+    Parameters
+    ----------
+    database : Database
+    data : Path
+    may_migrate : bool
+        Whether to bring tables up to date that exist; missing ones are always made.
+
+    Returns
+    -------
+    FolderLock
+        Keeps `migrate` out until it is released.
+
+    Raises
+    ------
+    SetupError
+        See `migrate`; or the tables are old and must not be touched.
+    """
+    share = FolderLock(data / USE)
+    try:
+        with held(data / MIGRATE):  # who comes second finds everything done
+            with database.reading() as connection:
+                ready = is_current(connection)
+                empty = current(connection) is None
+            if not ready:
+                _upgrade(database, data, share, allowed=may_migrate or empty)
+            share.acquire(shared=True, wait=True)
+    except BaseException:
+        share.release()
+        raise
+    return share
+
+
+def _upgrade(database: Database, data: Path, share: FolderLock, *, allowed: bool) -> None:
+    if not allowed:
+        raise SetupError(
+            "the tables of the database are older than this version of revisit; stop all services and workers, "
+            "then run `./revisit migrate`"
+        )
+    if not share.acquire():
+        raise SetupError(
+            f"the database of {data} must be migrated, but other processes use it; stop all services and workers first"
+        )
+    config = _config()
+    with database.writing() as connection:  # all or nothing: both databases can take back changes of tables
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+
+
+def migrates_by_itself(database: Database) -> bool:
+    """Whether a start may bring old tables up to date: a file, yes; a server that others share, no."""
+    return dialect.is_file(database.engine)

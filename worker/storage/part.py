@@ -1,0 +1,18 @@
+"""What the parts of the store have in common."""
+
+from worker.storage.database import Database
+from worker.storage.image_files import Pictures
+
+
+class Part:
+    """A part of the store: some of its promises, kept with one database and one folder of pictures.
+
+    Parameters
+    ----------
+    database : Database
+    pictures : Pictures
+    """
+
+    def __init__(self, database: Database, pictures: Pictures) -> None:
+        self._database = database
+        self._pictures = pictures

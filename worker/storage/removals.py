@@ -1,0 +1,95 @@
+"""Deletion: complete, and in portions, so that a large one does not keep every other writer waiting."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import sqlalchemy as sa
+
+from schemas.records import Filters, Removal
+from worker.storage import clock, switching
+from worker.storage.filtering import fitting
+from worker.storage.part import Part
+from worker.storage.rows import find_map, find_view
+from worker.storage.tables import JOBS, MAPS, TOMBSTONES, VIEWS
+
+PORTION = 200
+"""Views deleted in one transaction."""
+
+
+class _Gone(NamedTuple):
+    views: int
+    pictures: int
+    revision: int
+
+
+class Removals(Part):
+    """The promises of `schemas.ports.Store` about deletion."""
+
+    def delete_view(self, view_id: str) -> Removal:
+        """Remove a view completely; raises NotFound."""
+        with self._database.reading() as connection:
+            row = find_view(connection, view_id)
+        gone = self._remove(row.map_id, [row.seq])
+        if gone.views == 0:  # another call was quicker
+            with self._database.reading() as connection:
+                find_view(connection, view_id)
+        return Removal(*gone)
+
+    def delete_views(self, name: str, filters: Filters) -> Removal:
+        """Remove all views of a map that fit at the time of the call; raises NotFound."""
+        with self._database.reading() as connection:
+            row = find_map(connection, name)
+            fit = [VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id)]
+            seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*fit).order_by(VIEWS.c.seq)))
+        portions = [self._remove(row.id, seqs[start : start + PORTION]) for start in range(0, len(seqs), PORTION)]
+        return Removal(
+            views=sum(portion.views for portion in portions),
+            pictures=sum(portion.pictures for portion in portions),
+            revision=portions[-1].revision if portions else row.revision,
+        )
+
+    def delete_map(self, name: str) -> Removal:
+        """Remove a map, its views and their pictures; raises NotFound."""
+        with self._database.writing() as connection:
+            map_id = find_map(connection, name).id
+            # A map of this name that is made later begins after all that an index may know of this one.
+            clock.tick(connection, map_id)
+            # Without a name nobody finds it, from this moment on; the rest may take its time, or come after a crash.
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(name=None))
+            connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
+        return self._clear(map_id)
+
+    def clear_deleted_maps(self) -> None:
+        """Finish deletions of maps that a crash cut short."""
+        with self._database.reading() as connection:
+            left = list(connection.scalars(sa.select(MAPS.c.id).where(MAPS.c.name.is_(None))))
+        for map_id in left:
+            self._clear(map_id)
+
+    def _clear(self, map_id: int) -> Removal:
+        views = pictures = 0
+        some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
+        while True:
+            with self._database.reading() as connection:
+                seqs = list(connection.scalars(some))
+            if not seqs:
+                break
+            portion = self._remove(map_id, seqs)
+            views, pictures = views + portion.views, pictures + portion.pictures
+        with self._database.writing() as connection:
+            connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id))
+        return Removal(views, pictures, revision=None)
+
+    def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
+        """Delete views of a map, and then the pictures that no view needs any more."""
+        with self._database.writing() as connection:
+            which = VIEWS.c.seq.in_(seqs)
+            rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))
+            if rows:
+                revision = clock.tick(connection, map_id)
+                tombstones = [{"seq": row.seq, "map_id": map_id, "revision": revision} for row in rows]
+                connection.execute(sa.insert(TOMBSTONES), tombstones)
+                connection.execute(sa.delete(VIEWS).where(which))
+                switching.finish_if_done(connection, map_id)
+            revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
+        return _Gone(len(rows), self._pictures.discard(row.sha256 for row in rows), int(revision))

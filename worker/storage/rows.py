@@ -1,0 +1,166 @@
+"""From rows to records and back."""
+
+import json
+import math
+from collections.abc import Iterable, Iterator
+from functools import cache, lru_cache
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.errors import NotFound
+from schemas.image import PictureFacts
+from schemas.recipe import Recipe
+from schemas.records import DescriptionRecord, MapRecord, Said, ViewRecord, Where
+from worker.storage.packing import unpack_floats
+from worker.storage.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
+
+COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
+
+# Statements that every enrolment runs are made once: making one takes longer than running it.
+_MAP_NAMED = sa.select(MAPS).where(MAPS.c.name == sa.bindparam("of"))
+_RECIPE = sa.select(RECIPES.c.body).where(RECIPES.c.id == sa.bindparam("of"))
+
+BATCH = 500
+"""Values in one IN list."""
+
+
+def batches(values: Iterable[Any]) -> Iterator[list[Any]]:
+    """Values in portions that fit an IN list."""
+    everything = list(values)
+    for start in range(0, len(everything), BATCH):
+        yield everything[start : start + BATCH]
+
+
+def as_json(value: object) -> str:
+    """Canonical JSON: equal values give equal text, in ASCII, which every database takes."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
+
+
+@cache
+def inserting(table: sa.Table) -> sa.Insert:
+    """The statement that inserts into a table the columns it is given."""
+    return sa.insert(table)
+
+
+# maps
+
+
+def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
+    """The row of a map; raises NotFound."""
+    row = connection.execute(_MAP_NAMED, {"of": name}).one_or_none()
+    if row is None:
+        raise NotFound("map", name)
+    return row
+
+
+def keep_recipe(connection: sa.Connection, recipe: Recipe) -> str:
+    """Make sure that a recipe is kept; returns its id."""
+    if connection.scalar(_RECIPE, {"of": recipe.id}) is None:
+        connection.execute(sa.insert(RECIPES).values(id=recipe.id, body=recipe.model_dump_json()))
+    return recipe.id
+
+
+def find_recipe(connection: sa.Connection, recipe: str) -> Recipe:
+    """A kept recipe by its id."""
+    return _recipe_of(str(connection.scalar(_RECIPE, {"of": recipe})))
+
+
+@lru_cache(maxsize=64)
+def _recipe_of(body: str) -> Recipe:
+    return Recipe.model_validate_json(body)
+
+
+def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
+    """A map's row with its recipe."""
+    return MapRecord(row.name, row.revision, find_recipe(connection, row.recipe), row.created_at)
+
+
+# views
+
+
+@cache
+def view_rows() -> sa.Select[Any]:
+    """Views with their map's name and their description by the map's recipe, ready for `view_record`."""
+    # A map without a name is being deleted: its views are no longer there for anybody.
+    named = sa.and_(MAPS.c.id == VIEWS.c.map_id, MAPS.c.name.is_not(None))
+    described = sa.and_(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == MAPS.c.recipe)
+    return sa.select(
+        VIEWS,
+        MAPS.c.name.label("map"),
+        DESCRIPTIONS.c.recipe.label("recipe"),
+        DESCRIPTIONS.c.descriptor_count,
+        DESCRIPTIONS.c.static_share,
+        DESCRIPTIONS.c.nodes,
+        DESCRIPTIONS.c.label_shares,
+    ).select_from(VIEWS.join(MAPS, named).outerjoin(DESCRIPTIONS, described))
+
+
+def view_record(row: sa.Row[Any]) -> ViewRecord:
+    """A view from a row of `view_rows`."""
+    description = None
+    if row.recipe is not None and row.state == "ready":
+        description = DescriptionRecord(
+            row.recipe, row.descriptor_count, row.static_share, unpack_floats(row.label_shares), row.nodes
+        )
+    return ViewRecord(
+        id=row.id,
+        seq=row.seq,
+        map=row.map,
+        said=said_of(row),
+        enrolled_at=row.enrolled_at,
+        picture=PictureFacts(row.width, row.height, row.byte_count, row.format, row.sha256),
+        state=row.state,
+        failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+        description=description,
+    )
+
+
+def find_view(connection: sa.Connection, view_id: str) -> sa.Row[Any]:
+    """The row of a view, as of `view_rows`; raises NotFound."""
+    row = connection.execute(_view_of_id(), {"of": view_id}).one_or_none()
+    if row is None:
+        raise NotFound("view", view_id)
+    return row
+
+
+@cache
+def views_of() -> sa.Select[Any]:
+    """`view_rows` of the sequence numbers given as ``seqs``."""
+    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    return view_rows().where(VIEWS.c.seq.in_(seqs))
+
+
+@cache
+def _view_of_id() -> sa.Select[Any]:
+    return view_rows().where(VIEWS.c.id == sa.bindparam("of"))
+
+
+# what was said about a view
+
+
+def said_of(row: sa.Row[Any]) -> Said:
+    """What the user said, from the row of a view."""
+    where = Where(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
+    return Said(row.place, where, row.captured_at, json.loads(row.metadata))
+
+
+def said_columns(said: Said) -> dict[str, Any]:
+    """What the user said, as columns of `views`."""
+    # A numpy number would be stored as bytes by SQLite, without a word.
+    columns: dict[str, Any] = {
+        name: None if (value := getattr(said.where, name)) is None else float(value) for name in COORDINATES
+    }
+    lat, lon = columns["lat"], columns["lon"]
+    globe = (None, None, None) if lat is None or lon is None else unit_vector(lat, lon)
+    columns["globe_x"], columns["globe_y"], columns["globe_z"] = globe
+    columns["place"] = said.place
+    columns["captured_at"] = said.captured_at
+    columns["metadata"] = as_json(dict(said.metadata))
+    return columns
+
+
+def unit_vector(lat: float, lon: float) -> tuple[float, float, float]:
+    """Degrees as a point (x, y, z) of the unit sphere: without a seam at 180 degrees and without poles."""
+    phi, theta = math.radians(lat), math.radians(lon)
+    return math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)

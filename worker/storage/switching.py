@@ -1,0 +1,123 @@
+"""From one recipe of a map to another, without a moment in which answers mix the two.
+
+While ``maps.next_recipe`` is set, each view gets a description by it beside the one in use. When no job for it is left
+the map changes over, in the transaction that settled the last one.
+"""
+
+from datetime import datetime
+from typing import Any
+
+import sqlalchemy as sa
+from uuid6 import uuid7
+
+from worker.storage import clock
+from worker.storage.rows import inserting
+from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, VIEWS
+
+UNFINISHED = ("waiting", "running")
+
+
+_UNFINISHED_JOB = sa.select(JOBS.c.id).where(
+    JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
+)
+_NEXT_RECIPE = sa.select(MAPS.c.next_recipe).where(MAPS.c.id == sa.bindparam("of"))
+
+
+def queue(
+    connection: sa.Connection, map_id: int, seqs: list[int], recipe: str, now: datetime, *, background: bool
+) -> list[str]:
+    """Queue the description of views by a recipe; returns the jobs' ids."""
+    rows = [
+        {
+            "id": str(uuid7()),
+            "map_id": map_id,
+            "seq": seq,
+            "recipe": recipe,
+            "background": background,
+            "state": "waiting",
+            "attempts": 0,
+            "created_at": now,
+        }
+        for seq in seqs
+    ]
+    if rows:
+        connection.execute(inserting(JOBS), rows)
+    return [str(row["id"]) for row in rows]
+
+
+def unfinished_job(connection: sa.Connection, seq: int, recipe: str) -> str | None:
+    """Id of the job that is to describe a view by a recipe, if there is one."""
+    job: str | None = connection.scalar(_UNFINISHED_JOB, {"of": seq, "by": recipe})
+    return job
+
+
+def is_described(recipe: str) -> sa.ColumnElement[bool]:
+    """Whether a view has a description by a recipe."""
+    return sa.exists().where(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == recipe)
+
+
+def begin(connection: sa.Connection, row: sa.Row[Any], recipe: str, now: datetime) -> int:
+    """Begin to change a map over; returns how many views must be described first."""
+    under_way = sa.exists().where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED))
+    lacking = [VIEWS.c.map_id == row.id, ~is_described(recipe), ~under_way]
+    seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*lacking).order_by(VIEWS.c.seq)))
+    queue(connection, row.id, seqs, recipe, now, background=True)
+    if recipe == row.recipe:  # nothing to change over to: only what failed is tried again
+        settle(connection, row.id, recipe)
+    else:
+        connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_recipe=recipe))
+        finish_if_done(connection, row.id)
+    return len(seqs)
+
+
+def finish_if_done(connection: sa.Connection, map_id: int) -> int | None:
+    """Change a map over when no view is left to be described; returns the revision if that happened."""
+    recipe = connection.scalar(_NEXT_RECIPE, {"of": map_id})
+    if recipe is None:
+        return None
+    left = sa.select(JOBS.c.number).where(
+        JOBS.c.map_id == map_id, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED)
+    )
+    if connection.execute(left.limit(1)).first() is not None:
+        return None
+    return change_over(connection, map_id, recipe)
+
+
+def change_over(connection: sa.Connection, map_id: int, recipe: str) -> int:
+    """Give a map the recipe whose descriptions are there; returns the map's new revision."""
+    revision = clock.tick(connection, map_id)
+    connection.execute(
+        sa.update(MAPS).where(MAPS.c.id == map_id).values(recipe=recipe, next_recipe=None, anew=revision)
+    )
+    settle(connection, map_id, recipe)
+    return revision
+
+
+def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
+    """Give each view of a map the state that it has under a recipe: ready, pending, or failed as its last job did."""
+    own = sa.update(VIEWS).where(VIEWS.c.map_id == map_id)
+    connection.execute(own.where(is_described(recipe)).values(state="ready", failure_code=None, failure_detail=None))
+    last = (
+        sa.select(sa.func.max(JOBS.c.number))
+        .where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.recipe == recipe)
+        .correlate(VIEWS)
+        .scalar_subquery()
+    )
+    jobs = JOBS.alias()
+
+    def of_last(column: sa.Column[Any]) -> sa.ScalarSelect[Any]:
+        return sa.select(column).where(jobs.c.number == last).correlate(VIEWS).scalar_subquery()
+
+    connection.execute(
+        own.where(~is_described(recipe)).values(
+            state=sa.case((of_last(jobs.c.state).in_(UNFINISHED), "pending"), else_="failed"),
+            failure_code=of_last(jobs.c.failure_code),
+            failure_detail=of_last(jobs.c.failure_detail),
+        )
+    )
+
+
+def settled(connection: sa.Connection, seq: int, recipe: str) -> bool:
+    """Whether a view has a description by a recipe, or a job for it."""
+    described = sa.select(DESCRIPTIONS.c.seq).where(DESCRIPTIONS.c.seq == seq, DESCRIPTIONS.c.recipe == recipe)
+    return connection.execute(described).first() is not None or unfinished_job(connection, seq, recipe) is not None

@@ -1,0 +1,181 @@
+"""The tables, as SQLAlchemy Core sees them; `migrations` makes exactly these.
+
+::
+
+    clock                      the last revision given out
+    recipes                    what decided a description, by id
+    maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints
+                                    ├───── metadata_pairs
+                                    └───── jobs
+                               ── tombstones
+    vocabularies    calls      on their own
+
+What hangs on a row goes with it (ON DELETE CASCADE), so that a deletion is complete. The wide columns of a description
+have tables of their own: each is read alone, and a row that spills over is slow to read past.
+"""
+
+import sqlalchemy as sa
+
+from worker.storage.columns import UtcDateTime, big_key, ordered_text
+
+METADATA = sa.MetaData()
+
+CLOCK = sa.Table(
+    "clock",
+    METADATA,
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),  # one row, 1
+    sa.Column("revision", sa.BigInteger, nullable=False),
+)
+
+RECIPES = sa.Table(
+    "recipes",
+    METADATA,
+    sa.Column("id", sa.Text, primary_key=True),
+    sa.Column("body", sa.Text, nullable=False),  # JSON
+)
+
+MAPS = sa.Table(
+    "maps",
+    METADATA,
+    sa.Column("id", big_key(), primary_key=True),
+    sa.Column("name", ordered_text(), unique=True),  # NULL while it is being deleted
+    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
+    sa.Column("next_recipe", sa.Text, sa.ForeignKey("recipes.id")),  # while its views are described anew
+    sa.Column("revision", sa.BigInteger, nullable=False),
+    sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision needs everything
+    sa.Column("created_at", UtcDateTime, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+VIEWS = sa.Table(
+    "views",
+    METADATA,
+    sa.Column("seq", big_key(), primary_key=True),  # never given out twice: indexes know views by it
+    sa.Column("id", sa.Text, nullable=False, unique=True),
+    sa.Column("map_id", sa.BigInteger, sa.ForeignKey("maps.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("place", ordered_text()),
+    sa.Column("x", sa.Double),  # metres
+    sa.Column("y", sa.Double),
+    sa.Column("z", sa.Double),
+    sa.Column("lat", sa.Double),  # degrees
+    sa.Column("lon", sa.Double),
+    sa.Column("alt", sa.Double),  # metres
+    sa.Column("heading", sa.Double),  # degrees
+    sa.Column("globe_x", sa.Double),  # lat and lon as a point of the unit sphere: see filtering.py
+    sa.Column("globe_y", sa.Double),
+    sa.Column("globe_z", sa.Double),
+    sa.Column("captured_at", UtcDateTime),
+    sa.Column("metadata", sa.Text, nullable=False),  # JSON
+    sa.Column("enrolled_at", UtcDateTime, nullable=False),
+    sa.Column("sha256", sa.Text, nullable=False),
+    sa.Column("width", sa.Integer, nullable=False),
+    sa.Column("height", sa.Integer, nullable=False),
+    sa.Column("byte_count", sa.BigInteger, nullable=False),
+    sa.Column("format", sa.Text, nullable=False),
+    sa.Column("state", sa.Text, nullable=False),  # pending, ready or failed, under the map's recipe
+    sa.Column("failure_code", sa.Text),
+    sa.Column("failure_detail", sa.Text),
+    sa.UniqueConstraint("map_id", "sha256", name="views_once_per_map"),
+    sa.Index("views_by_map", "map_id", "seq"),
+    sa.Index("views_by_picture", "sha256"),
+    sa.Index("views_by_place", "map_id", "place"),
+    sa.Index("views_by_capture", "map_id", "captured_at"),
+    sa.Index("views_by_enrolment", "map_id", "enrolled_at"),
+    sa.Index("views_by_metres", "map_id", "x", "y"),
+    sa.Index("views_by_globe", "map_id", "globe_z", "globe_x", "globe_y"),
+    sqlite_autoincrement=True,
+)
+
+METADATA_PAIRS = sa.Table(
+    "metadata_pairs",
+    METADATA,
+    sa.Column("pair", sa.Text, primary_key=True),  # SHA-256 of key and value: values may exceed what an index holds
+    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE"), primary_key=True),
+    sa.Index("metadata_pairs_by_view", "seq"),
+)
+
+DESCRIPTIONS = sa.Table(
+    "descriptions",
+    METADATA,
+    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE"), primary_key=True),
+    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), primary_key=True),
+    sa.Column("map_id", sa.BigInteger, nullable=False),  # of the view, for the index below
+    sa.Column("revision", sa.BigInteger, nullable=False),
+    sa.Column("descriptor_count", sa.Integer, nullable=False),
+    sa.Column("static_share", sa.Double, nullable=False),
+    sa.Column("nodes", sa.Integer, nullable=False),
+    sa.Column("label_shares", sa.LargeBinary, nullable=False),  # float32, little-endian
+    sa.Index("descriptions_by_revision", "map_id", "recipe", "revision"),
+)
+
+
+def _part_of_a_description(name: str) -> sa.Table:
+    return sa.Table(
+        name,
+        METADATA,
+        sa.Column("seq", sa.BigInteger, primary_key=True),
+        sa.Column("recipe", sa.Text, primary_key=True),
+        sa.Column("body", sa.LargeBinary, nullable=False),
+        sa.ForeignKeyConstraint(
+            ["seq", "recipe"], ["descriptions.seq", "descriptions.recipe"], name=f"{name}_of", ondelete="CASCADE"
+        ),
+    )
+
+
+VECTORS = _part_of_a_description("vectors")  # float32, little-endian, channels side by side
+APPEARANCES = _part_of_a_description("appearances")  # see packing.py, as the following
+CELLS = _part_of_a_description("cells")
+KEYPOINTS = _part_of_a_description("keypoints")
+
+JOBS = sa.Table(
+    "jobs",
+    METADATA,
+    sa.Column("number", big_key(), primary_key=True),  # in the order they were queued
+    sa.Column("id", sa.Text, nullable=False, unique=True),
+    sa.Column("map_id", sa.BigInteger, nullable=False),
+    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE"), nullable=False),
+    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
+    sa.Column("background", sa.Boolean, nullable=False),  # describes anew; enrolments go first
+    sa.Column("state", sa.Text, nullable=False),
+    sa.Column("attempts", sa.Integer, nullable=False),
+    sa.Column("worker", sa.Text),
+    sa.Column("token", sa.Text),
+    sa.Column("lease_until", UtcDateTime),
+    sa.Column("created_at", UtcDateTime, nullable=False),
+    sa.Column("finished_at", UtcDateTime),
+    sa.Column("failure_code", sa.Text),
+    sa.Column("failure_detail", sa.Text),
+    sa.Index("jobs_in_order", "state", "background", "number"),
+    sa.Index("jobs_by_recipe", "map_id", "recipe", "state"),
+    sa.Index("jobs_by_view", "seq", "recipe"),
+    sqlite_autoincrement=True,
+)
+
+TOMBSTONES = sa.Table(
+    "tombstones",
+    METADATA,
+    sa.Column("seq", sa.BigInteger, primary_key=True, autoincrement=False),
+    sa.Column("map_id", sa.BigInteger, sa.ForeignKey("maps.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("revision", sa.BigInteger, nullable=False),
+    sa.Index("tombstones_by_revision", "map_id", "revision"),
+)
+
+VOCABULARIES = sa.Table(
+    "vocabularies",
+    METADATA,
+    sa.Column("digest", sa.Text, primary_key=True),
+    sa.Column("tensors", sa.LargeBinary, nullable=False),  # safetensors
+)
+
+CALLS = sa.Table(
+    "calls",
+    METADATA,
+    sa.Column("key", sa.Text, primary_key=True),
+    sa.Column("fingerprint", sa.Text, nullable=False),
+    sa.Column("begun_at", UtcDateTime, nullable=False),
+    sa.Column("finished_at", UtcDateTime),
+    sa.Column("status", sa.Integer),
+    sa.Column("headers", sa.Text),  # JSON
+    sa.Column("body", sa.LargeBinary),
+    sa.Index("calls_by_age", "begun_at"),
+)

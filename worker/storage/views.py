@@ -1,0 +1,81 @@
+"""Views: shown, listed, corrected."""
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from schemas.errors import NotFound
+from schemas.records import Filters, Said, ViewRecord
+from worker.storage import clock
+from worker.storage.enrolment import keep_pairs
+from worker.storage.filtering import fitting
+from worker.storage.paging import cursor_after, read_cursor
+from worker.storage.part import Part
+from worker.storage.rows import batches, find_map, find_view, said_columns, view_record, view_rows, views_of
+from worker.storage.tables import VIEWS
+
+
+class Views(Part):
+    """The promises of `schemas.ports.Store` about views."""
+
+    def view(self, view_id: str) -> ViewRecord:
+        """One view; raises NotFound."""
+        with self._database.reading() as connection:
+            return view_record(find_view(connection, view_id))
+
+    def views_at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
+        """Views by sequence number; those deleted meanwhile are absent."""
+        found: dict[int, ViewRecord] = {}
+        with self._database.reading() as connection:
+            for portion in batches(int(seq) for seq in seqs):
+                rows = connection.execute(views_of(), {"seqs": portion})
+                found.update({row.seq: view_record(row) for row in rows})
+        return found
+
+    def views(
+        self,
+        name: str | None,
+        filters: Filters,
+        *,
+        state: str | None = None,
+        newest_first: bool = False,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> tuple[list[ViewRecord], str | None]:
+        """A page of views in enrolment order, and the cursor of the next; see `Store.views`."""
+        order = "newest" if newest_first else "oldest"
+        page = view_rows().order_by(VIEWS.c.seq.desc() if newest_first else VIEWS.c.seq).limit(limit + 1)
+        if cursor is not None:
+            [last] = read_cursor(order, cursor, int)
+            page = page.where(VIEWS.c.seq < last if newest_first else VIEWS.c.seq > last)
+        if state is not None:
+            page = page.where(VIEWS.c.state == state)
+        with self._database.reading() as connection:
+            map_id = None
+            if name is not None:
+                map_id = find_map(connection, name).id
+                page = page.where(VIEWS.c.map_id == map_id)
+            rows = list(connection.execute(page.where(*fitting(connection, filters, map_id))))
+        following = cursor_after(order, rows[limit - 1].seq) if len(rows) > limit else None
+        return [view_record(row) for row in rows[:limit]], following
+
+    def patch(self, view_id: str, said: Said) -> ViewRecord:
+        """Replace what was said about a view; raises NotFound."""
+        with self._database.writing() as connection:
+            before = find_view(connection, view_id)
+            columns = said_columns(said)
+            if any(value != getattr(before, column) for column, value in columns.items()):
+                connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**columns))
+                keep_pairs(connection, before.seq, said)
+                clock.tick(connection, before.map_id)
+            return view_record(find_view(connection, view_id))
+
+    def picture(self, view_id: str) -> bytes:
+        """The enrolled picture, byte for byte; raises NotFound."""
+        with self._database.reading() as connection:
+            digest = find_view(connection, view_id).sha256
+        try:
+            return self._pictures.read(digest)
+        except FileNotFoundError:  # deleted between row and file
+            hint = "the view was deleted, or its file was removed by hand: then enrol the picture again"
+            raise NotFound("picture of view", view_id, hint) from None
