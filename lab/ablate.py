@@ -15,13 +15,13 @@ import numpy as np
 
 from lab import evaluate
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Progress, ask
 from lab.evaluation.measuring import RUN
+from lab.evaluation.querying import Progress, ask
 from lab.evaluation.service import map_of_its_own
 from lab.metrics.recall import Doubles, bootstrap_interval, first_right
 from schemas.description import Floats, PixelField
 from schemas.errors import RevisitError
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder
 from schemas.recipe import Channel, Graph, Parameters, Recipe
 from schemas.records import Meaning
@@ -31,9 +31,9 @@ from worker.description import vocabularies
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.presets import PRESETS, general_vocabulary, make_recipe
-from worker.description.scheduler import Desk
+from worker.description.scheduler import Scheduler
 from worker.loop import Loop
-from worker.runtime import House
+from worker.runtime import Runtime
 
 Change = Callable[[Parameters], Parameters]
 
@@ -189,16 +189,16 @@ class RememberingEncoder:
         """Of the encoder."""
         return self._encoder.layers
 
-    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """Fields, from memory where the picture was met before."""
-        for picture in pictures:
-            if picture.digest not in self._fields:
-                [self._fields[picture.digest]] = self._encoder.encode([picture])
-            yield self._fields[picture.digest]
+        for image in images:
+            if image.digest not in self._fields:
+                [self._fields[image.digest]] = self._encoder.encode([image])
+            yield self._fields[image.digest]
 
-    def fine(self, picture: Picture) -> PixelField:
+    def fine(self, image: Image) -> PixelField:
         """Of the encoder; nothing is measured on it, so it is not remembered."""
-        return self._encoder.fine(picture)
+        return self._encoder.fine(image)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """Of the encoder."""
@@ -213,18 +213,18 @@ class RememberingEncoder:
         self._fields.clear()
 
 
-def remembering(house: House) -> tuple[House, RememberingEncoder]:
+def remembering(runtime: Runtime) -> tuple[Runtime, RememberingEncoder]:
     """A house that has not been started, with an encoder that encodes each picture once."""
-    encoder = RememberingEncoder(house.encoder)
-    desk = Desk(encoder, 1, house.settings.questions)
+    encoder = RememberingEncoder(runtime.encoder)
+    scheduler = Scheduler(encoder, 1, runtime.settings.queries)
     general = [general_vocabulary(encoder, name) for name in PRESETS]
-    describers = Describers(encoder, house.store, general, make_product(house.settings))
-    lease = timedelta(seconds=house.settings.lease_s)
-    loop = Loop(house.store, desk, describers, house.decode, name="ablation", batch=1, lease=lease)
-    return replace(house, encoder=encoder, desk=desk, describers=describers, loop=loop), encoder
+    describers = Describers(encoder, runtime.store, general, make_product(runtime.settings))
+    lease = timedelta(seconds=runtime.settings.lease_s)
+    loop = Loop(runtime.store, scheduler, describers, runtime.decode, name="ablation", batch=1, lease=lease)
+    return replace(runtime, encoder=encoder, scheduler=scheduler, describers=describers, loop=loop), encoder
 
 
-def recipe_of(variant: Variant, house: House, dataset: Dataset) -> Recipe:
+def recipe_of(variant: Variant, runtime: Runtime, dataset: Dataset) -> Recipe:
     """The recipe of a variant; trains its vocabulary on the set's database where it has one of its own.
 
     Raises
@@ -232,29 +232,29 @@ def recipe_of(variant: Variant, house: House, dataset: Dataset) -> Recipe:
     RevisitError, ValueError
         The encoder cannot carry it, or the set has too few pictures for its sizes.
     """
-    plain = make_recipe(house.encoder, variant.preset, dynamic=None if variant.static_only else ())
+    plain = make_recipe(runtime.encoder, variant.preset, dynamic=None if variant.static_only else ())
     parameters = variant.change(plain.parameters)
-    general = general_vocabulary(house.encoder, variant.preset)
+    general = general_vocabulary(runtime.encoder, variant.preset)
     if variant.vocabulary is not None:
         other = vocabularies.Vocabulary.read(variant.vocabulary.read_bytes(), variant.vocabulary.name)
-        other.check(parameters, house.encoder.layers)
-        house.store.keep_vocabulary(other.digest, other.tensors)
+        other.check(parameters, runtime.encoder.layers)
+        runtime.store.keep_vocabulary(other.digest, other.tensors)
         return plain.model_copy(update={"parameters": parameters, "vocabulary": other.digest})
     if not variant.own_vocabulary:
-        general.check(parameters, house.encoder.layers)
+        general.check(parameters, runtime.encoder.layers)
         return plain.model_copy(update={"parameters": parameters})
-    see = Describer(house.encoder, plain, general).see
-    pictures = (house.decode(path.read_bytes()) for path in dataset.database)
-    fields = house.encoder.encode(list(pictures))
+    see = Describer(runtime.encoder, plain, general).see
+    images = (runtime.decode(path.read_bytes()) for path in dataset.database)
+    fields = runtime.encoder.encode(list(images))
     learned = vocabularies.train(fields, lambda field: see(field).static, parameters, parameters.seed)
-    house.store.keep_vocabulary(learned.digest, learned.tensors)
+    runtime.store.keep_vocabulary(learned.digest, learned.tensors)
     return plain.model_copy(update={"parameters": parameters, "vocabulary": learned.digest})
 
 
 def ablate(
     datasets: Sequence[Dataset],
     variants: Sequence[Variant],
-    house: House,
+    runtime: Runtime,
     encoder: RememberingEncoder,
     *,
     seed: int = 0,
@@ -265,13 +265,13 @@ def ablate(
     for dataset in datasets:
         for done, variant in enumerate(variants, start=1):
             try:
-                recipe = recipe_of(variant, house, dataset)
+                recipe = recipe_of(variant, runtime, dataset)
             except (RevisitError, ValueError) as reason:
                 print(f"{dataset.name}: left out {variant.name}: {reason}", file=sys.stderr)
                 continue
-            with map_of_its_own(house, recipe, variant.name, dataset) as retriever:
-                asked = ask(dataset, retriever, seed=seed)
-            right = first_right(asked.ranked, dataset.judged())[dataset.judged().answerable] == 1
+            with map_of_its_own(runtime, recipe, variant.name, dataset) as retriever:
+                results = ask(dataset, retriever, seed=seed)
+            right = first_right(results.ranked, dataset.judged())[dataset.judged().answerable] == 1
             measured.append(Measured(variant.name, dataset.name, right[:, None].astype(np.float64)))
             if progress:
                 progress(f"{dataset.name}: variants", done, len(variants))
@@ -330,14 +330,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         datasets = evaluate.read(options.dataset, options)
         with tempfile.TemporaryDirectory() as folder:
-            house, encoder = remembering(build(read_settings(data=Path(folder), device=options.device)))
-            house.start()
+            runtime, encoder = remembering(build(read_settings(data=Path(folder), device=options.device)))
+            runtime.start()
             try:
                 measured = ablate(
-                    datasets, chosen, house, encoder, seed=options.seed, progress=evaluate.Bar("ablation")
+                    datasets, chosen, runtime, encoder, seed=options.seed, progress=evaluate.Bar("ablation")
                 )
             finally:
-                house.stop()
+                runtime.stop()
     except RevisitError as refusal:
         print(refusal.detail, file=sys.stderr)
         return 2

@@ -14,7 +14,7 @@ import numpy as np
 from lab import evaluate
 from lab.datasets.dataset import Dataset
 from lab.datasets.hold_out import hold_out
-from lab.evaluation.asking import Asked, ask
+from lab.evaluation.querying import RankedResults, ask
 from lab.metrics.recall import Booleans, Doubles, first_right
 from schemas.errors import RevisitError
 from worker.method.calibration import (
@@ -58,11 +58,11 @@ class Evidence:
         return np.stack([self.features.get(name, nothing) for name in names], axis=1)
 
 
-def evidence(dataset: Dataset, asked: Asked) -> Evidence:
+def evidence(dataset: Dataset, results: RankedResults) -> Evidence:
     """The evidence in a run's answers; queries without any answer are left out, since their verdict needs no curve."""
-    answered = asked.ranked[:, 0] >= 0
-    right = first_right(asked.ranked, dataset.judged()) == 1
-    return Evidence({name: values[answered] for name, values in asked.features.items()}, right[answered])
+    answered = results.ranked[:, 0] >= 0
+    right = first_right(results.ranked, dataset.judged()) == 1
+    return Evidence({name: values[answered] for name, values in results.features.items()}, right[answered])
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +173,8 @@ def gather(options: argparse.Namespace, preset: str) -> dict[str, Evidence]:
             for part in parts:
                 with one.open(part) as retriever:
                     bar = evaluate.Bar(part.name)
-                    asked = ask(part, retriever, seed=options.seed, journals=options.out / "answers", progress=bar)
-                    seen.append(evidence(part, asked))
+                    results = ask(part, retriever, seed=options.seed, journals=options.out / "answers", progress=bar)
+                    seen.append(evidence(part, results))
             names = sorted({name for s in seen for name in s.features})
             columns = np.concatenate([s.columns(names) for s in seen])
             right = np.concatenate([s.right for s in seen])

@@ -22,11 +22,11 @@ from lab.baselines.known import NAMES, PLAIN, Needs, baselines
 from lab.datasets import aligned, folder, kitti, pairs, pitts30k
 from lab.datasets.dataset import Dataset
 from lab.datasets.hold_out import hold_out
-from lab.evaluation.asking import Asked, Progress, ask, counted, ranked_by
 from lab.evaluation.contender import Contender
 from lab.evaluation.gallery import Artist, answers, the_papers_figures
 from lab.evaluation.html import Example, as_html
 from lab.evaluation.measuring import Evaluation, frame, measure
+from lab.evaluation.querying import Progress, RankedResults, ask, counted, ranked_by
 from lab.evaluation.tables import as_json, as_text, overview
 from schemas.errors import InvalidParameters, RevisitError
 from schemas.settings import read_settings
@@ -73,11 +73,11 @@ def run(
     shown: list[Example] = []
     for contender in contenders:
         with contender.open(dataset) as retriever:
-            asked = ask(dataset, retriever, seed=seed, journals=journals, progress=progress)
-            methods += measure(dataset, asked, seed=seed)
+            results = ask(dataset, retriever, seed=seed, journals=journals, progress=progress)
+            methods += measure(dataset, results, seed=seed)
             if examples:
                 artist = contender.artist(retriever) if contender.artist else None
-                shown += _pictures(dataset, asked, artist, examples, seed)
+                shown += _images(dataset, results, artist, examples, seed)
     for rival in rivals:
         total = len(dataset.database) + len(dataset.queries)
         distances = rival.rank(dataset.database, dataset.queries, counted(progress, rival.name, total))
@@ -86,8 +86,8 @@ def run(
     return Outcome(found, shown)
 
 
-def _pictures(dataset: Dataset, asked: Asked, artist: Artist | None, count: int, seed: int) -> list[Example]:
-    return answers(dataset, asked, artist, each=count, seed=seed) + the_papers_figures(dataset, asked, artist, seed)
+def _images(dataset: Dataset, results: RankedResults, artist: Artist | None, count: int, seed: int) -> list[Example]:
+    return answers(dataset, results, artist, each=count, seed=seed) + the_papers_figures(dataset, results, artist, seed)
 
 
 def _circumstances(seed: int) -> dict[str, str]:
@@ -218,8 +218,8 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "evaluation.json").write_text(as_json(evaluations))
     (options.out / "evaluation.md").write_text(overview(evaluations) + "\n")
-    pictures = {o.evaluation.dataset: o.examples for o in outcomes}
-    (options.out / "report.html").write_text(as_html(evaluations, pictures, f"revisit on {options.root.name}"))
+    images = {o.evaluation.dataset: o.examples for o in outcomes}
+    (options.out / "report.html").write_text(as_html(evaluations, images, f"revisit on {options.root.name}"))
     print(f"report: {options.out / 'report.html'}")
     return 0
 
@@ -239,18 +239,18 @@ def services(
         yield [connect(options.url, preset) for preset in presets], needs
     else:
         # Late: a house brings torch, the database and the index, which baselines do without.
-        from lab.evaluation.in_process import contender, house_for_measuring
+        from lab.evaluation.in_process import contender, runtime_for_measuring
 
-        with house_for_measuring(read_settings(), options.device) as house:
-            recipe = house.default_recipe
+        with runtime_for_measuring(read_settings(), options.device) as runtime:
+            recipe = runtime.default_recipe
             inside = replace(
                 needs,
-                encoder=house.encoder,
+                encoder=runtime.encoder,
                 labels=recipe.labels,
                 dynamic=recipe.dynamic,
-                decode=lambda path: house.decode(path.read_bytes()),
+                decode=lambda path: runtime.decode(path.read_bytes()),
             )
-            yield [contender(house, preset) for preset in presets], inside
+            yield [contender(runtime, preset) for preset in presets], inside
 
 
 class Bar:

@@ -114,7 +114,7 @@ def _wall(
         elif kind < 0.62:
             x += _board(rng, texture, labels, x, height)
         elif kind < 0.85:
-            x += _picture(rng, texture, labels, x, height)
+            x += _image(rng, texture, labels, x, height)
         else:
             x += _extinguisher(texture, labels, x)
         x += float(rng.uniform(0.3, 1.5))
@@ -133,7 +133,7 @@ def _end(
     elif kind < 0.8:
         _window(rng, texture, labels, glow, max(0.1, width / 2 - 0.8), height)
     else:
-        _picture(rng, texture, labels, width / 2 - 0.5, height)
+        _image(rng, texture, labels, width / 2 - 0.5, height)
     return texture, labels, glow
 
 
@@ -211,7 +211,7 @@ def _board(rng: np.random.Generator, texture: Pixels, labels: Pixels, x: float, 
     return width
 
 
-def _picture(rng: np.random.Generator, texture: Pixels, labels: Pixels, x: float, height: float) -> float:
+def _image(rng: np.random.Generator, texture: Pixels, labels: Pixels, x: float, height: float) -> float:
     width, tall = float(rng.uniform(0.5, 1.2)), float(rng.uniform(0.45, 0.9))
     area = _area(texture, x, width, 1.55 + tall / 2, 1.55 - tall / 2)
     _framed(texture, area, ((40, 36, 34), (190, 160, 90), (236, 234, 230))[rng.integers(3)], 4)

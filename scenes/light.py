@@ -181,12 +181,12 @@ def hazed(colours: Pixels, nearness: npt.NDArray[np.float32], day: Daylight) -> 
 def developed(colours: Pixels, day: Daylight, rng: np.random.Generator, *, bright: float = 1.0) -> Pixels:
     """What a camera adds: bloom around lamps, darker corners, grain."""
     height, width = colours.shape[:2]
-    picture = colours.astype(np.float32) * bright
+    image = colours.astype(np.float32) * bright
     if day.lamps > 0:
-        glare = np.clip(picture - 205, 0, None)
+        glare = np.clip(image - 205, 0, None)
         small = cv2.resize(glare, (max(2, width // 4), max(2, height // 4)), interpolation=cv2.INTER_AREA)
-        picture += cv2.resize(cv2.GaussianBlur(small, (0, 0), max(1.0, width / 120)), (width, height)) * 1.6
+        image += cv2.resize(cv2.GaussianBlur(small, (0, 0), max(1.0, width / 120)), (width, height)) * 1.6
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
-    picture *= (1 - 0.13 * (x * x + y * y) ** 1.3)[..., None]
-    picture += rng.standard_normal(picture.shape, np.float32) * day.grain
-    return materials.bounded(picture)
+    image *= (1 - 0.13 * (x * x + y * y) ** 1.3)[..., None]
+    image += rng.standard_normal(image.shape, np.float32) * day.grain
+    return materials.bounded(image)

@@ -15,7 +15,7 @@ TREE = label("tree")
 def clump(rng: np.random.Generator, colour: Colour, *, needles: bool = False) -> Pixels:
     """A clump of leaves, RGBA 112 x 112: dark inside and below, light leaves on top."""
     size = 112
-    picture = np.zeros((size, size, 4), np.uint8)
+    image = np.zeros((size, size, 4), np.uint8)
     layers = 330
     for i in range(layers):
         angle, distance = rng.uniform(0, 2 * np.pi), np.sqrt(rng.uniform()) * 44
@@ -25,8 +25,8 @@ def clump(rng: np.random.Generator, colour: Colour, *, needles: bool = False) ->
         leaf = tuple(int(min(c * light + rng.normal(0, 5), 250)) if c * light > 5 else 5 for c in colour)
         axes = (int(rng.integers(6, 11)), 1) if needles else (int(rng.integers(3, 7)), int(rng.integers(2, 4)))
         turn = float(rng.uniform(20, 70)) if needles else float(rng.uniform(0, 180))
-        cv2.ellipse(picture, (int(x), int(y)), axes, turn, 0, 360, (*leaf, 255), -1)
-    return picture
+        cv2.ellipse(image, (int(x), int(y)), axes, turn, 0, 360, (*leaf, 255), -1)
+    return image
 
 
 def stem(rng: np.random.Generator, colour: Colour = (92, 76, 60)) -> Pixels:

@@ -18,7 +18,7 @@ from scenes.street import street
 from scenes.words import DYNAMIC, label
 
 Kind = Literal["street", "park", "corridor"]
-Condition = Literal["noon", "overcast", "dusk", "night"]
+Lifecycle = Literal["noon", "overcast", "dusk", "night"]
 
 KINDS = {"street": street, "park": park, "corridor": corridor}
 FINER = 2
@@ -53,7 +53,7 @@ class Scene:
 
     seed: int
     kind: Kind = "street"
-    light: Condition = "noon"
+    light: Lifecycle = "noon"
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     things: tuple[str, ...] = ()
     size: tuple[int, int] = (640, 480)
@@ -63,7 +63,7 @@ class Scene:
         if unknown or self.kind not in KINDS:
             raise ValueError(f"no {sorted(unknown) or self.kind!r}; things are {DYNAMIC}, kinds {sorted(KINDS)}")
 
-    def at(self, light: Condition) -> "Scene":
+    def at(self, light: Lifecycle) -> "Scene":
         """The same in another light."""
         return replace(self, light=light)
 
@@ -89,7 +89,7 @@ class Scene:
     def render(
         self,
         viewpoint: Viewpoint | None = None,
-        light: Condition | None = None,
+        light: Lifecycle | None = None,
         things: tuple[str, ...] | None = None,
         size: tuple[int, int] | None = None,
     ) -> tuple[Pixels, Pixels]:

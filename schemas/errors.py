@@ -61,7 +61,7 @@ class BadBody(RevisitError):
         self.code = code
 
 
-class BadPicture(RevisitError):
+class BadImage(RevisitError):
     """Bytes that are not a usable picture."""
 
     def __init__(self, code: str, detail: str) -> None:

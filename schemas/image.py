@@ -10,7 +10,7 @@ Bytes2D = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class Image:
     """A picture as the method sees it: upright, RGB, eight bits.
 
     Parameters
@@ -35,7 +35,7 @@ class Picture:
             raise ValueError(f"a picture is uint8 (height, width, 3), not {self.pixels.dtype} {self.pixels.shape}")
 
     @classmethod
-    def of(cls, pixels: Bytes2D) -> "Picture":
+    def of(cls, pixels: Bytes2D) -> "Image":
         """A picture that was drawn rather than decoded; its digest is that of its pixels."""
         return cls(np.ascontiguousarray(pixels), hashlib.sha256(pixels.tobytes()).hexdigest(), "png", pixels.nbytes)
 
@@ -62,7 +62,7 @@ def extent_of(width: int, height: int) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class PictureFacts:
+class ImageFacts:
     """What is kept of a picture besides its bytes."""
 
     width: int

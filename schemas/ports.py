@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 from typing import Protocol
 
 from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures, PixelField
-from schemas.image import Picture, PictureFacts
+from schemas.image import Image, ImageFacts
 from schemas.recipe import Recipe
 from schemas.records import (
     Candidates,
@@ -16,13 +16,13 @@ from schemas.records import (
     MapCounts,
     MapRecord,
     Meaning,
+    Position,
     Removal,
     Replay,
-    Said,
     Selection,
     Submitted,
+    ViewAttributes,
     ViewRecord,
-    Where,
 )
 
 
@@ -44,11 +44,11 @@ class Encoder(Protocol):
         """Channels of each layer of its fields; ``words`` is always there."""
         ...
 
-    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per picture, in order, each independent of the others in the batch."""
         ...
 
-    def fine(self, picture: Picture) -> PixelField:
+    def fine(self, image: Image) -> PixelField:
         """The picture at the finest grid that the encoder has, for people to look at; the layer ``words`` is enough.
 
         In the same space as the fields of `encode`, of which everything that is stored is made.
@@ -116,7 +116,7 @@ class Store(Protocol):
 
     # enrolment and work
     def submit(
-        self, name: str, picture: bytes, facts: PictureFacts, said: Said, recipe: Recipe, now: datetime
+        self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: Recipe, now: datetime
     ) -> Submitted:
         """Keep a picture and queue its description; makes the map (with `recipe`) when there is none.
 
@@ -185,11 +185,11 @@ class Store(Protocol):
 
     def places(
         self, name: str | None, cursor: str | None, limit: int
-    ) -> tuple[list[tuple[str, str, int, Where, datetime]], str | None]:
+    ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
         """A page of (map, place, views, mean position, last enrolment), by map and place."""
         ...
 
-    def patch(self, view_id: str, said: Said) -> ViewRecord:
+    def patch(self, view_id: str, attributes: ViewAttributes) -> ViewRecord:
         """Replace what was said about a view; raises NotFound."""
         ...
 
@@ -201,7 +201,7 @@ class Store(Protocol):
         """Remove all views of a map that fit; raises NotFound."""
         ...
 
-    def picture(self, view_id: str) -> bytes:
+    def image(self, view_id: str) -> bytes:
         """The enrolled picture, byte for byte; raises NotFound."""
         ...
 

@@ -69,7 +69,9 @@ class DenseCells(Frozen):
         default_factory=dict,
         description="How much each channel counts in a cell, scaled to sum to 1; all the same when none is named.",
     )
-    closely: Annotated[int, Field(ge=0, le=100)] = Field(10, description="How many of the best are compared in full.")
+    full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
+        10, description="How many of the best are compared in full."
+    )
     alone: dict[str, Annotated[int, Field(ge=0, le=100)]] = Field(
         default_factory=dict,
         description="Channels whose cells are also compared by themselves, and for how many of the best in full (0: "
@@ -82,7 +84,11 @@ class DenseCells(Frozen):
     @property
     def read_alone(self) -> dict[str, int]:
         """Channels that are compared by themselves too, and for how many of the best in full, at least 1."""
-        return {channel: closely for channel, closely in self.alone.items() if closely}
+        return {
+            channel: full_resolution_top_k
+            for channel, full_resolution_top_k in self.alone.items()
+            if full_resolution_top_k
+        }
 
     @model_serializer(mode="wrap")
     def _as_before(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -93,7 +99,11 @@ class DenseCells(Frozen):
     def among(self, channels: Collection[str]) -> "DenseCells":
         """The same for a recipe that has these channels only."""
         shares = {name: share for name, share in self.shares.items() if name in channels}
-        alone = {name: closely for name, closely in self.alone.items() if name in channels and len(channels) > 1}
+        alone = {
+            name: full_resolution_top_k
+            for name, full_resolution_top_k in self.alone.items()
+            if name in channels and len(channels) > 1
+        }
         return self.model_copy(update={"shares": shares, "alone": alone})
 
 

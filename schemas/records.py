@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats
-from schemas.image import PictureFacts
+from schemas.image import ImageFacts
 from schemas.recipe import Recipe
 
 Sequence64 = npt.NDArray[np.int64]
@@ -38,7 +38,7 @@ class Meaning:
 
 
 @dataclass(frozen=True)
-class Where:
+class Position:
     """A position; metres (x, y, z) or degrees (lat, lon, alt), never both. All None: not said."""
 
     x: float | None = None
@@ -51,11 +51,11 @@ class Where:
 
 
 @dataclass(frozen=True)
-class Said:
+class ViewAttributes:
     """What the user said about a view."""
 
     place: str | None = None
-    where: Where = Where()
+    position: Position = Position()
     captured_at: datetime | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
@@ -76,9 +76,9 @@ class MapCounts:
 
     views: Mapping[str, int]
     places: int
-    picture_bytes: int
-    lowest: Where
-    highest: Where
+    image_bytes: int
+    lowest: Position
+    highest: Position
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +105,9 @@ class ViewRecord:
     id: str
     seq: int
     map: str
-    said: Said
+    attributes: ViewAttributes
     enrolled_at: datetime
-    picture: PictureFacts
+    image: ImageFacts
     state: ViewState
     failure: tuple[str, str] | None
     description: DescriptionRecord | None
@@ -227,7 +227,7 @@ class Removal:
     """What a deletion took away."""
 
     views: int
-    pictures: int
+    images: int
     revision: int | None
 
 

@@ -152,7 +152,7 @@ class DenseMatch(Answer):
         description="Root of the share of the query's cells that agree on one shift, 0..1: of cells that join all "
         "channels, or of a channel alone, whichever has the view stand out more."
     )
-    typical: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
+    median_similarity: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
     high: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
     scale: float | None = Field(
@@ -328,7 +328,7 @@ class Deleted(Answer):
     """Receipt of a deletion."""
 
     views: int
-    pictures: int = Field(description="Picture files removed; one is kept while another view shows the same bytes.")
+    images: int = Field(description="Picture files removed; one is kept while another view shows the same bytes.")
     revision: int | None
 
 

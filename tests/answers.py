@@ -31,7 +31,7 @@ def enrolled(created: bool = True, **changes: Any) -> dict[str, Any]:
 
 
 def match(rank: int = 1, score: float = 0.8, **changes: Any) -> dict[str, Any]:
-    """One match of a question's answer."""
+    """One match of a query's answer."""
     return {
         "rank": rank,
         "view": view(**changes),

@@ -25,8 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     prepare(options)
 
     trunk = trunk_state(options.trunk)
-    pictures = [path for name in data.LABELLED for path in data.training_pictures(options.data / "segmentation", name)]
-    outdoor = [path for name in data.OUTDOOR for path in data.training_pictures(options.data / "segmentation", name)]
+    images = [path for name in data.LABELLED for path in data.training_images(options.data / "segmentation", name)]
+    outdoor = [path for name in data.OUTDOOR for path in data.training_images(options.data / "segmentation", name)]
     teacher_labels = options.out / "teacher"
     if not options.resume:
         write_labels(Teacher(trunk), outdoor, teacher_labels)
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lexicon = Lexicon(ClipWords(options.data / data.CLIP_FILE), data.classes(options.data))
 
     network, missing = started(options.pretrained)
-    sample = pictures[::20]
+    sample = images[::20]
     if options.detail:
         fit_detail_head(network, EarlierDetail(options.detail), sample)
     elif "detail.weight" in missing:

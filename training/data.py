@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from training import light
+from training.images import Image, read_labels, read_rgb
 from training.lexicon import IN_FRONT, STREET_WORDS, Lexicon, class_words
 from training.mix import STREET, Mix
-from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import OPINION_CELLS, label_name, opinion_name
 from training.viewpoint import FOR_DETAIL, FOR_LABELS, FOR_WORDS, Freedom, View, draw_views, shared_cells
 from worker.encoders.compact.network import STRIDE
@@ -40,7 +40,7 @@ _LEAST_SIDE = 150
 class Shot:
     """One picture, and its labels where it has some."""
 
-    picture: Path
+    image: Path
     labels: Path | None = None
     data_set: str | None = None
 
@@ -67,25 +67,25 @@ def sources(data: Path, teacher_labels: Path | None, splits: Sequence[str] = ("t
     found: dict[str, Source] = {}
     for data_set in LABELLED:
         shots = [
-            Shot(picture, labels_of(picture), data_set)
+            Shot(image, labels_of(image), data_set)
             for split in splits
-            for picture in pictures_of(data / "segmentation", data_set, split)
+            for image in images_of(data / "segmentation", data_set, split)
         ]
         found[data_set] = _evenly(data_set, [[shot] for shot in shots])
     if teacher_labels is not None:
         taught = [
-            Shot(picture, teacher_labels / label_name(picture), STREET)
+            Shot(image, teacher_labels / label_name(image), STREET)
             for data_set in OUTDOOR
-            for picture in training_pictures(data / "segmentation", data_set)
+            for image in training_images(data / "segmentation", data_set)
         ]
         found[STREET] = _evenly(STREET, [[shot] for shot in taught])
     indoor = _by_folder(data / "unlabelled")
     if indoor:
         # A few long walks make up most of these: weigh a folder by the square root of its size.
-        walks = [(len(walk), Shot(picture)) for walk in indoor for picture in walk]
+        walks = [(len(walk), Shot(image)) for walk in indoor for image in walk]
         found["indoor"] = _weighted("indoor", [[shot] for _, shot in walks], [size**-0.5 for size, _ in walks])
     aligned = [_one_size(folder) for folder in _by_folder(data / "pairs" / "aligned")]
-    scenes = [(side, [Shot(picture) for picture in scene]) for side, scene in aligned if len(scene) > 1]
+    scenes = [(side, [Shot(image) for image in scene]) for side, scene in aligned if len(scene) > 1]
     if scenes:
         trust = [len(scene) ** 0.5 * (1.0 if side > _LEAST_SIDE else 0.15) for side, scene in scenes]
         found["aligned"] = _weighted("aligned", [scene for _, scene in scenes], trust)
@@ -95,18 +95,18 @@ def sources(data: Path, teacher_labels: Path | None, splits: Sequence[str] = ("t
 def classes(data: Path) -> dict[str, dict[int, Sequence[str]]]:
     """Give the words of every label value of every labelled set, the trunk's own labels among them."""
     files = {name: data / "segmentation" / name / "classes.json" for name in LABELLED}
-    said = {name: class_words(path) for name, path in files.items() if path.exists()}
-    return said | {STREET: {value: (word,) for value, word in enumerate(STREET_WORDS)}}
+    attributes = {name: class_words(path) for name, path in files.items() if path.exists()}
+    return attributes | {STREET: {value: (word,) for value, word in enumerate(STREET_WORDS)}}
 
 
-def pictures_of(segmentation: Path, data_set: str, split: str) -> list[Path]:
+def images_of(segmentation: Path, data_set: str, split: str) -> list[Path]:
     """List the pictures of a labelled set that belong to a split: ``train``, ``val`` or ``test``."""
     return sorted((segmentation / data_set / split / "images").glob("*"))
 
 
-def training_pictures(segmentation: Path, data_set: str) -> list[Path]:
+def training_images(segmentation: Path, data_set: str) -> list[Path]:
     """List the training pictures of a labelled set."""
-    return pictures_of(segmentation, data_set, "train")
+    return images_of(segmentation, data_set, "train")
 
 
 class Batches(Dataset[dict[str, Tensor]]):
@@ -114,13 +114,13 @@ class Batches(Dataset[dict[str, Tensor]]):
 
     A batch of n pairs holds, first views before second views where both are meant:
 
-    - ``pictures``: uint8 (2n, 3, height, width), RGB;
+    - ``images``: uint8 (2n, 3, height, width), RGB;
     - ``meanings``: int16 (2n, height / 4, width / 4), -1 where nothing is known;
     - ``sets``: int64 (2n,), index into the lexicon's sets, -1 for pictures without labels;
     - ``cells``: int64 (n, POINTS) and ``positions``: float32 (n, POINTS, 2), see `shared_cells`;
     - ``matched``: bool (n,), whether those can be used;
     - ``mild``: bool (n,), whether the light was changed mildly, for the detail channel;
-    - ``clear_pictures``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views, with labels at the
+    - ``clear_images``, ``clear_meanings``, ``clear_sets``: the same of the single labelled views, with labels at the
       mix's own stride; these alone, where the mix has no pairs;
     - ``clear_opinions``: float16 (n, 19, rows, columns), a teacher's opinions of the pictures that those were cut from,
       0 where it has none, and ``clear_views``: float32 (n, 3, 3), from a view to its picture; where there is a folder
@@ -145,7 +145,7 @@ class Batches(Dataset[dict[str, Tensor]]):
         batch = self._pairs(rng) if self._mix.strong or self._mix.mild else {}
         clear = [self._clear(rng) for _ in range(self._mix.clear)]
         batch |= {
-            "clear_pictures": _stacked([one.picture for one in clear]),
+            "clear_pictures": _stacked([one.image for one in clear]),
             "clear_meanings": torch.from_numpy(np.stack([one.meanings for one in clear])),
             "clear_sets": torch.tensor([self._set_index.get(one.data_set, -1) for one in clear]),
         }
@@ -163,7 +163,7 @@ class Batches(Dataset[dict[str, Tensor]]):
         views = [pair.first for pair in pairs] + [pair.second for pair in pairs]
         owners = [self._set_index.get(pair.data_set or "", -1) for pair in pairs]
         return {
-            "pictures": _stacked([picture for picture, _ in views]),
+            "pictures": _stacked([image for image, _ in views]),
             "meanings": torch.from_numpy(np.stack([meanings for _, meanings in views])),
             "sets": torch.tensor(owners * 2),
             "cells": torch.from_numpy(np.stack([pair.cells for pair in pairs])),
@@ -185,48 +185,48 @@ class Batches(Dataset[dict[str, Tensor]]):
             taken = self._in_front[other.meanings]
             one.meanings[taken] = other.meanings[taken]
             pixels = np.kron(taken, np.ones((self._mix.clear_stride,) * 2, np.bool_))
-            one.picture[pixels] = other.picture[pixels]
+            one.image[pixels] = other.image[pixels]
         if self._mix.clear_strong and rng.random() < self._mix.clear_strong:
-            return replace(one, picture=light.strong(one.picture, rng))
+            return replace(one, image=light.strong(one.image, rng))
         if rng.random() < MILDLY_LIT:
-            return replace(one, picture=light.mild(one.picture, rng))
+            return replace(one, image=light.mild(one.image, rng))
         return one
 
     def _cut(self, rng: np.random.Generator, source: Source) -> "_Single":
         shot, _ = source.draw(rng)
-        picture = training_picture(shot.picture)
-        view, _ = draw_views(picture.shape[:2], self._mix.clear_size, FOR_LABELS, rng, self._mix.clear_zoom)
-        meanings = self._meanings(shot, picture, view, self._mix.clear_size, self._mix.clear_stride)
+        image = training_image(shot.image)
+        view, _ = draw_views(image.shape[:2], self._mix.clear_size, FOR_LABELS, rng, self._mix.clear_zoom)
+        meanings = self._meanings(shot, image, view, self._mix.clear_size, self._mix.clear_stride)
         folder = self._opinions
-        opinions = np.zeros(0, np.float16) if folder is None else opinions_of(folder / opinion_name(shot.picture))
-        return _Single(view.cut(picture, self._mix.clear_size, labels=False), meanings, source.name, view, opinions)
+        opinions = np.zeros(0, np.float16) if folder is None else opinions_of(folder / opinion_name(shot.image))
+        return _Single(view.cut(image, self._mix.clear_size, labels=False), meanings, source.name, view, opinions)
 
     def _meanings(
-        self, shot: Shot, picture: Picture, view: View, size: tuple[int, int], stride: int = 4
+        self, shot: Shot, image: Image, view: View, size: tuple[int, int], stride: int = 4
     ) -> npt.NDArray[np.int16]:
         height, width = size
         if shot.labels is None or shot.data_set is None:
             return np.full((height // stride, width // stride), -1, np.int16)
-        labels = view.cut(training_labels(shot.labels, picture.shape[:2]), size, labels=True)
+        labels = view.cut(training_labels(shot.labels, image.shape[:2]), size, labels=True)
         return self._tables[shot.data_set][labels[stride // 2 :: stride, stride // 2 :: stride]]
 
     def _pair(self, rng: np.random.Generator, shares: Mapping[str, float], freedom: Freedom, *, mild: bool) -> "_Pair":
         shots = self._source(rng, shares).draw(rng)
-        pictures = [training_picture(shot.picture) for shot in shots]
+        images = [training_image(shot.image) for shot in shots]
         height, width = self._mix.size
-        views = draw_views(pictures[0].shape[:2], (height, width), freedom, rng)
+        views = draw_views(images[0].shape[:2], (height, width), freedom, rng)
         cells, positions, matched = shared_cells(*views, (height // STRIDE, width // STRIDE), POINTS, rng)
         ready = []
-        for shot, picture, view in zip(shots, pictures, views, strict=True):
-            seen = view.cut(picture, (height, width), labels=False)
+        for shot, image, view in zip(shots, images, views, strict=True):
+            seen = view.cut(image, (height, width), labels=False)
             seen = light.mild(seen, rng) if mild else light.strong(seen, rng)
-            ready.append((seen, self._meanings(shot, picture, view, (height, width))))
+            ready.append((seen, self._meanings(shot, image, view, (height, width))))
         return _Pair(ready[0], ready[1], shots[0].data_set, cells, positions, matched)
 
 
 @dataclass(frozen=True)
 class _Single:
-    picture: Picture
+    image: Image
     meanings: npt.NDArray[np.int16]
     data_set: str
     view: View
@@ -235,16 +235,16 @@ class _Single:
 
 @dataclass(frozen=True)
 class _Pair:
-    first: tuple[Picture, npt.NDArray[np.int16]]
-    second: tuple[Picture, npt.NDArray[np.int16]]
+    first: tuple[Image, npt.NDArray[np.int16]]
+    second: tuple[Image, npt.NDArray[np.int16]]
     data_set: str | None
     cells: npt.NDArray[np.int64]
     positions: npt.NDArray[np.float32]
     matched: bool
 
 
-def _stacked(pictures: Sequence[Picture]) -> Tensor:
-    return torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2)
+def _stacked(images: Sequence[Image]) -> Tensor:
+    return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
 
 
 def stream(batches: Batches, start: int, workers: int) -> Iterator[dict[str, Tensor]]:
@@ -289,17 +289,17 @@ def meaning_shares(found: Mapping[str, Source], lexicon: Lexicon) -> npt.NDArray
 
 
 @functools.lru_cache(maxsize=4096)
-def training_picture(path: Path) -> Picture:
+def training_image(path: Path) -> Image:
     """Read a picture as RGB, its shorter side at most 450."""
-    picture = read_rgb(path)
-    scale = _SHORT_SIDE / min(picture.shape[:2])
+    image = read_rgb(path)
+    scale = _SHORT_SIDE / min(image.shape[:2])
     if scale < 0.8:
-        picture = np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-    return picture
+        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    return image
 
 
 @functools.lru_cache(maxsize=4096)
-def training_labels(path: Path, shape: tuple[int, int]) -> Picture:
+def training_labels(path: Path, shape: tuple[int, int]) -> Image:
     """Read a label map at the size of its picture."""
     labels = read_labels(path)
     if labels.shape != shape:
@@ -315,9 +315,9 @@ def opinions_of(path: Path) -> npt.NDArray[np.float16]:
     return np.zeros((len(STREET_WORDS), *OPINION_CELLS), np.float16)
 
 
-def labels_of(picture: Path) -> Path:
+def labels_of(image: Path) -> Path:
     """Find the label map of ``<set>/<split>/images/<name>``."""
-    return picture.parents[1] / "labels" / f"{picture.stem}.png"
+    return image.parents[1] / "labels" / f"{image.stem}.png"
 
 
 def _by_folder(root: Path) -> list[list[Path]]:
@@ -327,10 +327,10 @@ def _by_folder(root: Path) -> list[list[Path]]:
     return list(folders.values())
 
 
-def _one_size(pictures: Sequence[Path]) -> tuple[int, list[Path]]:
+def _one_size(images: Sequence[Path]) -> tuple[int, list[Path]]:
     """Keep the pictures as large as the first: only their pixels correspond. Also give the shorter side."""
-    shapes = [read_rgb(path).shape[:2] for path in pictures]
-    return min(shapes[0]), [path for path, shape in zip(pictures, shapes, strict=True) if shape == shapes[0]]
+    shapes = [read_rgb(path).shape[:2] for path in images]
+    return min(shapes[0]), [path for path, shape in zip(images, shapes, strict=True) if shape == shapes[0]]
 
 
 def _evenly(name: str, scenes: Sequence[Sequence[Shot]]) -> Source:

@@ -1,4 +1,4 @@
-"""A first detail head without gradient steps, and the features that its likenesses are held to.
+"""A first detail head without gradient steps, and the features that its similarities are held to.
 
 Both are linear maps fitted on a sample of training pictures, so a run loses no time on a random head.
 """
@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training.data import training_picture
+from training.data import training_image
 from training.teacher import Shallow, load_own
 from worker.encoders.compact.network import DETAIL_CHANNELS, CompactNetwork
 
@@ -29,18 +29,18 @@ class SpreadFeatures(nn.Module):
     centre: Tensor
     spread: Tensor
 
-    def __init__(self, teacher: Shallow, pictures: Sequence[Path]) -> None:
+    def __init__(self, teacher: Shallow, images: Sequence[Path]) -> None:
         super().__init__()
         self.teacher = teacher
-        sample = torch.cat([_columns(teacher(batch)[1]) for batch in _batches(pictures)])
+        sample = torch.cat([_columns(teacher(batch)[1]) for batch in _batches(images)])
         self.register_buffer("centre", sample.mean(dim=0))
         values, directions = torch.linalg.eigh(torch.cov((sample - self.centre).T))
         self.register_buffer("spread", directions / values.clamp_min(1e-9) ** 0.25)
 
     @torch.no_grad()
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Map RGB pictures in 0..1, (n, 3, h, w), to unit-length features (n, 40, h / 8, w / 8)."""
-        maps = self.teacher(pictures)[1].float() - self.centre[:, None, None]
+        maps = self.teacher(images)[1].float() - self.centre[:, None, None]
         return F.normalize(torch.einsum("nchw,cd->ndhw", maps, self.spread), dim=1)
 
 
@@ -55,16 +55,16 @@ class EarlierDetail(nn.Module):
         self.head = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
         load_own(self.head, {name: saved[f"head.{name}"] for name in ("weight", "bias")})
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Map RGB pictures in 0..1, (n, 3, h, w), to unit-length features (n, 64, h / 8, w / 8)."""
-        return F.normalize(self.head(both_layers(*self.shallow(pictures))), dim=1)
+        return F.normalize(self.head(both_layers(*self.shallow(images))), dim=1)
 
 
 @torch.no_grad()
-def fit_detail_head(network: CompactNetwork, towards: nn.Module, pictures: Sequence[Path]) -> None:
+def fit_detail_head(network: CompactNetwork, towards: nn.Module, images: Sequence[Path]) -> None:
     """Set the detail head to the linear map that comes nearest to another network's detail field."""
     given, wanted = [], []
-    for batch in _batches(pictures):
+    for batch in _batches(images):
         given.append(_columns(both_layers(*network.shallow(batch))))
         wanted.append(_columns(towards(batch)))
     inputs = torch.cat(given).double()
@@ -76,9 +76,9 @@ def fit_detail_head(network: CompactNetwork, towards: nn.Module, pictures: Seque
 
 
 @torch.no_grad()
-def spread_detail_head(network: CompactNetwork, pictures: Sequence[Path]) -> None:
+def spread_detail_head(network: CompactNetwork, images: Sequence[Path]) -> None:
     """Set the detail head to the principal directions of its inputs, each divided by its variance's fourth root."""
-    inputs = torch.cat([_columns(both_layers(*network.shallow(batch))) for batch in _batches(pictures)]).double()
+    inputs = torch.cat([_columns(both_layers(*network.shallow(batch))) for batch in _batches(images)]).double()
     mean = inputs.mean(dim=0)
     values, directions = torch.linalg.eigh(torch.cov((inputs - mean).T))
     matrix = (directions / values.clamp_min(1e-9) ** 0.25).T
@@ -95,10 +95,10 @@ def _set_head(network: CompactNetwork, weight: Tensor, bias: Tensor) -> None:
     network.detail.load_state_dict({"weight": weight[:, :, None, None], "bias": bias})
 
 
-def _batches(pictures: Sequence[Path]) -> Iterator[Tensor]:
-    for path in pictures:
-        picture = cv2.resize(training_picture(path), (_SIZE[1], _SIZE[0]), interpolation=cv2.INTER_AREA)
-        yield torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255
+def _batches(images: Sequence[Path]) -> Iterator[Tensor]:
+    for path in images:
+        image = cv2.resize(training_image(path), (_SIZE[1], _SIZE[0]), interpolation=cv2.INTER_AREA)
+        yield torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255
 
 
 def _columns(maps: Tensor) -> Tensor:

@@ -20,12 +20,12 @@ import torch
 
 from training import data
 from training.export import network_of
-from training.pictures import Picture, read_rgb
+from training.images import Image, read_rgb
 from training.recognition import DenseCells, Field, Floats, Histograms, best_shift, recall_at_one
 from worker.configure import keep_freed_memory
 from worker.encoders.compact.network import CompactNetwork
 
-Embed = Callable[[Picture], tuple[Field, Field]]
+Embed = Callable[[Image], tuple[Field, Field]]
 """A picture (RGB) to its words field and its detail field."""
 
 LONG_SIDE = 480
@@ -61,21 +61,21 @@ def embedder(network: CompactNetwork) -> Embed:
     """Wrap the network as a function of one picture."""
 
     @torch.inference_mode()
-    def embed(picture: Picture) -> tuple[Field, Field]:
-        x = torch.from_numpy(resized(picture)).permute(2, 0, 1)[None].float() / 255
+    def embed(image: Image) -> tuple[Field, Field]:
+        x = torch.from_numpy(resized(image)).permute(2, 0, 1)[None].float() / 255
         words, detail = network(x.contiguous(memory_format=torch.channels_last))
         return _field(words), _field(detail)
 
     return embed
 
 
-def resized(picture: Picture) -> Picture:
+def resized(image: Image) -> Image:
     """Bring the longer side to 480 pixels, small pictures too, and both sides to multiples of 32."""
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     scale = LONG_SIDE / max(height, width)
     size = tuple(max(96, round(side * scale / 32) * 32) for side in (width, height))
     how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)
+    return np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
 
 
 def evaluate(embed: Embed, data_folder: Path, pairs: Sequence[Pair] = PAIRS) -> dict[str, list[float]]:
@@ -86,7 +86,7 @@ def evaluate(embed: Embed, data_folder: Path, pairs: Sequence[Pair] = PAIRS) -> 
     dict of str to list of float
         For each way of ranking, recall at 1 of each pair, in percent.
     """
-    general = _embedded(embed, general_pictures(data_folder))
+    general = _embedded(embed, general_images(data_folder))
     histograms = [Histograms(general[k], temperature=TEMPERATURES[k]) for k in range(2)]
     dense = [DenseCells(general[k]) for k in range(2)]
     del general
@@ -96,7 +96,7 @@ def evaluate(embed: Embed, data_folder: Path, pairs: Sequence[Pair] = PAIRS) -> 
         for folder in (pair.query, pair.database):
             key = (pair.place_set, folder)
             if key not in vectors:
-                fields = _embedded(embed, place_pictures(data_folder, *key))
+                fields = _embedded(embed, place_images(data_folder, *key))
                 vectors[key] = [histograms[k].of(fields[k]) for k in range(2)]
                 cells[key] = [dense[k].of(fields[k]) for k in range(2)]
     table: dict[str, list[float]] = {}
@@ -112,20 +112,20 @@ def _scores(
     queries: list[Floats], views: list[Floats], query_cells: list[Floats], view_cells: list[Floats]
 ) -> dict[str, Floats]:
     """Score every view (columns) for every query (rows), by each way of ranking."""
-    likeness = [queries[k] @ views[k].T for k in range(2)]
-    order = [np.argsort(-likeness[k], axis=1, kind="stable") for k in range(2)]
-    scores = {f"{CHANNELS[k]}: histogram": likeness[k] for k in range(2)}
+    similarity = [queries[k] @ views[k].T for k in range(2)]
+    order = [np.argsort(-similarity[k], axis=1, kind="stable") for k in range(2)]
+    scores = {f"{CHANNELS[k]}: histogram": similarity[k] for k in range(2)}
     for k in range(2):
-        ranked = np.full_like(likeness[k], -9)
+        ranked = np.full_like(similarity[k], -9)
         for row, nearest in enumerate(order[k][:, :20]):
             fit = best_shift(query_cells[k][row], view_cells[k][nearest])
-            ranked[row, nearest] = DENSE_SHARES[k] * fit + (1 - DENSE_SHARES[k]) * likeness[k][row, nearest]
+            ranked[row, nearest] = DENSE_SHARES[k] * fit + (1 - DENSE_SHARES[k]) * similarity[k][row, nearest]
         scores[f"{CHANNELS[k]}: 20 re-ranked by cells"] = ranked
-    unions = {each: np.full_like(likeness[0], -9) for each in (10, 20)}
-    for row in range(len(likeness[0])):
+    unions = {each: np.full_like(similarity[0], -9) for each in (10, 20)}
+    for row in range(len(similarity[0])):
         nearest = np.unique([order[k][row, :20] for k in range(2)])
         fits = [best_shift(query_cells[k][row], view_cells[k][nearest]) for k in range(2)]
-        together = sum(0.4 * fits[k] + 0.1 * likeness[k][row, nearest] for k in range(2))
+        together = sum(0.4 * fits[k] + 0.1 * similarity[k][row, nearest] for k in range(2))
         unions[20][row, nearest] = together
         first = np.isin(nearest, [order[k][row, :10] for k in range(2)])
         unions[10][row, nearest[first]] = together[first]
@@ -133,26 +133,26 @@ def _scores(
     return scores
 
 
-def general_pictures(data_folder: Path, count: int = 600) -> list[Path]:
+def general_images(data_folder: Path, count: int = 600) -> list[Path]:
     """Draw pictures of streets and rooms to make vocabularies and components from."""
-    pictures = [
+    images = [
         path
         for name in ("camvid", "labelmefacade", "nyuv2")
-        for path in data.training_pictures(data_folder / "segmentation", name)
+        for path in data.training_images(data_folder / "segmentation", name)
     ]
-    chosen = np.random.default_rng(0).permutation(len(pictures))[:count]
-    return [pictures[index] for index in sorted(chosen)]
+    chosen = np.random.default_rng(0).permutation(len(images))[:count]
+    return [images[index] for index in sorted(chosen)]
 
 
-def place_pictures(data_folder: Path, place_set: str, folder: str) -> list[Path]:
+def place_images(data_folder: Path, place_set: str, folder: str) -> list[Path]:
     """List a folder's pictures by name."""
     return sorted(p for p in (data_folder / "places" / place_set / folder).iterdir() if p.suffix in (".jpg", ".png"))
 
 
 def ground_truth(data_folder: Path, pair: Pair) -> npt.NDArray[np.bool_]:
     """Read which views (columns) answer which queries (rows)."""
-    rows = {path.name: i for i, path in enumerate(place_pictures(data_folder, pair.place_set, pair.query))}
-    columns = {path.name: i for i, path in enumerate(place_pictures(data_folder, pair.place_set, pair.database))}
+    rows = {path.name: i for i, path in enumerate(place_images(data_folder, pair.place_set, pair.query))}
+    columns = {path.name: i for i, path in enumerate(place_images(data_folder, pair.place_set, pair.database))}
     truth = np.zeros((len(rows), len(columns)), np.bool_)
     with (data_folder / "places" / pair.place_set / "ground_truth.csv").open() as lines:
         for line in csv.DictReader(lines):
@@ -164,8 +164,8 @@ def ground_truth(data_folder: Path, pair: Pair) -> npt.NDArray[np.bool_]:
 def _embedded(embed: Embed, paths: Iterable[Path]) -> list[list[Field]]:
     fields: list[list[Field]] = [[], []]
     for path in paths:
-        picture = read_rgb(path)
-        for known, field in zip(fields, embed(picture), strict=True):
+        image = read_rgb(path)
+        for known, field in zip(fields, embed(image), strict=True):
             known.append(field)
     return fields
 

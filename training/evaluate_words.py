@@ -4,8 +4,8 @@ As LSeg is judged: the words of a set's own classes are put to the network, a cl
 pixel takes the best class. CamVid has 11 classes, LabelMeFacade 8; of NYUv2's 37 the 13 with most labelled pixels in
 its training pictures are taken and pixels of the others are left out.
 
-Judged are the fine words (``--fine FILE --second FILES``), which segmentations are drawn from, as the service has them
-(`looked_at` of the encoder), and without that option the words field that descriptions are made of. Pictures
+Judged are the segmentation network (``--fine FILE --second FILES``), which segmentations are drawn from, as the service has them
+(`segment_with_ensemble` of the encoder), and without that option the words field that descriptions are made of. Pictures
 come at two sizes: as the service sees them, 480 on the longer side (``service``), and at their own, times ``--scale``
 (``own``). Scores are enlarged to the labels' size before the best class is taken.
 """
@@ -25,17 +25,17 @@ from torch import Tensor
 
 from training import data
 from training.export import basis_of, network_of
+from training.images import Image, read_labels, read_rgb
 from training.lexicon import ClipWords, Floats, class_words
-from training.pictures import Picture, read_labels, read_rgb
 from worker.configure import keep_freed_memory
-from worker.encoders.compact.encoder import LONGEST, looked_at, resized
+from worker.encoders.compact.encoder import LONGEST, resized, segment_with_ensemble
 from worker.encoders.compact.network import CompactNetwork
-from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 
 JUDGED = {"camvid": 11, "labelmefacade": 8, "nyuv2": 13}
 """Sets, and how many of their classes are judged: the most common ones."""
 
-Embed = Callable[[Picture, float], Floats]
+Embed = Callable[[Image, float], Floats]
 """A picture, uint8 (height, width, 3), and its longer side as judged, to float32 (rows, columns, channels)."""
 
 
@@ -51,23 +51,23 @@ class Task:
 
 def task(segmentation: Path, data_set: str, clip: ClipWords) -> Task:
     """Choose a set's classes and look their words up."""
-    said = class_words(segmentation / data_set / "classes.json")
+    attributes = class_words(segmentation / data_set / "classes.json")
     counts = np.zeros(256)
-    for path in data.training_pictures(segmentation, data_set)[::4]:
+    for path in data.training_images(segmentation, data_set)[::4]:
         labels = read_labels(data.labels_of(path))
         counts += np.bincount(labels.ravel(), minlength=256)
-    known = {value: [word for word in words if clip.sources(word)] for value, words in said.items()}
+    known = {value: [word for word in words if clip.sources(word)] for value, words in attributes.items()}
     common = sorted((value for value in known if known[value]), key=lambda value: -counts[value])
     values = sorted(common[: JUDGED[data_set]])
     words = [word for value in values for word in known[value]]
     ends = np.cumsum([len(known[value]) for value in values]).tolist()
     rows = [list(range(end - len(known[value]), end)) for value, end in zip(values, ends, strict=True)]
-    return Task(values, [said[value][0] for value in values], rows, clip.matrix(words))
+    return Task(values, [attributes[value][0] for value in values], rows, clip.matrix(words))
 
 
 @torch.inference_mode()
 def confusion(
-    embed: Embed, basis: Tensor, judged: Task, pictures: Sequence[Path], scale: float | None = None
+    embed: Embed, basis: Tensor, judged: Task, images: Sequence[Path], scale: float | None = None
 ) -> npt.NDArray[np.int64]:
     """Count pixels by true class (rows) and answered class (columns).
 
@@ -78,10 +78,10 @@ def confusion(
     index[judged.values] = np.arange(size)
     vectors = torch.from_numpy(judged.vectors) @ basis
     counts = np.zeros((size, size), np.int64)
-    for path in pictures:
+    for path in images:
         truth = index[read_labels(data.labels_of(path))]
-        picture = read_rgb(path)
-        field = torch.from_numpy(embed(picture, LONGEST if scale is None else scale * max(picture.shape[:2])))
+        image = read_rgb(path)
+        field = torch.from_numpy(embed(image, LONGEST if scale is None else scale * max(image.shape[:2])))
         cosines = torch.einsum("hwc,kc->khw", field, vectors)[None]
         best = torch.stack([cosines[:, rows].amax(dim=1) for rows in judged.rows], dim=1)
         best = F.interpolate(best, size=truth.shape, mode="bilinear", align_corners=False)
@@ -100,30 +100,35 @@ def intersections_over_unions(counts: npt.NDArray[np.int64]) -> npt.NDArray[np.f
 
 def words_field(network: CompactNetwork) -> Embed:
     """The words field that descriptions are made of."""
-    return lambda picture, longest: _read(lambda x: network(x)[0], resized(picture, longest))
+    return lambda image, longest: _read(lambda x: network(x)[0], resized(image, longest))
 
 
-def fine_words(network: CompactNetwork, fine: FineWords, others: Sequence[SecondFineWords], vectors: Floats) -> Embed:
-    """The fine words as the service makes them, with text vectors of the words that it knows."""
-    readers: list[Callable[[Tensor], Tensor]] = [lambda x: fine(*network.levels(x)), *others]
-    return lambda picture, longest: looked_at(
-        picture, lambda seen, reader: _read(readers[reader], seen), vectors, len(readers), longest
+def segmentation(
+    network: CompactNetwork,
+    fine: SegmentationNetwork,
+    others: Sequence[IndependentSegmentationNetwork],
+    vectors: Floats,
+) -> Embed:
+    """The segmentation network as the service makes them, with text vectors of the words that it knows."""
+    members: list[Callable[[Tensor], Tensor]] = [lambda x: fine(*network.levels(x)), *others]
+    return lambda image, longest: segment_with_ensemble(
+        image, lambda seen, member: _read(members[member], seen), vectors, len(members), longest
     )
 
 
-def _read(read: Callable[[Tensor], Tensor], pixels: Picture) -> Floats:
+def _read(read: Callable[[Tensor], Tensor], pixels: Image) -> Floats:
     x = torch.from_numpy(pixels).permute(2, 0, 1)[None].float() / 255
     return np.asarray(read(x.contiguous(memory_format=torch.channels_last))[0].permute(1, 2, 0))
 
 
-def fine_words_of(path: Path) -> FineWords:
-    """Load fine words to judge: a checkpoint's averaged weights (``.pt``) or an exported file."""
-    return FineWords.loaded(_state(path))
+def segmentation_network_of(path: Path) -> SegmentationNetwork:
+    """Load segmentation network to judge: a checkpoint's averaged weights (``.pt``) or an exported file."""
+    return SegmentationNetwork.loaded(_state(path))
 
 
-def second_of(path: Path) -> SecondFineWords:
-    """Load second fine words to judge, from such files too."""
-    return SecondFineWords.loaded(_state(path))
+def second_of(path: Path) -> IndependentSegmentationNetwork:
+    """Load second segmentation network to judge, from such files too."""
+    return IndependentSegmentationNetwork.loaded(_state(path))
 
 
 def _state(path: Path) -> dict[str, Tensor]:
@@ -145,8 +150,8 @@ def evaluate(
     answers = {}
     for data_set in JUDGED:
         judged = task(segmentation, data_set, clip)
-        pictures = data.pictures_of(segmentation, data_set, split)[::every]
-        shares = intersections_over_unions(confusion(embed, basis, judged, pictures, scale))
+        images = data.images_of(segmentation, data_set, split)[::every]
+        shares = intersections_over_unions(confusion(embed, basis, judged, images, scale))
         row = {name: round(float(share), 4) for name, share in zip(judged.names, shares, strict=True)}
         answers[data_set] = {"mean": round(float(np.nanmean(shares)), 4)} | row
     return answers
@@ -177,7 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.fine:
         others = [second_of(path) for path in options.second]
         vectors = load_file(options.network)["text.vectors"].float().numpy()
-        embed = fine_words(network, fine_words_of(options.fine), others, vectors)
+        embed = segmentation(network, segmentation_network_of(options.fine), others, vectors)
     else:
         embed = words_field(network)
     answers = {}

@@ -12,7 +12,7 @@ Three files come out, and one command makes all of them, so they cannot drift ap
 ``compact.json``
     ``weights`` and ``graph``: name and SHA-256 of either file; ``words``: for each its CLIP words (`clip`: several mean
     their unit mean), whether labelled pixels could mean it in training (`trained`) and whether some could mean only it
-    (`alone`); ``provenance``. `training.export_fine` adds the READERS of fine words, which are kept as long as the
+    (`alone`); ``provenance``. `training.export_segmentation` adds the READERS of segmentation network, which are kept as long as the
     shallow layers and the basis stay what they were.
 
 The cosine of a cell's embedding z (unit length) with word i is ``text.vectors[i] @ z``: the rows are shorter than 1
@@ -31,10 +31,10 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from training import data
-from training.export_onnx import shipped_network, write_fields_graph, write_fine_graph
+from training.export_onnx import shipped_network, write_fields_graph, write_segmentation_graph
 from training.lexicon import ClipWords, Lexicon
 from training.network import TAUGHT_THROUGH
-from worker.encoders.compact.encoder import READERS
+from worker.encoders.compact.encoder import ENSEMBLE
 from worker.encoders.compact.network import CLIP_CHANNELS, DETAIL_CHANNELS, REDUCED_CHANNELS, STRIDE, CompactNetwork
 
 WORDS_TO_SHIP = (
@@ -132,17 +132,17 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
         "provenance": ORIGIN | history(saved),
         "words": words,
     }
-    for reader in READERS:
-        if reader in earlier and earlier[reader]["training"]["plan"]["shared"] == shared_digest(tensors):
-            described[reader] = earlier[reader]
+    for member in ENSEMBLE:
+        if member in earlier and earlier[member]["training"]["plan"]["shared"] == shared_digest(tensors):
+            described[member] = earlier[member]
     if "fine" in described:  # its graph reads the shallow layers at their places in the new file
-        graph = write_fine_graph(weights, folder / earlier["fine"]["weights"]["file"])
+        graph = write_segmentation_graph(weights, folder / earlier["fine"]["weights"]["file"])
         described["fine"] = earlier["fine"] | {"graph": named(graph)}
     path.write_text(json.dumps(described, indent=1, ensure_ascii=False) + "\n")
 
 
 def shared_digest(tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 of the exported tensors that fine words build on: the shallow layers and the basis."""
+    """SHA-256 of the exported tensors that segmentation network build on: the shallow layers and the basis."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
         if name.startswith(("stride2.", "stride4.", "stride8.", "text.basis")):

@@ -1,14 +1,14 @@
 """The shipped network as graphs for ONNX Runtime, which needs two thirds of torch's time on one thread.
 
-The graphs take ``pictures``, uint8 of shape (n, height, width, 3), RGB, height and width multiples of 32 (padding is
+The graphs take ``images``, uint8 of shape (n, height, width, 3), RGB, height and width multiples of 32 (padding is
 fixed when a graph is traced), and give unit-length embeddings, float32 of shape (n, rows, columns, channels):
 
 ``compact.onnx``
     ``words`` and ``detail``, as `CompactNetwork.forward` has them.
 ``compact-fine.onnx``
-    ``fine_words``, as `FineWords` has them.
+    ``segmentation``, as `SegmentationNetwork` has them.
 ``compact-second.onnx``
-    ``fine_words``, as `SecondFineWords` has them.
+    ``segmentation``, as `IndependentSegmentationNetwork` has them.
 
 One graph with all outputs would be slower: ONNX Runtime computes them all, whichever are asked for.
 
@@ -32,7 +32,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from worker.encoders.compact.network import CompactNetwork
-from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 
 _OPSET = 17
 
@@ -44,35 +44,35 @@ class Fields(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Map uint8 (n, height, width, 3) to float (n, height / 8, width / 8, channels), twice."""
-        words, detail = self.network(_channels_first(pictures))
+        words, detail = self.network(_channels_first(images))
         return words.permute(0, 2, 3, 1), detail.permute(0, 2, 3, 1)
 
 
 class SecondGraph(nn.Module):
-    """The second fine words, from and to the layout that the encoder has."""
+    """The second segmentation network, from and to the layout that the encoder has."""
 
-    def __init__(self, second: SecondFineWords) -> None:
+    def __init__(self, second: IndependentSegmentationNetwork) -> None:
         super().__init__()
         self.second = second
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Map uint8 (n, height, width, 3) to float (n, height / 4, width / 4, channels)."""
-        words: Tensor = self.second(_channels_first(pictures))
+        words: Tensor = self.second(_channels_first(images))
         return words.permute(0, 2, 3, 1)
 
 
-class FineGraph(nn.Module):
-    """The fine words, from and to the layout that the encoder has."""
+class SegmentationGraph(nn.Module):
+    """The segmentation network, from and to the layout that the encoder has."""
 
-    def __init__(self, network: CompactNetwork, fine: FineWords) -> None:
+    def __init__(self, network: CompactNetwork, fine: SegmentationNetwork) -> None:
         super().__init__()
         self.network, self.fine = network, fine
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Map uint8 (n, height, width, 3) to float (n, height / 4, width / 4, channels)."""
-        words: Tensor = self.fine(*self.network.levels(_channels_first(pictures)))
+        words: Tensor = self.fine(*self.network.levels(_channels_first(images)))
         return words.permute(0, 2, 3, 1)
 
 
@@ -83,18 +83,18 @@ def write_fields_graph(weights: Path) -> Path:
     return target
 
 
-def write_fine_graph(weights: Path, fine: Path) -> Path:
-    """Write the graph of the fine words beside both files of exported weights that it refers to."""
+def write_segmentation_graph(weights: Path, fine: Path) -> Path:
+    """Write the graph of the segmentation network beside both files of exported weights that it refers to."""
     target = fine.with_suffix(".onnx")
-    module = FineGraph(shipped_network(weights), FineWords.loaded(load_file(fine)))
+    module = SegmentationGraph(shipped_network(weights), SegmentationNetwork.loaded(load_file(fine)))
     _write_graph(module, ("fine_words",), {"network.": weights, "fine.": fine}, target)
     return target
 
 
 def write_second_graph(second: Path) -> Path:
-    """Write the graph of the second fine words beside the exported weights that it refers to."""
+    """Write the graph of the second segmentation network beside the exported weights that it refers to."""
     target = second.with_suffix(".onnx")
-    module = SecondGraph(SecondFineWords.loaded(load_file(second)))
+    module = SecondGraph(IndependentSegmentationNetwork.loaded(load_file(second)))
     _write_graph(module, ("fine_words",), {"second.": second}, target)
     return target
 
@@ -172,5 +172,5 @@ def _places(weights: Path) -> dict[str, _Place]:
     }
 
 
-def _channels_first(pictures: Tensor) -> Tensor:
-    return pictures.permute(0, 3, 1, 2).float() / 255
+def _channels_first(images: Tensor) -> Tensor:
+    return images.permute(0, 3, 1, 2).float() / 255

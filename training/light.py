@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Picture = npt.NDArray[np.uint8]
+Image = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
-def mild(picture: Picture, rng: np.random.Generator) -> Picture:
+def mild(image: Image, rng: np.random.Generator) -> Image:
     """Change exposure, contrast and camera a little, and keep the colours: for the detail channel."""
-    x = _unit_range(picture) ** _factor(rng, 0.45)
+    x = _unit_range(image) ** _factor(rng, 0.45)
     x = x * (1 + rng.uniform(-0.1, 0.1, 3).astype(np.float32))
     x = _saturated(x, 0.0 if rng.random() < 0.1 else rng.uniform(0.6, 1.3))
     x = (x - 0.5) * _factor(rng, 0.3) + 0.5 + np.float32(rng.uniform(-0.1, 0.1))
@@ -24,9 +24,9 @@ def mild(picture: Picture, rng: np.random.Generator) -> Picture:
     return _camera(_bytes(x), rng, softness=1.2, worst_quality=25)
 
 
-def strong(picture: Picture, rng: np.random.Generator, *, night: float = 0.35) -> Picture:
+def strong(image: Image, rng: np.random.Generator, *, night: float = 0.35) -> Image:
     """Redraw the light altogether, `night` of the time as night: for the words channel."""
-    x = _unit_range(picture)
+    x = _unit_range(image)
     if rng.random() < 0.8:
         x = x ** _factor(rng, 0.7)
     if rng.random() < 0.5:
@@ -38,7 +38,7 @@ def strong(picture: Picture, rng: np.random.Generator, *, night: float = 0.35) -
     return _camera(redrawn, rng, softness=1.6, worst_quality=12)
 
 
-def _by_day(x: Floats, rng: np.random.Generator) -> Picture:
+def _by_day(x: Floats, rng: np.random.Generator) -> Image:
     if rng.random() < 0.35:
         x = _repainted(x, rng)
     if rng.random() < 0.3:
@@ -50,8 +50,8 @@ def _by_day(x: Floats, rng: np.random.Generator) -> Picture:
     if rng.random() < 0.3:
         channels = 1 if rng.random() < 0.5 else 3
         x = x + _noise(rng, (*x.shape[:2], channels)) * np.float32(rng.uniform(0, 0.12))
-    picture = _bytes(x)
-    return _equalised(picture, rng, colour=True) if rng.random() < 0.1 else picture
+    image = _bytes(x)
+    return _equalised(image, rng, colour=True) if rng.random() < 0.1 else image
 
 
 def _repainted(x: Floats, rng: np.random.Generator) -> Floats:
@@ -68,7 +68,7 @@ def _repainted(x: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(x + alike * np.float32(rng.uniform(0.4, 1.0)) * (colour + texture - x), np.float32)
 
 
-def _at_night(x: Floats, rng: np.random.Generator) -> Picture:
+def _at_night(x: Floats, rng: np.random.Generator) -> Image:
     height, width = x.shape[:2]
     grey = x @ _LUMA
     x = x * _field(rng, x.shape, spread=rng.uniform(0.2, 1.0))
@@ -90,32 +90,32 @@ def _at_night(x: Floats, rng: np.random.Generator) -> Picture:
     if draw < 0.4:  # a camera that stretches what little there is
         low, high = np.percentile(x[::4, ::4], [1, rng.uniform(90, 99.5)])
         x = (x - np.float32(low)) / np.float32(max(high - low, 1e-3))
-    picture = _bytes(x)
-    return _equalised(picture, rng, colour=False) if draw < 0.25 else picture
+    image = _bytes(x)
+    return _equalised(image, rng, colour=False) if draw < 0.25 else image
 
 
-def _camera(picture: Picture, rng: np.random.Generator, *, softness: float, worst_quality: int) -> Picture:
+def _camera(image: Image, rng: np.random.Generator, *, softness: float, worst_quality: int) -> Image:
     """Blur, lose resolution and compress, each some of the time."""
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     if rng.random() < 0.28:
-        picture = cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.3, softness))
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, softness))
     if rng.random() < 0.2:  # a small picture, enlarged
         shrink = rng.uniform(1.3, 4.0)
-        small = cv2.resize(picture, (int(width / shrink), int(height / shrink)), interpolation=cv2.INTER_AREA)
-        picture = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+        small = cv2.resize(image, (int(width / shrink), int(height / shrink)), interpolation=cv2.INTER_AREA)
+        image = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
     if rng.random() < 0.33:
         quality = int(rng.integers(worst_quality, 85))
-        coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
-    return picture
+        coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
+    return image
 
 
-def _equalised(picture: Picture, rng: np.random.Generator, *, colour: bool) -> Picture:
+def _equalised(image: Image, rng: np.random.Generator, *, colour: bool) -> Image:
     if colour:
-        lab = cv2.cvtColor(picture, cv2.COLOR_RGB2LAB)
+        lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
         lab[..., 0] = cv2.createCLAHE(rng.uniform(1, 6), (8, 8)).apply(lab[..., 0])
         return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2RGB), np.uint8)
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     adaptive = cv2.createCLAHE(rng.uniform(2, 8), (8, 8))
     grey = cv2.equalizeHist(grey) if rng.random() < 0.6 else adaptive.apply(grey)
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
@@ -151,9 +151,9 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
     return rng.standard_normal(shape, dtype=np.float32)
 
 
-def _unit_range(picture: Picture) -> Floats:
-    return picture.astype(np.float32) / np.float32(255)
+def _unit_range(image: Image) -> Floats:
+    return image.astype(np.float32) / np.float32(255)
 
 
-def _bytes(x: Floats) -> Picture:
+def _bytes(x: Floats) -> Image:
     return (np.clip(x, 0, 1) * 255).astype(np.uint8)

@@ -1,7 +1,7 @@
 """What training asks of two views of one scene; `training.word_loss` is what it asks of labelled pixels.
 
 - `two_view_loss`: a cell finds itself again in another view, among all other cells of the batch.
-- `likeness_loss`: cells are as alike as they were to a frozen teacher.
+- `similarity_loss`: cells are as alike as they were to a frozen teacher.
 """
 
 import torch
@@ -55,14 +55,14 @@ def two_view_loss(
     found : float, a scalar
         Share of cells whose nearest cell of the other view is the right one.
     """
-    pictures, points = cells.shape
-    if pictures == 0:
+    images, points = cells.shape
+    if images == 0:
         return here.sum() * 0, here.new_zeros(())
     scores = here.flatten(0, 1) @ there.flatten(0, 1).T / temperature
-    picture = torch.arange(pictures, device=cells.device).repeat_interleave(points)
+    image = torch.arange(images, device=cells.device).repeat_interleave(points)
     row, column = (cells // columns).flatten(), (cells % columns).flatten()
     near = (
-        (picture[:, None] == picture)
+        (image[:, None] == image)
         & ((row[:, None] - row).abs() <= margin)
         & ((column[:, None] - column).abs() <= margin)
     )
@@ -73,7 +73,7 @@ def two_view_loss(
     return loss, (scores.argmax(dim=1) == right).float().mean()
 
 
-def likeness_loss(here: Tensor, there: Tensor, here_before: Tensor, there_before: Tensor) -> Tensor:
+def similarity_loss(here: Tensor, there: Tensor, here_before: Tensor, there_before: Tensor) -> Tensor:
     """Mean squared difference between two networks' cosines of all cells of one view with all of the other.
 
     All four are of shape (n, points, channels), unit length; the last two are the teacher's.

@@ -10,7 +10,7 @@ STREET = "street words of the trunk"
 
 # How often each source is drawn, relative to the others.
 CLEAR_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
-FINE_SHARES = {"camvid": 0.40, "labelmefacade": 0.30, "nyuv2": 0.24, "ade_outdoor": 0.06}
+SEGMENTATION_SHARES = {"camvid": 0.40, "labelmefacade": 0.30, "nyuv2": 0.24, "ade_outdoor": 0.06}
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,

@@ -1,7 +1,7 @@
 """The network while it is trained: `CompactNetwork`, and a small head through which its words are taught at stride 4.
 
 Labels of larger views teach more where thin things are still seen. What ships has no such head: segmentations are drawn
-from `worker.encoders.compact.segmentation.FineWords`.
+from `worker.encoders.compact.segmentation.SegmentationNetwork`.
 """
 
 import torch
@@ -24,9 +24,9 @@ class TrainedNetwork(CompactNetwork):
         super().__init__(CLIP_CHANNELS)
         self.refine = Refinement(24, FUSED_CHANNELS, REFINED_CHANNELS)
 
-    def sharp(self, pictures: Tensor) -> Tensor:
+    def sharp(self, images: Tensor) -> Tensor:
         """Give what the words head reads at stride 4: (n, 96, ceil(height / 4), ceil(width / 4))."""
-        at4, at8 = self.shallow(pictures)
+        at4, at8 = self.shallow(images)
         sharpened: Tensor = self.refine(at4, self.fused(at4, at8))
         return sharpened
 

@@ -58,9 +58,9 @@ class OpinionLoss(nn.Module):
         counts = (opinions.sum(dim=1) > 0.5) & ((target < 0) | (agreement >= LEAST_AGREEMENT))
         if not bool(counts.any()):
             return embeddings.sum() * 0
-        said = opinions[counts] / opinions[counts].sum(dim=1, keepdim=True)
+        attributes = opinions[counts] / opinions[counts].sum(dim=1, keepdim=True)
         ours = (embeddings[counts] @ self.vectors.T / self.temperature).log_softmax(dim=1)
-        return (torch.xlogy(said, said) - said * ours).sum(dim=1).mean()
+        return (torch.xlogy(attributes, attributes) - attributes * ours).sum(dim=1).mean()
 
 
 def opinion_loss_of(lexicon: Lexicon, vectors: Tensor) -> OpinionLoss:

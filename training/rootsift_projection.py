@@ -50,9 +50,9 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     paths = sorted(p for folder in arguments.folders for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
-    drawn = np.random.default_rng(0).permutation(len(paths))[: arguments.pictures]
-    pictures = (cv2.imread(str(paths[i]), cv2.IMREAD_COLOR_RGB) for i in sorted(drawn))
-    found = [root_descriptors(pixels, KEYPOINTS)[1] for pixels in pictures if pixels is not None]
+    drawn = np.random.default_rng(0).permutation(len(paths))[: arguments.images]
+    images = (cv2.imread(str(paths[i]), cv2.IMREAD_COLOR_RGB) for i in sorted(drawn))
+    found = [root_descriptors(pixels, KEYPOINTS)[1] for pixels in images if pixels is not None]
     mean, matrix = leading_directions(np.concatenate(found), DIMENSIONS)
     np.savez_compressed(arguments.output, mean=mean.astype(np.float16), matrix=matrix.astype(np.float16))
     print(f"{sum(map(len, found))} descriptors of {len(found)} pictures -> {arguments.output}")

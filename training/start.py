@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from training.network import TrainedNetwork
-from worker.encoders.compact.segmentation import SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork
 
 State = dict[str, Tensor]
 
@@ -91,8 +91,8 @@ def started(pretrained: Path) -> tuple[TrainedNetwork, set[str]]:
     return network, set(missing)
 
 
-def second_started(trunk: Mapping[str, Tensor], vectors: Tensor) -> SecondFineWords:
-    """Build fine words that begin with the trunk's layers, and with a words head that ranks its 19 words as it does.
+def second_started(trunk: Mapping[str, Tensor], vectors: Tensor) -> IndependentSegmentationNetwork:
+    """Build segmentation network that begin with the trunk's layers, and with a words head that ranks its 19 words as it does.
 
     Its layers up to stride 4 stay as they are: edges and colours are the same everywhere, and a step takes a third
     less. Its scores are the first 19 channels of what the words are read from, raised so that no ReLU cuts them; the
@@ -105,7 +105,7 @@ def second_started(trunk: Mapping[str, Tensor], vectors: Tensor) -> SecondFineWo
     vectors : float of shape (19, channels)
         Of its words, in the space of the words head.
     """
-    second = SecondFineWords(vectors.shape[1])
+    second = IndependentSegmentationNetwork(vectors.shape[1])
     state = renamed(trunk)
     for part in (second.shallow, second.fine):
         names = part.state_dict().keys() & state.keys()

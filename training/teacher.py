@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training.pictures import Picture, read_rgb
+from training.images import Image, read_rgb
 from training.start import State, renamed
 from worker.encoders.compact.network import CompactNetwork, fused
 
@@ -42,9 +42,9 @@ class Shallow(nn.Module):
         self.stride4 = whole.stride4.append(fused(24, 96, 24))
         load_own(self, renamed(state, kept_at_stride4=(0, 1, 2, 3)))
 
-    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Give the layers at stride 4 (24 channels) and 8 (40 channels) of RGB pictures in 0..1."""
-        at4 = self.stride4(self.stride2(pictures * 2 - 1))
+        at4 = self.stride4(self.stride2(images * 2 - 1))
         return at4, self.stride8(at4)
 
 
@@ -59,56 +59,54 @@ class Teacher(nn.Module):
         load_own(self, renamed(state))
         self.shallow = Shallow(state)
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Give scores of the 19 street words at stride 16, for RGB pictures in 0..1."""
-        scores: Tensor = self.classes(self.context(self.deep(self.stride16(self.shallow(pictures)[1]))))
+        scores: Tensor = self.classes(self.context(self.deep(self.stride16(self.shallow(images)[1]))))
         return scores
 
     @torch.inference_mode()
-    def labels(self, picture: Picture) -> Picture:
+    def labels(self, image: Image) -> Image:
         """Label an RGB picture: uint8 of its height and width, 255 where the teacher is unsure."""
-        surest, word = self._probabilities(picture, picture.shape[:2]).max(0)
+        surest, word = self._probabilities(image, image.shape[:2]).max(0)
         return np.asarray(torch.where(surest > SURE, word, 255).byte().numpy(), np.uint8)
 
     @torch.inference_mode()
-    def opinions(self, picture: Picture) -> Floats16:
+    def opinions(self, image: Image) -> Floats16:
         """Say how likely each of the 19 words is, in cells of the whole picture: float16 (19, *OPINION_CELLS)."""
-        return np.asarray(self._probabilities(picture, OPINION_CELLS).half().numpy(), np.float16)
+        return np.asarray(self._probabilities(image, OPINION_CELLS).half().numpy(), np.float16)
 
-    def _probabilities(self, picture: Picture, size: tuple[int, ...]) -> Tensor:
-        height, width = picture.shape[:2]
+    def _probabilities(self, image: Image, size: tuple[int, ...]) -> Tensor:
+        height, width = image.shape[:2]
         scale = _LONG_SIDE / max(height, width)
         across, down = (round(side * scale / 32) * 32 for side in (width, height))
-        x = torch.from_numpy(cv2.resize(picture, (across, down))).permute(2, 0, 1)[None].float() / 255
+        x = torch.from_numpy(cv2.resize(image, (across, down))).permute(2, 0, 1)[None].float() / 255
         x = x.contiguous(memory_format=torch.channels_last)
         scores = (self(x) + self(x.flip(3)).flip(3)) / 2
         return F.interpolate(scores, size=size, mode="bilinear", align_corners=False).softmax(1)[0]
 
 
-def write_labels(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
+def write_labels(teacher: Teacher, images: Iterable[Path], folder: Path) -> None:
     """Write the teacher's labels of each picture as ``<folder>/<set>__<name>.png``; what is there is kept."""
-    _write_each(
-        pictures, folder, label_name, lambda picture: cv2.imencode(".png", teacher.labels(picture))[1].tobytes()
-    )
+    _write_each(images, folder, label_name, lambda image: cv2.imencode(".png", teacher.labels(image))[1].tobytes())
 
 
-def write_opinions(teacher: Teacher, pictures: Iterable[Path], folder: Path) -> None:
+def write_opinions(teacher: Teacher, images: Iterable[Path], folder: Path) -> None:
     """Write the teacher's opinions of each picture as ``<folder>/<set>__<name>.npy``; what is there is kept."""
 
-    def content(picture: Picture) -> bytes:
+    def content(image: Image) -> bytes:
         file = io.BytesIO()
-        np.save(file, teacher.opinions(picture))
+        np.save(file, teacher.opinions(image))
         return file.getvalue()
 
-    _write_each(pictures, folder, opinion_name, content)
+    _write_each(images, folder, opinion_name, content)
 
 
 def _write_each(
-    pictures: Iterable[Path], folder: Path, name: Callable[[Path], str], content: Callable[[Picture], bytes]
+    images: Iterable[Path], folder: Path, name: Callable[[Path], str], content: Callable[[Image], bytes]
 ) -> None:
     """Write a file for each picture, whole or not at all: a run that was killed is taken up with what is there."""
     folder.mkdir(parents=True, exist_ok=True)
-    for path in pictures:
+    for path in images:
         target = folder / name(path)
         if not target.exists():
             partial = target.with_suffix(".partial")
@@ -116,14 +114,14 @@ def _write_each(
             partial.replace(target)
 
 
-def opinion_name(picture: Path) -> str:
+def opinion_name(image: Path) -> str:
     """Name the file of opinions of ``<set>/<split>/images/<name>``."""
-    return f"{picture.parents[2].name}__{picture.stem}.npy"
+    return f"{image.parents[2].name}__{image.stem}.npy"
 
 
-def label_name(picture: Path) -> str:
+def label_name(image: Path) -> str:
     """Name the label file of ``<set>/<split>/images/<name>``."""
-    return f"{picture.parents[2].name}__{picture.stem}.png"
+    return f"{image.parents[2].name}__{image.stem}.png"
 
 
 def load_own(module: nn.Module, state: State) -> None:

@@ -1,4 +1,4 @@
-"""What the two channels are trained for: words near their text, cells found again, likenesses kept."""
+"""What the two channels are trained for: words near their text, cells found again, similarities kept."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
 from training.loop import Plan
-from training.losses import likeness_loss, matched_cells, two_view_loss
+from training.losses import matched_cells, similarity_loss, two_view_loss
 from training.network import TrainedNetwork
 from training.word_loss import WordLoss
 
@@ -19,7 +19,7 @@ class TwoChannelPlan(Plan):
 
     Attributes
     ----------
-    strong_word, words_two_view, detail_two_view, likeness
+    strong_word, words_two_view, detail_two_view, similarity
         Weights beside the word loss of the clear views: of the word loss under strongly changed light, and of the
         losses of two views.
     """
@@ -27,7 +27,7 @@ class TwoChannelPlan(Plan):
     strong_word: float = 0.5
     words_two_view: float = 0.7
     detail_two_view: float = 0.5
-    likeness: float = 5.0
+    similarity: float = 5.0
     words_temperature: float = 0.1
     detail_temperature: float = 0.07
 
@@ -40,7 +40,7 @@ class TwoChannels(nn.Module):
     network
         What is trained.
     word_loss, anchor
-        The supervised loss, and the frozen features whose likenesses the detail channel is held to.
+        The supervised loss, and the frozen features whose similarities the detail channel is held to.
     """
 
     def __init__(self, network: TrainedNetwork, word_loss: WordLoss, anchor: nn.Module, plan: TwoChannelPlan) -> None:
@@ -55,21 +55,21 @@ class TwoChannels(nn.Module):
             + self.plan.strong_word * losses["word"]
             + self.plan.words_two_view * losses["words_two_view"]
             + self.plan.detail_two_view * losses["detail_two_view"]
-            + self.plan.likeness * losses["likeness"]
+            + self.plan.similarity * losses["likeness"]
         )
         return total, losses
 
     def losses(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Compute each loss of one batch, and the shares of cells found again."""
-        pictures = batch["pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
+        images = batch["pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
         mild = batch["mild"].repeat(2)
         clear = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(pictures.device.type, torch.bfloat16, enabled=self.plan.half):
-            at4, at8 = self.network.shallow(pictures)
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.plan.half):
+            at4, at8 = self.network.shallow(images)
             joined = self.network.fused(at4[~mild], at8[~mild])
             detail = self.network.appearance(at4[mild], at8[mild])
             with torch.no_grad():
-                before = self.anchor(pictures[mild])
+                before = self.anchor(images[mild])
             sharp = self.network.sharp(clear)
         joined, head = joined.float(), self.network.words
         detail = F.normalize(detail.float(), dim=1)
@@ -87,13 +87,13 @@ class TwoChannels(nn.Module):
         here, there = _unit_points(matched_cells(detail[pairs], cells, positions))
         detail_loss, detail_found = two_view_loss(here, there, cells, columns, self.plan.detail_temperature, margin=1)
         earlier = _unit_points(matched_cells(before.float()[pairs], cells, positions))
-        likeness = likeness_loss(here, there, *earlier)
+        similarity = similarity_loss(here, there, *earlier)
         return {
             "clear_word": self.word_loss(sharp.float(), head, batch["clear_meanings"], batch["clear_sets"]),
             "word": self.word_loss(joined, head, batch["meanings"][~mild], batch["sets"][~mild]),
             "words_two_view": words_loss,
             "detail_two_view": detail_loss,
-            "likeness": likeness,
+            "likeness": similarity,
             "words_found": words_found,
             "detail_found": detail_found,
         }

@@ -50,13 +50,13 @@ class View:
 
     to_source: Matrix
 
-    def cut(self, picture: npt.NDArray[np.uint8], size: tuple[int, int], *, labels: bool) -> npt.NDArray[np.uint8]:
+    def cut(self, image: npt.NDArray[np.uint8], size: tuple[int, int], *, labels: bool) -> npt.NDArray[np.uint8]:
         """Cut the view out of a picture as `size` (height, width).
 
         Labels are taken from the nearest pixel and are 255, nothing, outside the source; pictures are mirrored there.
         """
         height, width = size
-        rows, columns = picture.shape[:2]
+        rows, columns = image.shape[:2]
         matrix = np.diag([columns, rows, 1.0]) @ self.to_source @ np.diag([1 / width, 1 / height, 1.0])
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # pixel centres lie half a pixel in
         matrix = np.linalg.inv(half) @ matrix @ half
@@ -66,9 +66,9 @@ class View:
             how = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REFLECT_101}
             shrink = np.sqrt(abs(np.linalg.det(matrix[:2, :2])))
             if shrink > 1.5:
-                picture = cv2.GaussianBlur(picture, (0, 0), 0.4 * shrink)
+                image = cv2.GaussianBlur(image, (0, 0), 0.4 * shrink)
         how["flags"] |= cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpPerspective(picture, matrix, (width, height), **how), np.uint8)
+        return np.asarray(cv2.warpPerspective(image, matrix, (width, height), **how), np.uint8)
 
 
 def draw_views(

@@ -14,10 +14,10 @@ import numpy as np
 from scenes import scene
 from scenes.scene import Kind
 from schemas.description import Booleans, PixelField
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder
 from schemas.settings import Settings
-from training.pictures import read_rgb
+from training.images import read_rgb
 from worker.bootstrap import make_encoder
 from worker.description.presets import PRESETS, Preset, carried
 from worker.description.vocabularies import SHIPPED, Vocabulary, train
@@ -39,23 +39,23 @@ DRAWN: tuple[Kind, ...] = ("street", "park", "corridor")
 """Kinds of scenes for the encoder ``color``."""
 
 
-def photographs(data: Path, seed: int) -> Iterator[Picture]:
+def photographs(data: Path, seed: int) -> Iterator[Image]:
     """Pictures of every kind, drawn by a seed; a folder with fewer gives all it has."""
     random = np.random.default_rng(seed)
     for folder, count in KINDS:
         every = (data / folder).rglob("*")
         files = sorted(p for p in every if p.suffix.lower() in {".jpg", ".png"} and "labels" not in p.parts)
         for number in sorted(random.permutation(len(files))[:count]):
-            yield Picture.of(read_rgb(files[number]))
+            yield Image.of(read_rgb(files[number]))
 
 
-def drawings(seed: int, count: int = 180) -> Iterator[Picture]:
+def drawings(seed: int, count: int = 180) -> Iterator[Image]:
     """Scenes that the project draws."""
     for number in range(count):
-        yield Picture.of(scene(f"vocabulary {seed} {number}", DRAWN[number % len(DRAWN)]).pixels)
+        yield Image.of(scene(f"vocabulary {seed} {number}", DRAWN[number % len(DRAWN)]).pixels)
 
 
-def train_vocabulary(encoder: Encoder, preset: Preset, pictures: Iterator[Picture], seed: int) -> Vocabulary:
+def train_vocabulary(encoder: Encoder, preset: Preset, images: Iterator[Image], seed: int) -> Vocabulary:
     """The vocabulary of a preset from pictures."""
     text = encoder.text_vectors(preset.labels)
     dynamic = np.isin(np.array(preset.labels), np.array(preset.dynamic))
@@ -64,7 +64,7 @@ def train_vocabulary(encoder: Encoder, preset: Preset, pictures: Iterator[Pictur
     def static(field: PixelField) -> Booleans:
         return static_mask.static_cells(labels.scores(field.semantic, text), dynamic, rule.margin, rule.most)
 
-    fields = (field for picture in pictures for field in encoder.encode([picture]))
+    fields = (field for image in images for field in encoder.encode([image]))
     return train(fields, static, preset.parameters, seed)
 
 
@@ -83,8 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.to.mkdir(parents=True, exist_ok=True)
     encoder = make_encoder(Settings(encoder=options.encoder), options.threads)
     for name in options.preset or PRESETS:
-        pictures = drawings(options.seed) if options.encoder == "color" else photographs(options.data, options.seed)
-        learned = train_vocabulary(encoder, carried(name, encoder), pictures, options.seed)
+        images = drawings(options.seed) if options.encoder == "color" else photographs(options.data, options.seed)
+        learned = train_vocabulary(encoder, carried(name, encoder), images, options.seed)
         path = options.to / f"{encoder.name}-{name}.vocabulary.safetensors"
         path.write_bytes(learned.tensors)
         print(f"{path.name}: {len(learned.tensors):,} bytes, SHA-256 {learned.digest}")

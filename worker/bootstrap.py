@@ -16,12 +16,12 @@ from schemas.recipe import Recipe
 from schemas.settings import Settings
 from worker.description.describers import Describers
 from worker.description.presets import PRESETS, general_vocabulary, make_recipe
-from worker.description.scheduler import Desk
+from worker.description.scheduler import Scheduler
 from worker.images import codec
 from worker.loop import Loop
 from worker.method.byte_vectors import Product, float_product
 from worker.method.decision import shipped_calibration
-from worker.runtime import House
+from worker.runtime import Runtime
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
 from worker.search.searcher import Searcher
@@ -38,7 +38,7 @@ SWITCH_S = 0.001
 many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment: docs/speed.md)."""
 
 
-def build(settings: Settings, *, serving: bool = True) -> House:
+def build(settings: Settings, *, serving: bool = True) -> Runtime:
     """Build everything, start nothing.
 
     Parameters
@@ -62,7 +62,7 @@ def build(settings: Settings, *, serving: bool = True) -> House:
         encoder = make_encoder(settings, threads)
         store = open_store(settings.database_url, settings.data)
         batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
-        desk = Desk(encoder, batch, settings.questions)
+        scheduler = Scheduler(encoder, batch, settings.queries)
         general = {name: general_vocabulary(encoder, name) for name in PRESETS}
         product = make_product(settings)
         describers = Describers(encoder, store, general.values(), product)
@@ -72,21 +72,21 @@ def build(settings: Settings, *, serving: bool = True) -> House:
         works = settings.inline_worker or not serving
         loop = Loop(
             store,
-            desk,
+            scheduler,
             describers,
             decode,
             name=f"{platform.node()}:{os.getpid()}",
             batch=batch,
             lease=timedelta(seconds=settings.lease_s),
         )
-        return House(
+        return Runtime(
             settings=settings,
             encoder=encoder,
             store=store,
             decode=decode,
             thumbnail=codec.thumbnail,
             shrink=codec.shrink,
-            desk=desk,
+            scheduler=scheduler,
             describers=describers,
             catalogue=catalogue,
             searcher=Searcher(store, catalogue, product),

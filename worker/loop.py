@@ -9,24 +9,24 @@ from datetime import UTC, datetime, timedelta
 
 from schemas.description import Description
 from schemas.errors import LeaseLost, RevisitError
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Store
 from schemas.records import Claim
 from worker.description.describers import Describers
-from worker.description.scheduler import Desk, Served
+from worker.description.scheduler import Scheduler, Timed
 
 log = logging.getLogger("revisit.worker")
 
 AHEAD = 2
 """Batches claimed at a time: one is decoded while the other is encoded."""
 
-Decode = Callable[[bytes], Picture]
+Decode = Callable[[bytes], Image]
 
 
 @dataclass(frozen=True)
 class _Underway:
     claim: Claim
-    future: "Future[Served[Description]]"
+    future: "Future[Timed[Description]]"
 
 
 class Loop:
@@ -35,7 +35,7 @@ class Loop:
     Parameters
     ----------
     store : Store
-    desk : Desk
+    scheduler : Scheduler
     describers : Describers
     decode : function
         Bytes to Picture; raises BadPicture.
@@ -50,7 +50,7 @@ class Loop:
     def __init__(
         self,
         store: Store,
-        desk: Desk,
+        scheduler: Scheduler,
         describers: Describers,
         decode: Decode,
         *,
@@ -60,7 +60,7 @@ class Loop:
         idle_s: float = 0.5,
     ) -> None:
         self._store = store
-        self._desk = desk
+        self._scheduler = scheduler
         self._describers = describers
         self._decode = decode
         self._name = name
@@ -122,9 +122,9 @@ class Loop:
         taken = []
         for claim in self._store.claim(self._name, count, self._lease, _now()):
             try:
-                picture = self._decode(self._store.picture(claim.view.id))
+                image = self._decode(self._store.image(claim.view.id))
                 describer = self._describers.of(claim.recipe)
-                future = self._desk.hand_in(picture, describer.describe, urgent=False, beside=describer.keypoints)
+                future = self._scheduler.submit(image, describer.describe, urgent=False, parallel=describer.keypoints)
                 taken.append(_Underway(claim, future))
             except Exception as error:
                 self._give_up(claim, error)

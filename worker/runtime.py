@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder, Store
 from schemas.recipe import Recipe
 from schemas.settings import Settings
 from worker.description.describers import Describers
-from worker.description.scheduler import Desk
+from worker.description.scheduler import Scheduler
 from worker.loop import Loop
 from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
@@ -17,7 +17,7 @@ from worker.search.searcher import Searcher
 
 
 @dataclass(frozen=True)
-class House:
+class Runtime:
     """The parts of a service, built by `worker.bootstrap` and started together.
 
     Parameters
@@ -41,10 +41,10 @@ class House:
     settings: Settings
     encoder: Encoder
     store: Store
-    decode: Callable[[bytes], Picture]
+    decode: Callable[[bytes], Image]
     thumbnail: Callable[[bytes, int], bytes]
-    shrink: Callable[[Picture], Picture]
-    desk: Desk
+    shrink: Callable[[Image], Image]
+    scheduler: Scheduler
     describers: Describers
     catalogue: Catalogue
     searcher: Searcher
@@ -59,7 +59,7 @@ class House:
         """Clean up after a crash, if there was one, and begin to work."""
         if self.serving:  # a worker must not forget the calls that the service beside it is answering
             self.store.recover(datetime.now(UTC))
-        self.desk.start()
+        self.scheduler.start()
         if self.loop is not None:
             self.loop.start()
 
@@ -67,6 +67,6 @@ class House:
         """Finish what is under way, put the rest back, and let go of the data folder."""
         if self.loop is not None:
             self.loop.stop()
-        self.desk.stop()
+        self.scheduler.stop()
         self.store.close()
         self.unlock()

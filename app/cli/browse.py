@@ -47,7 +47,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
-                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.pictures} pictures")
+                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} pictures")
             return DONE
         maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
     if arguments.json:
@@ -79,7 +79,7 @@ def run_views(arguments: argparse.Namespace) -> int:
     from revisit_client.client import Revisit
 
     from app.cli.console import wrong_use
-    from app.cli.query import position
+    from app.cli.query import position_text
 
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.delete or any(drawn.values())):
@@ -90,7 +90,7 @@ def run_views(arguments: argparse.Namespace) -> int:
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
-                show(f"deleted {arguments.id}: {receipt.pictures} pictures")
+                show(f"deleted {arguments.id}: {receipt.images} pictures")
             return DONE
         for kind, path in drawn.items():
             if path is not None:
@@ -121,7 +121,7 @@ def run_views(arguments: argparse.Namespace) -> int:
             view.place,
             view.state if view.failure is None else f"failed: {view.failure.code}",
             f"{view.enrolled_at:%Y-%m-%d %H:%M:%S}",
-            position(view.position),
+            position_text(view.position),
             f"{view.image.width} x {view.image.height} {view.image.format}",
         )
         for view in views
@@ -136,13 +136,13 @@ def run_places(arguments: argparse.Namespace) -> int:
     """List places."""
     from revisit_client.client import Revisit
 
-    from app.cli.query import position
+    from app.cli.query import position_text
 
     with Revisit(arguments.url) as revisit:
         places = list(revisit.places(arguments.map))
     if arguments.json:
         show_json([place.model_dump(mode="json") for place in places])
         return DONE
-    rows = [(p.map, p.place, p.views, position(p.position), f"{p.last_enrolled_at:%Y-%m-%d %H:%M:%S}") for p in places]
+    rows = [(p.map, p.place, p.views, position_text(p.position), f"{p.last_enrolled_at:%Y-%m-%d %H:%M:%S}") for p in places]
     show(table(("map", "place", "views", "position", "last enrolled"), rows))
     return DONE

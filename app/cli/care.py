@@ -69,7 +69,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
             "body_mb": settings.max_body_mb,
             "megapixels": settings.max_megapixels,
             "queue": settings.queue,
-            "questions": settings.questions,
+            "questions": settings.queries,
         },
         "data": _data(settings, findings),
         "service": _service(arguments, findings),
@@ -166,10 +166,10 @@ def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, An
 def _audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[str, Any]:
     """Ask with enrolled pictures: each has to be its own best match, or tie with one that looks the same."""
     views = list(revisit.views(name, state="ready"))
-    asked = views if every or len(views) <= SAMPLE else random.Random(0).sample(views, SAMPLE)
-    progress = None if quiet else Progress(len(asked), f"pictures of map {name} asked about themselves")
+    answers = views if every or len(views) <= SAMPLE else random.Random(0).sample(views, SAMPLE)
+    progress = None if quiet else Progress(len(answers), f"pictures of map {name} asked about themselves")
     lost = []
-    for view in asked:
+    for view in answers:
         matches = revisit.query(revisit.image(view.id), map=name, top=5).matches
         best = [match.view.id for match in matches if match.score >= matches[0].score - 1e-6]
         if view.id not in best:
@@ -178,7 +178,7 @@ def _audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[s
             progress.step()
     if progress is not None:
         progress.end()
-    return {"asked": len(asked), "found": len(asked) - len(lost), "lost": lost}
+    return {"asked": len(answers), "found": len(answers) - len(lost), "lost": lost}
 
 
 def _tell(report: dict[str, Any]) -> None:

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli import demo_pictures, pictures
+from app.cli import demo_images, images
 from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json, table, wrong_use
 from app.cli.service import started
 
 if TYPE_CHECKING:
     from revisit_client.client import Revisit
 
-    from app.cli.demo_pictures import Material, Question
+    from app.cli.demo_images import Material, QueryRecord
     from schemas.wire import QueryAnswer
 
 MOST = 0.75
@@ -40,9 +40,9 @@ def add(verbs: Verbs) -> None:
 
 @dataclass(frozen=True)
 class Result:
-    """A question and what came of it."""
+    """A query and what came of it."""
 
-    question: "Question"
+    query: "QueryRecord"
     answer: "QueryAnswer"
 
     @property
@@ -54,7 +54,7 @@ class Result:
     @property
     def is_right(self) -> bool | None:
         """None when nobody knows."""
-        return self.first == self.question.place if self.question.known else None
+        return self.first == self.query.place if self.query.known else None
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -71,15 +71,15 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"a service runs at {url} on data in {folder}")
         with Revisit(url) as revisit:
             calls = _enrolled(revisit, material)
-            results, asked = _asked(revisit, material, output)
-        right = [result.is_right for result in results if result.question.place is not None]
+            results, answers = _asked(revisit, material, output)
+        right = [result.is_right for result in results if result.query.place is not None]
         passed = sum(map(bool, right)) >= MOST * len(right)
         if arguments.json:
             show_json([_facts(result) for result in results])
         else:
-            _tell(results, [*calls, *asked], output)
+            _tell(results, [*calls, *answers], output)
             unsure = sum(bool(result.is_right) and result.answer.status == "ambiguous" for result in results)
-            show(f"\n{sum(map(bool, right))} of {len(right)} known places were recognised: {_sureness(unsure)}.")
+            show(f"\n{sum(map(bool, right))} of {len(right)} known places were recognised: {_confidence_line(unsure)}.")
             if not passed:
                 show(f"That is fewer than expected. The service's log: {log}")
         if arguments.keep:
@@ -94,22 +94,22 @@ def run(arguments: argparse.Namespace) -> int:
 def _photos(folder: Path) -> list[Path]:
     if not folder.is_dir():
         wrong_use(f"{folder}: there is no such folder")
-    found = pictures.found([str(folder)])
+    found = images.found([str(folder)])
     if len(found) < 2:
         wrong_use(f"{folder}: needs at least two pictures, has {len(found)}")
     return found
 
 
 def _drawn(output: Path) -> "Material":
-    say(f"drawing {len(demo_pictures.PLACES)} places: streets, parks, corridors")
-    progress = Progress(len(demo_pictures.PLACES) + len(demo_pictures.STRANGERS), "places drawn")
-    material = demo_pictures.drawn(output, progress.step)
+    say(f"drawing {len(demo_images.PLACES)} places: streets, parks, corridors")
+    progress = Progress(len(demo_images.PLACES) + len(demo_images.UNKNOWN_PLACES), "places drawn")
+    material = demo_images.drawn(output, progress.step)
     progress.end()
     return material
 
 
 def _own(photos: Sequence[Path], output: Path) -> "Material":
-    material = demo_pictures.of_folder(photos, output, lambda _: None)
+    material = demo_images.of_folder(photos, output, lambda _: None)
     say(
         f"{len(material.enrolments)} of your {len(photos)} photos are enrolled, each as a place of its own. Asked are\n"
         "altered copies of some (cropped, turned, darker), which have to find their original, and the photos that\n"
@@ -127,7 +127,7 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
         progress.step(enrolment.place)
     progress.end()
     count, seconds = len(material.enrolments), time.monotonic() - begun
-    say(f"enrolled {count} pictures of {len(list(demo_pictures.names(material)))} places in {seconds:.1f} s")
+    say(f"enrolled {count} pictures of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
     first = material.enrolments[0]
     return [
         f"curl -F image=@{shlex.quote(str(first.path))} -F place={shlex.quote(first.place)} {revisit.url}/enroll"
@@ -136,23 +136,23 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
 
 
 def _asked(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
-    """Ask every question, and keep the pictures that show why it was answered so."""
+    """Ask every query, and keep the pictures that show why it was answered so."""
     folder = output / "answers"
     folder.mkdir(exist_ok=True)
     results = []
-    progress = Progress(len(material.questions), "questions asked")
-    for number, question in enumerate(material.questions, start=1):
-        answer = revisit.query(question.path, top=3, explain=True)
-        results.append(Result(question, answer))
+    progress = Progress(len(material.queries), "questions asked")
+    for number, query in enumerate(material.queries, start=1):
+        answer = revisit.query(query.path, top=3, explain=True)
+        results.append(Result(query, answer))
         if answer.matches:
             view = answer.matches[0].view.id
-            name = f"{number:02d}-{question.path.stem}"
+            name = f"{number:02d}-{query.path.stem}"
             (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
             (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
             (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
-        progress.step(question.path.name)
+        progress.step(query.path.name)
     progress.end()
-    path = shlex.quote(str(material.questions[0].path))
+    path = shlex.quote(str(material.queries[0].path))
     call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"
     return results, [call]
 
@@ -164,8 +164,8 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
         mark = {True: "yes", False: "NO", None: "?"}[result.is_right]
         rows.append(
             (
-                result.question.path.name,
-                result.question.change,
+                result.query.path.name,
+                result.query.change,
                 first.view.place if first else None,
                 first.score if first else None,
                 result.answer.confidence,
@@ -184,7 +184,7 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
     show("  answers/*-graph.png   its context graph")
 
 
-def _sureness(unsure: int) -> str:
+def _confidence_line(unsure: int) -> str:
     """How to read the verdicts."""
     if not unsure:
         return "the right one came first, and the service was sure"
@@ -194,9 +194,9 @@ def _sureness(unsure: int) -> str:
 def _facts(result: Result) -> dict[str, object]:
     matches = result.answer.matches
     return {
-        "picture": str(result.question.path),
-        "change": result.question.change,
-        "place": result.question.place,
+        "picture": str(result.query.path),
+        "change": result.query.change,
+        "place": result.query.place,
         "status": result.answer.status,
         "answered": result.first,
         "score": matches[0].score if matches else None,

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli import pictures
+from app.cli import images
 from app.cli.console import DONE, FAILED, Failure, Progress, Verbs, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
@@ -67,16 +67,16 @@ def run(arguments: argparse.Namespace) -> int:
     return FAILED if summary.failed else DONE
 
 
-def _described(arguments: argparse.Namespace) -> list[tuple[Path, pictures.Known]]:
+def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]:
     """Each picture with what is said about it: the CSV over EXIF, both over what is said of all."""
-    positions = None if arguments.positions is None else pictures.Positions(arguments.positions)
+    positions = None if arguments.positions is None else images.Positions(arguments.positions)
     work, unlisted = [], 0
-    for path in pictures.found(arguments.paths):
-        known: pictures.Known = {"map": arguments.map, "place": arguments.place}
+    for path in images.found(arguments.paths):
+        known: images.Known = {"map": arguments.map, "place": arguments.place}
         if arguments.place_from_folder:
             known["place"] = path.resolve().parent.name
         if arguments.exif:
-            known |= pictures.from_exif(path)
+            known |= images.from_exif(path)
         if positions is not None:
             listed = positions.of(path)
             unlisted += listed is None
@@ -92,11 +92,11 @@ def _described(arguments: argparse.Namespace) -> list[tuple[Path, pictures.Known
     return work
 
 
-def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, pictures.Known]], parallel: int) -> Summary:
+def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], parallel: int) -> Summary:
     """Send pictures, several at once: the service describes together what arrives together."""
     from revisit_client.client import ClientError, RevisitProblem
 
-    waiting: queue.SimpleQueue[tuple[Path, pictures.Known]] = queue.SimpleQueue()
+    waiting: queue.SimpleQueue[tuple[Path, images.Known]] = queue.SimpleQueue()
     for item in work:
         waiting.put(item)
     summary, progress, lock = Summary(), Progress(len(work), "pictures"), threading.Lock()

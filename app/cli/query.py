@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     with Revisit(arguments.url) as revisit:
         answer = revisit.query(
-            arguments.picture,
+            arguments.image,
             map=arguments.map,
             top=arguments.top,
             candidates=arguments.candidates,
@@ -73,7 +73,7 @@ def told(answer: "QueryAnswer") -> str:
         heads = ("rank", "place", "score", "confidence", "inliers", "position", "view")
         lines.append(table(heads, [_row(match) for match in answer.matches]))
     if answer.estimate is not None:
-        where = position(answer.estimate.position)
+        where = position_text(answer.estimate.position)
         lines.append(f"taken at {where}, within {answer.estimate.radius_m:.1f} m ({len(answer.estimate.views)} views)")
     if (total := answer.timing_ms.get("total")) is not None:
         lines.append(f"{total:.0f} ms")
@@ -82,16 +82,23 @@ def told(answer: "QueryAnswer") -> str:
 
 def _row(match: "Match") -> tuple[object, ...]:
     inliers = None if match.verification is None else match.verification.inliers
-    where = position(match.view.position)
-    return match.rank, match.view.place, match.score, match.confidence, inliers, where, match.view.id
+    return (
+        match.rank,
+        match.view.place,
+        match.score,
+        match.confidence,
+        inliers,
+        position_text(match.view.position),
+        match.view.id,
+    )
 
 
-def position(where: "Position | None") -> str | None:
+def position_text(position: "Position | None") -> str | None:
     """A position for people."""
-    if where is None:
+    if position is None:
         return None
-    if where.lat is not None and where.lon is not None:
-        return f"{where.lat:.6f}°, {where.lon:.6f}°"
-    if where.x is not None and where.y is not None:
-        return f"{where.x:.2f}, {where.y:.2f} m"
+    if position.lat is not None and position.lon is not None:
+        return f"{position.lat:.6f}°, {position.lon:.6f}°"
+    if position.x is not None and position.y is not None:
+        return f"{position.x:.2f}, {position.y:.2f} m"
     return None

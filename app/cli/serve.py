@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import uvicorn
 
     from schemas.settings import Settings
-    from worker.runtime import House
+    from worker.runtime import Runtime
 
 log = logging.getLogger("revisit")
 
@@ -126,9 +126,9 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
     from app.http.application import create_app
     from worker.bootstrap import build
 
-    house = build(settings)
+    runtime = build(settings)
     config = uvicorn.Config(
-        create_app(house),
+        create_app(runtime),
         log_config=None,
         access_log=False,  # app.http.middleware writes the access log
         timeout_graceful_shutdown=GRACE_S,
@@ -137,7 +137,7 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
     # uvicorn raises the signal that stopped it once more when it has finished; being stopped is no failure.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
-    server = _server(config, house, _address(settings.host, listening.getsockname()[1]))
+    server = _server(config, runtime, _address(settings.host, listening.getsockname()[1]))
     server.run(sockets=[listening])
     if not server.started:
         say("revisit: the service could not start; the reason is above")
@@ -151,7 +151,7 @@ def _address(host: str, port: int) -> str:
     return f"http://{shown}:{port}"
 
 
-def _server(config: "uvicorn.Config", house: "House", url: str) -> "uvicorn.Server":
+def _server(config: "uvicorn.Config", runtime: "Runtime", url: str) -> "uvicorn.Server":
     """A uvicorn server that tells people where it is once it can be asked."""
     import uvicorn
 
@@ -159,21 +159,21 @@ def _server(config: "uvicorn.Config", house: "House", url: str) -> "uvicorn.Serv
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets=sockets)
             if self.started:
-                announce(house, url)
+                announce(runtime, url)
 
     return Announcing(config)
 
 
-def announce(house: "House", url: str) -> None:
+def announce(runtime: "Runtime", url: str) -> None:
     """Say what runs where."""
-    settings = house.settings
-    maps = house.store.maps()
-    counts = [house.store.counts(record.name) for record in maps]
+    settings = runtime.settings
+    maps = runtime.store.maps()
+    counts = [runtime.store.counts(record.name) for record in maps]
     views = sum(count.views.get("ready", 0) for count in counts)
     pending = sum(count.views.get("pending", 0) for count in counts)
     waiting = f", {pending} waiting to be described" if pending else ""
     show(f"revisit serves at {url}")
-    show(f"  encoder   {house.encoder.name} on {settings.device}, preset {settings.preset}")
+    show(f"  encoder   {runtime.encoder.name} on {settings.device}, preset {settings.preset}")
     show(f"  data      {settings.data.resolve()}")
     show(f"  enrolled  {views} views in {len(maps)} maps{waiting}")
     show(f"  console   {url}/      documentation {url}/docs")
@@ -192,15 +192,15 @@ def run_worker(arguments: argparse.Namespace) -> int:
     logs.configure(settings.log)
     from worker.bootstrap import build
 
-    house = build(settings, serving=False)
+    runtime = build(settings, serving=False)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    house.start()
-    show(f"revisit worker describes pictures of {settings.data.resolve()} with {house.encoder.name}")
+    runtime.start()
+    show(f"revisit worker describes pictures of {settings.data.resolve()} with {runtime.encoder.name}")
     try:
         stop.wait()
     finally:
-        house.stop()  # what is being encoded is finished, the rest goes back to the queue
+        runtime.stop()  # what is being encoded is finished, the rest goes back to the queue
     log.info("stopped")
     return DONE

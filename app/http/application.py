@@ -8,13 +8,13 @@ from fastapi import FastAPI
 
 from app.http import problems
 from app.http.metrics import Metrics
-from app.http.middleware import BodyLimit, Door, Entrance
+from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
-from app.http.routes import enroll, health, jobs, maps, pictures, places, query, views
+from app.http.routes import enroll, health, images, jobs, maps, places, query, views
 from app.http.service import Service
 from app.version import VERSION
 from schemas.settings import MEGA
-from worker.runtime import House
+from worker.runtime import Runtime
 
 TAGS = [
     {"name": "enrol and ask", "description": "The two questions revisit is for."},
@@ -26,9 +26,9 @@ TAGS = [
 ]
 
 
-def create_app(house: House) -> FastAPI:
+def create_app(runtime: Runtime) -> FastAPI:
     """The application around a house that was built and not yet started: it starts and stops with the application."""
-    return application(Service.of(house))
+    return application(Service.of(runtime))
 
 
 def application(service: Service) -> FastAPI:
@@ -36,11 +36,11 @@ def application(service: Service) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        await service.condition.start()
+        await service.lifecycle.start()
         try:
             yield
         finally:
-            await service.condition.stop()
+            await service.lifecycle.stop()
 
     app = FastAPI(
         title="revisit",
@@ -55,12 +55,12 @@ def application(service: Service) -> FastAPI:
     app.state.service = service
     app.state.metrics = metrics = Metrics()
     app.state.patching = asyncio.Lock()
-    for room in (enroll, query, views, pictures, maps, places, jobs, health):
+    for room in (enroll, query, views, images, maps, places, jobs, health):
         app.include_router(room.router)
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
     # Added last is outermost: every answer passes Entrance, and a body is not read before Door and BodyLimit agree.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
-    app.add_middleware(Door, state=lambda: (service.condition.started, service.condition.draining))
-    app.add_middleware(Entrance, metrics=metrics)
+    app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
+    app.add_middleware(RequestContext, metrics=metrics)
     return app

@@ -10,14 +10,14 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from app.http.values import strict_json
-from schemas.errors import BadBody, BadPicture, BodyTooLarge, InvalidParameters, ParameterError
+from schemas.errors import BadBody, BadImage, BodyTooLarge, InvalidParameters, ParameterError
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
 
-PICTURE_PART = "image"
+IMAGE_PART = "image"
 
-MOST_PICTURES = 100
+MOST_IMAGES = 100
 MOST_PARAMETERS = 200
 LONGEST_PARAMETER = 64 * 1024
 LARGEST_JSON = 256 * 1024
@@ -35,7 +35,7 @@ class Sent:
 
     Parameters
     ----------
-    pictures : sequence of (file name or None, bytes)
+    images : sequence of (file name or None, bytes)
         In the order of the body; never empty, and none of them is.
     parameters : sequence of (name, value)
         Of the URL, then of the body.
@@ -43,7 +43,7 @@ class Sent:
         What is wrong with the parts themselves; to be listed with the other mistakes.
     """
 
-    pictures: Sequence[tuple[str | None, bytes]]
+    images: Sequence[tuple[str | None, bytes]]
     parameters: Sequence[tuple[str, str]]
     errors: Sequence[ParameterError] = ()
 
@@ -55,7 +55,7 @@ async def take(request: Request) -> Sent:
     ------
     BadBody
         ``no-picture`` or ``malformed-body``.
-    BadPicture
+    BadImage
         ``not-a-picture``: the content type is neither multipart nor a picture's.
     BodyTooLarge
         From `app.http.middleware.BodyLimit`, while the body is read.
@@ -74,7 +74,7 @@ async def take(request: Request) -> Sent:
         raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
     name = kind.decode("latin-1")
     if name and not name.startswith("image/") and name not in _RAW_TYPES:
-        raise BadPicture("not-a-picture", f"the content type is {name}; {_REMEDY}")
+        raise BadImage("not-a-picture", f"the content type is {name}; {_REMEDY}")
     return Sent([(None, body)], in_url)
 
 
@@ -147,7 +147,7 @@ class _Reader:
         }
 
     def _begin(self) -> None:
-        if len(self.parts) >= MOST_PICTURES + MOST_PARAMETERS:
+        if len(self.parts) >= MOST_IMAGES + MOST_PARAMETERS:
             raise BadBody("malformed-body", f"the body has more than {len(self.parts)} parts")
         self.parts.append(_Part())
 
@@ -174,35 +174,35 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> S
         raise BadBody("malformed-body", "the content type names no boundary; let your HTTP library write the header")
     if not body:
         raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
-    pictures: list[tuple[str | None, bytes]] = []
-    said: list[tuple[str, str]] = []
+    images: list[tuple[str | None, bytes]] = []
+    attributes: list[tuple[str, str]] = []
     errors: list[ParameterError] = []
     for part in _parts(body, boundary):
         name, file = part.names()
         content = part.content
-        if name == PICTURE_PART:
+        if name == IMAGE_PART:
             if not content:
-                raise BadBody("no-picture", f"the part `image` number {len(pictures) + 1} is empty")
-            pictures.append((file, content))
+                raise BadBody("no-picture", f"the part `image` number {len(images) + 1} is empty")
+            images.append((file, content))
         elif file is not None:
             errors.append(ParameterError(name, "is a file; pictures are sent as parts named image"))
         elif len(content) > LONGEST_PARAMETER:
             errors.append(ParameterError(name, f"has {len(content)} bytes; at most {LONGEST_PARAMETER} are taken"))
         else:
             try:
-                said.append((name, content.decode()))
+                attributes.append((name, content.decode()))
             except UnicodeDecodeError:
                 errors.append(ParameterError(name, "is not UTF-8"))
-    if not pictures:
+    if not images:
         # A picture under another name is the likelier mistake, and its refusal names the part.
         if errors:
             raise InvalidParameters(errors)
         raise BadBody("no-picture", f"no part is named image; {_REMEDY}")
-    if len(pictures) > MOST_PICTURES:
-        errors.append(ParameterError(PICTURE_PART, f"{len(pictures)} pictures; at most {MOST_PICTURES} at once"))
-    twice = {name for name, _ in in_url} & {name for name, _ in said}
+    if len(images) > MOST_IMAGES:
+        errors.append(ParameterError(IMAGE_PART, f"{len(images)} pictures; at most {MOST_IMAGES} at once"))
+    twice = {name for name, _ in in_url} & {name for name, _ in attributes}
     errors += [ParameterError(name, "was given both in the URL and in the body") for name in sorted(twice)]
-    return Sent(pictures, [p for p in in_url if p[0] not in twice] + said, errors)
+    return Sent(images, [p for p in in_url if p[0] not in twice] + attributes, errors)
 
 
 def _parts(body: bytes, boundary: bytes) -> list[_Part]:

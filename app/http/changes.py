@@ -18,7 +18,7 @@ from schemas.recipe import Recipe
 from schemas.records import Filters
 from worker.description import vocabularies
 from worker.description.presets import make_recipe
-from worker.runtime import House
+from worker.runtime import Runtime
 
 log = logging.getLogger("revisit.changes")
 
@@ -43,11 +43,11 @@ class Changes:
 
     Parameters
     ----------
-    house : House
+    runtime : Runtime
     """
 
-    def __init__(self, house: House) -> None:
-        self._house = house
+    def __init__(self, runtime: Runtime) -> None:
+        self._runtime = runtime
         self._kept: OrderedDict[str, _Change] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -61,8 +61,8 @@ class Changes:
         ------
         NotFound, Conflict, InvalidParameters
         """
-        present = self._house.store.map(name).recipe
-        encoder = self._house.encoder
+        present = self._runtime.store.map(name).recipe
+        encoder = self._runtime.encoder
         own = (present.encoder, present.weights) == (encoder.name, encoder.digest)
         same = own and wanted.preset in (None, present.preset)
         labels = list(present.labels) if wanted.labels is None and same else wanted.labels
@@ -75,7 +75,7 @@ class Changes:
             labels=labels,
             dynamic=dynamic,
             parameters=wanted.parameters,
-            vocabulary=self._house.describers.of(present).vocabulary if same else None,
+            vocabulary=self._runtime.describers.of(present).vocabulary if same else None,
             present=present.parameters if same else None,
         )
         change = self._record("recipe", name)
@@ -92,7 +92,7 @@ class Changes:
         Conflict
             A vocabulary of this map is being trained already.
         """
-        self._house.store.map(name)
+        self._runtime.store.map(name)
         with self._lock:
             if any(c.kind == "vocabulary" and c.map == name and c.target is None and c.failure is None
                    for c in self._kept.values()):  # fmt: skip
@@ -115,22 +115,22 @@ class Changes:
         return change
 
     def _begin(self, change: _Change, recipe: Recipe) -> None:
-        self._house.store.switch_recipe(change.map, recipe, datetime.now(UTC))
+        self._runtime.store.switch_recipe(change.map, recipe, datetime.now(UTC))
         change.target = recipe.id
-        if self._house.loop is not None:
-            self._house.loop.wake()
+        if self._runtime.loop is not None:
+            self._runtime.loop.wake()
 
     def _train(self, change: _Change) -> None:
         try:
-            recipe = self._house.store.map(change.map).recipe
-            describer = self._house.describers.of(recipe)
+            recipe = self._runtime.store.map(change.map).recipe
+            describer = self._runtime.describers.of(recipe)
             learned = vocabularies.train(
                 self._fields(change.map, recipe.parameters.seed),
                 lambda field: describer.see(field).static,
                 recipe.parameters,
                 recipe.parameters.seed,
             )
-            self._house.store.keep_vocabulary(learned.digest, learned.tensors)
+            self._runtime.store.keep_vocabulary(learned.digest, learned.tensors)
             self._begin(change, recipe.model_copy(update={"vocabulary": learned.digest}))
         except ValueError as error:
             change.failure = "too-few-pictures", f"{error}; enrol more views of different places first"
@@ -141,23 +141,23 @@ class Changes:
             change.failure = "internal", f"{type(error).__name__}; the service's log has the details"
 
     def _fields(self, name: str, seed: int) -> Iterator[PixelField]:
-        """Fields of the map's views, in a random order that the seed decides; behind all questions."""
+        """Fields of the map's views, in a random order that the seed decides; behind all queries."""
         ids: list[str] = []
         cursor: str | None = None
         while True:
-            page, cursor = self._house.store.views(name, Filters(), state="ready", cursor=cursor, limit=PAGE)
+            page, cursor = self._runtime.store.views(name, Filters(), state="ready", cursor=cursor, limit=PAGE)
             ids += [view.id for view in page]
             if cursor is None:
                 break
-        for number in np.random.default_rng(seed).permutation(len(ids))[: vocabularies.MOST_PICTURES]:
-            picture = self._house.decode(self._house.store.picture(ids[number]))
-            yield self._house.desk.hand_in(picture, lambda _, field: field, urgent=False).result().value
+        for number in np.random.default_rng(seed).permutation(len(ids))[: vocabularies.MOST_IMAGES]:
+            image = self._runtime.decode(self._runtime.store.image(ids[number]))
+            yield self._runtime.scheduler.submit(image, lambda _, field: field, urgent=False).result().value
 
     def _job(self, change: _Change) -> wire.Job:
         state: Literal["running", "done", "failed"] = "running"
         if change.failure is not None:
             state = "failed"
-        elif change.target is not None and self._house.store.map(change.map).recipe.id == change.target:
+        elif change.target is not None and self._runtime.store.map(change.map).recipe.id == change.target:
             state = "done"
         return wire.Job(
             id=change.id,

@@ -10,12 +10,12 @@ from app.http.changes import Changes
 from app.http.explanations import Explanations
 from schemas import wire
 from schemas.description import PixelField
-from schemas.image import Picture
-from schemas.records import Filters, MapRecord, Replay, Said, ViewRecord
+from schemas.image import Image
+from schemas.records import Filters, MapRecord, Replay, ViewAttributes, ViewRecord
 from worker.description.describer import Describer
 from worker.description.presets import make_recipe
 from worker.images import drawing
-from worker.runtime import House
+from worker.runtime import Runtime
 
 T = TypeVar("T")
 
@@ -25,16 +25,16 @@ class Curator:
 
     Parameters
     ----------
-    house : House
+    runtime : Runtime
     explanations : Explanations
         Of the latest queries.
     changes : Changes
         Of whole maps, in the background.
     """
 
-    def __init__(self, house: House, explanations: Explanations, changes: Changes) -> None:
-        self._house = house
-        self._store = house.store
+    def __init__(self, runtime: Runtime, explanations: Explanations, changes: Changes) -> None:
+        self._runtime = runtime
+        self._store = runtime.store
         self._explanations = explanations
         self._changes = changes
 
@@ -44,9 +44,9 @@ class Curator:
         """One view."""
         return await self._answer(await asyncio.to_thread(self._store.view, view_id))
 
-    async def said_of(self, view_id: str) -> Said:
+    async def attributes_of(self, view_id: str) -> ViewAttributes:
         """What the user said about a view."""
-        return (await asyncio.to_thread(self._store.view, view_id)).said
+        return (await asyncio.to_thread(self._store.view, view_id)).attributes
 
     async def views(
         self,
@@ -69,9 +69,9 @@ class Curator:
 
         return await asyncio.to_thread(page)
 
-    async def patch_view(self, view_id: str, said: Said) -> wire.View:
+    async def patch_view(self, view_id: str, attributes: ViewAttributes) -> wire.View:
         """Replace what was said about a view."""
-        return await self._answer(await asyncio.to_thread(self._store.patch, view_id, said))
+        return await self._answer(await asyncio.to_thread(self._store.patch, view_id, attributes))
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
         """Remove a view."""
@@ -90,53 +90,53 @@ class Curator:
     async def image(self, view_id: str) -> tuple[bytes, str]:
         """The enrolled bytes and their media type."""
         record = await asyncio.to_thread(self._store.view, view_id)
-        return await asyncio.to_thread(self._store.picture, view_id), f"image/{record.picture.format}"
+        return await asyncio.to_thread(self._store.image, view_id), f"image/{record.image.format}"
 
     async def thumbnail(self, view_id: str, longest: int) -> bytes:
         """A JPEG of at most `longest` pixels on its longer side."""
-        data = await asyncio.to_thread(self._store.picture, view_id)
-        return await asyncio.to_thread(self._house.thumbnail, data, longest)
+        data = await asyncio.to_thread(self._store.image, view_id)
+        return await asyncio.to_thread(self._runtime.thumbnail, data, longest)
 
     async def segmentation(self, view_id: str, overlay: bool) -> bytes:
         """The label map as an indexed PNG, or blended over the photo; as fine as the encoder has it."""
 
-        def draw(picture: Picture, field: PixelField, describer: Describer) -> bytes:
-            seen = describer.see(field)
+        def draw(image: Image, field: PixelField, describer: Describer) -> bytes:
+            description = describer.see(field)
             recipe = describer.recipe
             if overlay:
-                return drawing.overlay_png(picture.pixels, seen.labels, recipe.labels, seen.static)
-            return drawing.segmentation_png(seen.labels, (picture.width, picture.height), recipe.labels)
+                return drawing.overlay_png(image.pixels, description.labels, recipe.labels, description.static)
+            return drawing.segmentation_png(description.labels, (image.width, image.height), recipe.labels)
 
         return await self._draw(view_id, draw, fine=True)
 
     async def graph(self, view_id: str) -> bytes:
         """The context graph, drawn over the photo."""
 
-        def draw(picture: Picture, field: PixelField, describer: Describer) -> bytes:
+        def draw(image: Image, field: PixelField, describer: Describer) -> bytes:
             graph = describer.graph(field, describer.see(field))
             recipe = describer.recipe
-            return drawing.graph_png(picture.pixels, graph, recipe.labels, recipe.parameters.graph.tau)
+            return drawing.graph_png(image.pixels, graph, recipe.labels, recipe.parameters.graph.tau)
 
         return await self._draw(view_id, draw)
 
     async def _draw(
-        self, view_id: str, draw: Callable[[Picture, PixelField, Describer], bytes], *, fine: bool = False
+        self, view_id: str, draw: Callable[[Image, PixelField, Describer], bytes], *, fine: bool = False
     ) -> bytes:
         owner, data = await asyncio.to_thread(self._source, view_id)
-        picture = await asyncio.to_thread(self._house.decode, data)
-        describer = await asyncio.to_thread(self._house.describers.of, owner.recipe)
-        future = self._house.desk.hand_in(picture, lambda p, f: draw(p, f, describer), urgent=True, fine=fine)
+        image = await asyncio.to_thread(self._runtime.decode, data)
+        describer = await asyncio.to_thread(self._runtime.describers.of, owner.recipe)
+        future = self._runtime.scheduler.submit(image, lambda p, f: draw(p, f, describer), urgent=True, fine=fine)
         return (await asyncio.wrap_future(future)).value
 
     def _source(self, view_id: str) -> tuple[MapRecord, bytes]:
         record = self._store.view(view_id)
-        return self._store.map(record.map), self._store.picture(view_id)
+        return self._store.map(record.map), self._store.image(view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """Changes whenever a picture made of the view would; `kind` names the picture and its options."""
         record = await asyncio.to_thread(self._store.view, view_id)
         if kind.startswith(("image", "thumbnail")):
-            return f'"{record.picture.sha256[:24]}-{kind}"'
+            return f'"{record.image.sha256[:24]}-{kind}"'
         owner = await asyncio.to_thread(self._store.map, record.map)
         return f'"{record.id}-{owner.recipe.id}-{kind}"'
 
@@ -144,8 +144,8 @@ class Curator:
         """Query and match side by side, with what agrees between them."""
         explained = self._explanations.get(query_id)
         found = explained.match(view_id)
-        data = await asyncio.to_thread(self._store.picture, found.view.id)
-        return await asyncio.to_thread(lambda: explained.draw(found, self._house.decode(data)))
+        data = await asyncio.to_thread(self._store.image, found.view.id)
+        return await asyncio.to_thread(lambda: explained.draw(found, self._runtime.decode(data)))
 
     # maps
 
@@ -162,8 +162,8 @@ class Curator:
 
         def put() -> tuple[wire.MapFacts, bool]:
             recipe = make_recipe(
-                self._house.encoder,
-                wanted.preset or self._house.settings.preset,
+                self._runtime.encoder,
+                wanted.preset or self._runtime.settings.preset,
                 labels=wanted.labels,
                 dynamic=wanted.dynamic,
                 parameters=wanted.parameters,
@@ -176,13 +176,13 @@ class Curator:
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""
         receipt = await asyncio.to_thread(self._store.delete_map, name)
-        self._house.catalogue.forget(name)
+        self._runtime.catalogue.forget(name)
         return presenters.removal(receipt)
 
     def _facts(self, record: MapRecord) -> wire.MapFacts:
         recipe = record.recipe
-        own = (recipe.encoder, recipe.weights) == (self._house.encoder.name, self._house.encoder.digest)
-        meanings = self._house.encoder.meanings(recipe.labels) if own else presenters.unexplained(recipe.labels)
+        own = (recipe.encoder, recipe.weights) == (self._runtime.encoder.name, self._runtime.encoder.digest)
+        meanings = self._runtime.encoder.meanings(recipe.labels) if own else presenters.unexplained(recipe.labels)
         return presenters.map_facts(record, self._store.counts(record.name), meanings)
 
     async def places(self, map_name: str | None, cursor: str | None, limit: int) -> wire.Places:

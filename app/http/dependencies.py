@@ -6,7 +6,7 @@ from typing import Annotated, TypeVar
 from fastapi import Depends, Request
 
 from app.http.curate import Curator
-from app.http.lifecycle import Condition
+from app.http.lifecycle import Lifecycle
 from app.http.metrics import Metrics
 from app.http.parameters import MapName, NoParameters, Parameters, read, validated
 from app.http.recognise import Recogniser
@@ -24,9 +24,9 @@ async def _curator(request: Request) -> Curator:
     return curator
 
 
-async def _condition(request: Request) -> Condition:
-    condition: Condition = request.app.state.service.condition
-    return condition
+async def _lifecycle(request: Request) -> Lifecycle:
+    lifecycle: Lifecycle = request.app.state.service.lifecycle
+    return lifecycle
 
 
 async def _metrics(request: Request) -> Metrics:
@@ -36,7 +36,7 @@ async def _metrics(request: Request) -> Metrics:
 
 Recognises = Annotated[Recogniser, Depends(_recogniser)]
 Curates = Annotated[Curator, Depends(_curator)]
-Conditions = Annotated[Condition, Depends(_condition)]
+Lifecycles = Annotated[Lifecycle, Depends(_lifecycle)]
 Measures = Annotated[Metrics, Depends(_metrics)]
 
 

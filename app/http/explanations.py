@@ -8,9 +8,9 @@ import numpy.typing as npt
 
 from schemas.description import Description
 from schemas.errors import NotFound
-from schemas.image import Picture
+from schemas.image import Image
 from worker.images import drawing
-from worker.search.searcher import Answer, Found
+from worker.search.searcher import Answer, ScoredView
 
 Point = tuple[float, float]
 
@@ -21,15 +21,15 @@ class Explained:
 
     Parameters
     ----------
-    picture : Picture
+    image : Image
         Made small; explanations are drawn at this size.
     """
 
-    picture: Picture
+    image: Image
     description: Description
     answer: Answer
 
-    def draw(self, found: Found, view: Picture) -> bytes:
+    def draw(self, found: ScoredView, view: Image) -> bytes:
         """Query and match side by side: keypoints that agree, nodes that correspond, and what each term adds."""
         labels, query = self.answer.recipe.labels, self.description.appearance.graph
         nodes: list[tuple[str, Point, Point]] = []
@@ -44,9 +44,9 @@ class Explained:
         if found.verified is not None:
             inliers = [(_point(pair[:2]), _point(pair[2:])) for pair in found.verified.pairs]
             text.append(f"{found.verified.inliers} of {found.verified.matches} keypoints agree")
-        return drawing.explanation_png(self.picture.pixels, view.pixels, inliers, nodes, text)
+        return drawing.explanation_png(self.image.pixels, view.pixels, inliers, nodes, text)
 
-    def match(self, view_id: str | None) -> Found:
+    def match(self, view_id: str | None) -> ScoredView:
         """The match with that view, or the first one; raises NotFound."""
         for found in self.answer.found:
             if view_id is None or found.view.id == view_id:

@@ -33,11 +33,11 @@ def key_of(request: Request) -> str | None:
     return keys[0]
 
 
-def fingerprint(pictures: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:
+def fingerprint(images: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:
     """SHA-256 of the pictures, in their order, and the parameters, in any order."""
     whole = hashlib.sha256()
-    for picture in pictures:
-        whole.update(hashlib.sha256(picture).digest())
+    for image in images:
+        whole.update(hashlib.sha256(image).digest())
     whole.update(json.dumps(sorted(parameters)).encode())
     return whole.hexdigest()
 

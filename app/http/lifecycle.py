@@ -9,21 +9,21 @@ from importlib.metadata import version
 from app.version import VERSION
 from schemas import wire
 from schemas.errors import RevisitError
-from worker.runtime import House
+from worker.runtime import Runtime
 
 LIBRARIES = ("onnxruntime", "torch", "faiss-cpu", "numpy", "opencv-python-headless", "fastapi", "sqlalchemy")
 
 
-class Condition:
+class Lifecycle:
     """Starts and stops the house, and answers for it.
 
     Parameters
     ----------
-    house : House
+    runtime : Runtime
     """
 
-    def __init__(self, house: House) -> None:
-        self._house = house
+    def __init__(self, runtime: Runtime) -> None:
+        self._runtime = runtime
         self._started = False
         self._draining = False
         # A thread of its own: the answer must come while every other one works.
@@ -41,13 +41,13 @@ class Condition:
 
     async def start(self) -> None:
         """Open the house."""
-        await asyncio.to_thread(self._house.start)
+        await asyncio.to_thread(self._runtime.start)
         self._started = True
 
     async def stop(self) -> None:
         """Finish what is under way and close the house."""
         self._draining = True
-        await asyncio.to_thread(self._house.stop)
+        await asyncio.to_thread(self._runtime.stop)
         self._thread.shutdown()
 
     async def readiness(self) -> wire.Readiness:
@@ -55,35 +55,35 @@ class Condition:
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._readiness)
 
     def _readiness(self) -> wire.Readiness:
-        house = self._house
+        runtime = self._runtime
         needed = {
-            "database": house.store.check(),
-            "encoder": "ok" if house.desk.alive else "its thread has ended; restart the service",
+            "database": runtime.store.check(),
+            "encoder": "ok" if runtime.scheduler.alive else "its thread has ended; restart the service",
         }
-        if house.loop is not None:
-            needed["worker"] = "ok" if house.loop.alive else "its thread has ended; restart the service"
+        if runtime.loop is not None:
+            needed["worker"] = "ok" if runtime.loop.alive else "its thread has ended; restart the service"
         maps = {}
         if needed["database"] == "ok":
-            for record in house.store.maps():
+            for record in runtime.store.maps():
                 try:
-                    house.describers.of(record.recipe)
+                    runtime.describers.of(record.recipe)
                 except RevisitError as error:
                     maps[f"map {record.name}"] = error.detail
         return wire.Readiness(ready=all(state == "ok" for state in needed.values()), checks=needed | maps)
 
     async def queue_length(self) -> int:
         """Pictures that wait to be described."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._house.store.waiting)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._runtime.store.waiting)
 
     async def version(self) -> wire.Version:
         """What is running."""
-        house = self._house
+        runtime = self._runtime
         return wire.Version(
             version=VERSION,
-            encoder=house.encoder.name,
-            weights=house.encoder.digest,
-            preset=house.settings.preset,
-            schema_version=house.schema_version,
+            encoder=runtime.encoder.name,
+            weights=runtime.encoder.digest,
+            preset=runtime.settings.preset,
+            schema_version=runtime.schema_version,
             python=platform.python_version(),
             libraries=_installed(),
         )

@@ -28,7 +28,7 @@ STARTING_RETRY_S = 2
 DRAINING_RETRY_S = 10
 
 
-class Entrance:
+class RequestContext:
     """Outermost: gives the request its id, logs and counts its answer, and turns what nobody caught into a 500."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
@@ -91,7 +91,7 @@ class Entrance:
         )
 
 
-class Door:
+class ReadinessGate:
     """Answers 503 while the service starts or drains."""
 
     def __init__(self, app: ASGIApp, state: Callable[[], tuple[bool, bool]]) -> None:
@@ -128,22 +128,22 @@ class BodyLimit:
         if announced.isdigit() and int(announced) > self._max_bytes:
             await _refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
             return
-        seen = 0
+        description = 0
 
         async def receive_counted() -> Message:
-            nonlocal seen
+            nonlocal description
             message = await receive()
             if message["type"] == "http.request":
-                seen += len(message.get("body", b""))
-                if seen > self._max_bytes:
+                description += len(message.get("body", b""))
+                if description > self._max_bytes:
                     # Raised where the route reads its body, so that it becomes an answer like any other refusal.
                     raise self._too_large(f"more than {self._max_bytes:,}")
             return message
 
         await self._app(scope, receive_counted, send)
 
-    def _too_large(self, seen: str) -> BodyTooLarge:
-        return BodyTooLarge(f"the body has {seen} bytes; at most {self._max_bytes:,} are taken")
+    def _too_large(self, description: str) -> BodyTooLarge:
+        return BodyTooLarge(f"the body has {description} bytes; at most {self._max_bytes:,} are taken")
 
 
 async def _refuse(error: BodyTooLarge | Unavailable, scope: Scope, receive: Receive, send: Send) -> None:

@@ -15,7 +15,7 @@ from schemas.wire import Problem, PutMap
 Json = dict[str, Any]
 
 _REF = "#/components/schemas/"
-_PICTURE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
+_IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
 _EVERYWHERE = ("invalid-parameter", "internal")
 
 DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later ask with a photo.
@@ -90,10 +90,10 @@ def asks(model: type[Parameters]) -> Json:
     return {"parameters": parameters(model)}
 
 
-def asks_pictures(model: type[Parameters], *, several: bool, headers: list[Json] | None = None) -> Json:
+def asks_images(model: type[Parameters], *, several: bool, headers: list[Json] | None = None) -> Json:
     """`openapi_extra` of a route that takes pictures, as multipart or as the raw body."""
-    picture = {"type": "string", "format": "binary", "description": "JPEG, PNG, WebP, BMP or TIFF."}
-    image = {"type": "array", "items": picture, "minItems": 1} if several else picture
+    single: Json = {"type": "string", "format": "binary", "description": "JPEG, PNG, WebP, BMP or TIFF."}
+    image: Json = {"type": "array", "items": single, "minItems": 1} if several else single
     parts: Json = {"image": image}
     for (name, schema), _ in _properties(model):
         parts[name] = schema
@@ -104,7 +104,7 @@ def asks_pictures(model: type[Parameters], *, several: bool, headers: list[Json]
         "parameters": [*parameters(model), *(headers or [])],
         "requestBody": {
             "required": True,
-            "content": {"multipart/form-data": {"schema": form}, **dict.fromkeys(_PICTURE_TYPES, raw)},
+            "content": {"multipart/form-data": {"schema": form}, **dict.fromkeys(_IMAGE_TYPES, raw)},
         },
     }
 

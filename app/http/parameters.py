@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from app.http import values
 from schemas.errors import InvalidParameters, ParameterError
-from schemas.records import Filters, Said, Where
+from schemas.records import Filters, Position, ViewAttributes
 
 _METADATA = "metadata."
 
@@ -82,9 +82,9 @@ class PositionParameters(Parameters):
         """Half a position, or two frames."""
         return _contradicting_positions(given)
 
-    def where(self) -> Where:
+    def position(self) -> Position:
         """The position as a record."""
-        return Where(self.x, self.y, self.z, self.lat, self.lon, self.alt, self.heading)
+        return Position(self.x, self.y, self.z, self.lat, self.lon, self.alt, self.heading)
 
 
 class EnrollParameters(PositionParameters):
@@ -98,13 +98,13 @@ class EnrollParameters(PositionParameters):
     )
     wait: bool = Field(True, description="Answer when the view is searchable; false: when it is durable.")
 
-    def said(self) -> Said:
+    def attributes(self) -> ViewAttributes:
         """What the user said about the view."""
-        return Said(self.place, self.where(), self.captured_at, self.metadata)
+        return ViewAttributes(self.place, self.position(), self.captured_at, self.metadata)
 
 
 class FilterParameters(Parameters):
-    """Which views a question or a list is about; together with ``metadata.KEY=VALUE``."""
+    """Which views a query or a list is about; together with ``metadata.KEY=VALUE``."""
 
     takes_metadata_filters: ClassVar[bool] = True
 
@@ -238,7 +238,7 @@ class ExplanationParameters(Parameters):
     )
 
 
-class SaidDocument(PositionParameters):
+class AttributesDocument(PositionParameters):
     """What was said about a view, after `PATCH /views/{id}` was merged into it."""
 
     model_config = ConfigDict(strict=True)
@@ -247,9 +247,9 @@ class SaidDocument(PositionParameters):
     captured_at: Annotated[datetime, BeforeValidator(values.moment)] | None = None
     metadata: Annotated[dict[str, Any], BeforeValidator(values.metadata)] = Field(default_factory=dict)
 
-    def said(self) -> Said:
+    def attributes(self) -> ViewAttributes:
         """As a record."""
-        return Said(self.place, self.where(), self.captured_at, self.metadata)
+        return ViewAttributes(self.place, self.position(), self.captured_at, self.metadata)
 
 
 P = TypeVar("P", bound=Parameters)

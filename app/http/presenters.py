@@ -7,19 +7,19 @@ from datetime import datetime
 from schemas import wire
 from schemas.description import ContextGraph, Floats
 from schemas.recipe import Recipe
-from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Removal, ViewRecord, Where
+from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Position, Removal, ViewRecord
 from worker.images.palette import colour
 from worker.method.decision import Decision
 from worker.method.estimate import locate
 from worker.method.verification import Verified
-from worker.search.searcher import Found, GraphEvidence
+from worker.search.searcher import GraphEvidence, ScoredView
 
 
-def position(where: Where) -> wire.Position | None:
+def position(position: Position) -> wire.Position | None:
     """A position, or None when nothing was said."""
-    if all(value is None for value in asdict(where).values()):
+    if all(value is None for value in asdict(position).values()):
         return None
-    return wire.Position(**asdict(where))
+    return wire.Position(**asdict(position))
 
 
 def label_shares(shares: Floats, labels: Sequence[str]) -> list[wire.LabelShare]:
@@ -30,35 +30,35 @@ def label_shares(shares: Floats, labels: Sequence[str]) -> list[wire.LabelShare]
 
 def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
     """A view; `labels` is the label set of the map's recipe."""
-    seen = record.description
+    description = record.description
     base = f"/views/{record.id}"
     return wire.View(
         id=record.id,
         map=record.map,
-        place=record.said.place,
-        position=position(record.said.where),
-        captured_at=record.said.captured_at,
+        place=record.attributes.place,
+        position=position(record.attributes.position),
+        captured_at=record.attributes.captured_at,
         enrolled_at=record.enrolled_at,
-        metadata=dict(record.said.metadata),
+        metadata=dict(record.attributes.metadata),
         image=wire.ImageFacts.model_validate(
             {
-                "width": record.picture.width,
-                "height": record.picture.height,
-                "bytes": record.picture.byte_count,
-                "format": record.picture.format,
-                "sha256": record.picture.sha256,
+                "width": record.image.width,
+                "height": record.image.height,
+                "bytes": record.image.byte_count,
+                "format": record.image.format,
+                "sha256": record.image.sha256,
             }
         ),
         state=record.state,
         failure=failure(record.failure),
         description=None
-        if seen is None
+        if description is None
         else wire.DescriptionFacts(
-            recipe=seen.recipe,
-            keypoints=seen.descriptor_count,
-            static_share=seen.static_share,
-            labels=label_shares(seen.label_shares, labels),
-            nodes=seen.nodes,
+            recipe=description.recipe,
+            keypoints=description.descriptor_count,
+            static_share=description.static_share,
+            labels=label_shares(description.label_shares, labels),
+            nodes=description.nodes,
         ),
         links=wire.ViewLinks(
             self=base,
@@ -96,7 +96,7 @@ def job(record: JobRecord) -> wire.Job:
 
 def removal(receipt: Removal) -> wire.Deleted:
     """The receipt of a deletion."""
-    return wire.Deleted(views=receipt.views, pictures=receipt.pictures, revision=receipt.revision)
+    return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision)
 
 
 def map_facts(record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning]) -> wire.MapFacts:
@@ -108,7 +108,7 @@ def map_facts(record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning])
         revision=record.revision,
         views={"pending": 0, "ready": 0, "failed": 0, **counts.views},
         places=counts.places,
-        bytes=counts.picture_bytes,
+        bytes=counts.image_bytes,
         recipe={"id": recipe.id, **recipe.model_dump(mode="json")},
         labels=[
             wire.Label(
@@ -136,14 +136,14 @@ def unexplained(labels: Sequence[str]) -> list[Meaning]:
     return [Meaning(label, (), trained=False) for label in labels]
 
 
-def place(row: tuple[str, str, int, Where, datetime]) -> wire.Place:
+def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
     """A place: (map, name, views, mean position, last enrolment)."""
-    map_name, name, views, where, last = row
-    return wire.Place(map=map_name, place=name, views=views, position=position(where), last_enrolled_at=last)
+    map_name, name, views, mean, last = row
+    return wire.Place(map=map_name, place=name, views=views, position=position(mean), last_enrolled_at=last)
 
 
 def match(
-    rank: int, found: Found, confidence: float, recipe: Recipe, query_graph: ContextGraph, explained: str | None
+    rank: int, found: ScoredView, confidence: float, recipe: Recipe, query_graph: ContextGraph, explained: str | None
 ) -> wire.Match:
     """One match; `explained` is the query's id when its explanation is kept."""
     base = f"/views/{found.view.id}"
@@ -201,13 +201,13 @@ def _point(position: Floats) -> tuple[float, float]:
     return float(position[0]), float(position[1])
 
 
-def estimate(found: Sequence[Found], decision: Decision) -> wire.Estimate | None:
+def estimate(found: Sequence[ScoredView], decision: Decision) -> wire.Estimate | None:
     """Where the query was taken, unless nothing matched or the best match has no position."""
     if decision.status == "no_match":
         return None
-    fix = locate([f.view.said.where for f in found], decision.confidences)
+    fix = locate([f.view.attributes.position for f in found], decision.confidences)
     if fix is None:
         return None
-    known = position(fix.where)
+    known = position(fix.position)
     assert known is not None, "a fix has a position"
     return wire.Estimate(position=known, radius_m=fix.radius_m, views=[found[i].view.id for i in fix.agreeing])

@@ -10,16 +10,16 @@ from uuid6 import uuid7
 
 from app.http import presenters
 from app.http.explanations import Explained, Explanations
-from app.http.waiter import Settled
+from app.http.waiter import Waiter
 from schemas import wire
 from schemas.description import Description
 from schemas.errors import Busy, NothingStatic, RevisitError
-from schemas.image import Picture, PictureFacts
-from schemas.records import Filters, Said, Submitted
+from schemas.image import Image, ImageFacts
+from schemas.records import Filters, Submitted, ViewAttributes
 from worker.description.describer import Describer
-from worker.description.scheduler import Served
+from worker.description.scheduler import Timed
 from worker.method.decision import decide
-from worker.runtime import House
+from worker.runtime import Runtime
 from worker.search.searcher import Answer, RecipeChanged
 
 COMPARED = 2
@@ -43,33 +43,33 @@ class Recogniser:
 
     Parameters
     ----------
-    house : House
+    runtime : Runtime
         Built and started by others.
     explanations : Explanations
         Where the latest explained queries are kept.
     """
 
-    def __init__(self, house: House, explanations: Explanations) -> None:
-        self._house = house
-        self._store = house.store
-        self._settled = Settled(house.store)
+    def __init__(self, runtime: Runtime, explanations: Explanations) -> None:
+        self._runtime = runtime
+        self._store = runtime.store
+        self._settled = Waiter(runtime.store)
         self._explanations = explanations
-        if house.loop is not None:
-            house.loop.on_finish(self._settled.notify)
+        if runtime.loop is not None:
+            runtime.loop.on_finish(self._settled.notify)
 
     # enrolment
 
     async def enroll(
-        self, pictures: Sequence[tuple[str | None, bytes]], map_name: str, said: Said, wait: bool
+        self, images: Sequence[tuple[str | None, bytes]], map_name: str, attributes: ViewAttributes, wait: bool
     ) -> list[wire.Enrolled | RevisitError]:
         """Keep pictures and describe them.
 
         Parameters
         ----------
-        pictures : sequence of (file name or None, bytes)
+        images : sequence of (file name or None, bytes)
         map_name : str
             Made when there is none.
-        said : Said
+        attributes : ViewAttributes
         wait : bool
             False answers as soon as the picture is durable.
 
@@ -79,27 +79,27 @@ class Recogniser:
             For each picture, in order, what came of it or why it was refused. A refused picture left nothing behind,
             except one without static content: it is kept, `failed`.
         """
-        submitted = [await self._submit(data, map_name, said) for _, data in pictures]
+        submitted = [await self._submit(data, map_name, attributes) for _, data in images]
         return [s if isinstance(s, RevisitError) else await self._outcome(s, wait) for s in submitted]
 
-    async def _submit(self, data: bytes, map_name: str, said: Said) -> _Accepted | RevisitError:
+    async def _submit(self, data: bytes, map_name: str, attributes: ViewAttributes) -> _Accepted | RevisitError:
         try:
-            accepted = await asyncio.to_thread(self._keep, data, map_name, said)
+            accepted = await asyncio.to_thread(self._keep, data, map_name, attributes)
         except RevisitError as error:
             return error
-        if self._house.loop is not None and accepted.kept.job_id is not None:
-            self._house.loop.wake()
+        if self._runtime.loop is not None and accepted.kept.job_id is not None:
+            self._runtime.loop.wake()
         return accepted
 
-    def _keep(self, data: bytes, map_name: str, said: Said) -> _Accepted:
+    def _keep(self, data: bytes, map_name: str, attributes: ViewAttributes) -> _Accepted:
         began = time.perf_counter()
-        picture = self._house.decode(data)
+        image = self._runtime.decode(data)
         decoded = time.perf_counter()
         waiting = self._store.waiting()
-        if waiting >= self._house.settings.queue:
-            raise Busy.queue(waiting, self._house.desk.pace_s, "enrolments")
-        facts = PictureFacts(picture.width, picture.height, picture.byte_count, picture.format, picture.digest)
-        kept = self._store.submit(map_name, data, facts, said, self._house.default_recipe, _now())
+        if waiting >= self._runtime.settings.queue:
+            raise Busy.queue(waiting, self._runtime.scheduler.pace_s, "enrolments")
+        facts = ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
+        kept = self._store.submit(map_name, data, facts, attributes, self._runtime.default_recipe, _now())
         return _Accepted(kept, began, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
 
     async def _outcome(self, accepted: _Accepted, wait: bool) -> wire.Enrolled | RevisitError:
@@ -130,11 +130,11 @@ class Recogniser:
             timing_ms=accepted.timing,
         )
 
-    # questions
+    # queries
 
     async def query(
         self,
-        picture: bytes,
+        image: bytes,
         map_name: str,
         *,
         top: int,
@@ -147,19 +147,19 @@ class Recogniser:
 
         Raises
         ------
-        BadPicture, NotFound, NothingStatic, Busy
+        BadImage, NotFound, NothingStatic, Busy
         """
         began = time.perf_counter()
-        describer, decoded = await asyncio.to_thread(self._read, map_name, picture)
+        describer, decoded = await asyncio.to_thread(self._read, map_name, image)
         decode_ms = _since(began)
-        served, answer = await self._ask(decoded, map_name, describer, filters, max(top, COMPARED), candidates)
-        description = served.value
-        decision = decide(answer.found, self._house.calibration(answer.recipe))
+        timed, answer = await self._ask(decoded, map_name, describer, filters, max(top, COMPARED), candidates)
+        description = timed.value
+        decision = decide(answer.found, self._runtime.calibration(answer.recipe))
         answer = replace(answer, found=answer.found[:top])
         decision = replace(decision, confidences=decision.confidences[:top])
         query_id = str(uuid7())
         if explain:
-            small = await asyncio.to_thread(self._house.shrink, decoded)
+            small = await asyncio.to_thread(self._runtime.shrink, decoded)
             self._explanations.keep(query_id, Explained(small, description, answer))
         explained = query_id if explain else None
         return wire.QueryAnswer(
@@ -185,32 +185,34 @@ class Recogniser:
             estimate=presenters.estimate(answer.found, decision),
             timing_ms={
                 "decode": decode_ms,
-                "queue": served.queue_ms,
-                "encode": served.encode_ms,
-                "describe": served.finish_ms,
+                "queue": timed.queue_ms,
+                "encode": timed.encode_ms,
+                "describe": timed.finish_ms,
                 **answer.timing_ms,
                 "total": _since(began),
             },
         )
 
-    def _read(self, map_name: str, picture: bytes) -> tuple[Describer, Picture]:
-        """What a question needs first; an unknown map is refused before any work is done."""
-        return self._describer(map_name), self._house.decode(picture)
+    def _read(self, map_name: str, image: bytes) -> tuple[Describer, Image]:
+        """What a query needs first; an unknown map is refused before any work is done."""
+        return self._describer(map_name), self._runtime.decode(image)
 
     def _describer(self, map_name: str) -> Describer:
-        return self._house.describers.of(self._store.map(map_name).recipe)
+        return self._runtime.describers.of(self._store.map(map_name).recipe)
 
     async def _ask(
-        self, picture: Picture, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None
-    ) -> tuple[Served[Description], Answer]:
+        self, image: Image, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None
+    ) -> tuple[Timed[Description], Answer]:
         """Describe by the map's recipe and search; anew if the map changed over to another recipe in between."""
-        search = self._house.searcher.search
+        search = self._runtime.searcher.search
         while True:
-            handed_in = self._house.desk.hand_in(picture, describer.describe, urgent=True, beside=describer.keypoints)
-            served = await asyncio.wrap_future(handed_in)
+            handed_in = self._runtime.scheduler.submit(
+                image, describer.describe, urgent=True, parallel=describer.keypoints
+            )
+            timed = await asyncio.wrap_future(handed_in)
             try:
-                return served, await asyncio.to_thread(
-                    search, map_name, describer.recipe, served.value, filters, top, candidates
+                return timed, await asyncio.to_thread(
+                    search, map_name, describer.recipe, timed.value, filters, top, candidates
                 )
             except RecipeChanged:
                 describer = await asyncio.to_thread(self._describer, map_name)

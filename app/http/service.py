@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from app.http.changes import Changes
 from app.http.curate import Curator
 from app.http.explanations import Explanations
-from app.http.lifecycle import Condition
+from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
 from schemas.settings import Settings
-from worker.runtime import House
+from worker.runtime import Runtime
 
 
 @dataclass(frozen=True)
@@ -21,23 +21,23 @@ class Service:
         Enrols and answers.
     curator : Curator
         Looks after what is enrolled.
-    condition : Condition
+    lifecycle : Lifecycle
         Starts, stops, and says how the service is.
     settings : Settings
     """
 
     recogniser: Recogniser
     curator: Curator
-    condition: Condition
+    lifecycle: Lifecycle
     settings: Settings
 
     @classmethod
-    def of(cls, house: House) -> "Service":
+    def of(cls, runtime: Runtime) -> "Service":
         """The use-cases around a house."""
-        explanations = Explanations(house.settings.explanations)
+        explanations = Explanations(runtime.settings.explanations)
         return cls(
-            Recogniser(house, explanations),
-            Curator(house, explanations, Changes(house)),
-            Condition(house),
-            house.settings,
+            Recogniser(runtime, explanations),
+            Curator(runtime, explanations, Changes(runtime)),
+            Lifecycle(runtime),
+            runtime.settings,
         )

@@ -130,8 +130,8 @@ def _finite(text: str) -> float:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     whole = dict(pairs)
     if len(whole) != len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        description: set[str] = set()
+        twice = next(name for name, _ in pairs if name in description or description.add(name))  # type: ignore[func-returns-value]
         raise ValueError(f"has the name {twice!r} twice")
     return whole
 

@@ -11,7 +11,7 @@ LOOK_AGAIN_S = 0.25
 """A worker in another process cannot call back, so the store is asked again this often."""
 
 
-class Settled:
+class Waiter:
     """Wakes those who wait for a view as soon as the worker in this process has settled it.
 
     Parameters

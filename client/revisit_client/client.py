@@ -30,7 +30,7 @@ from schemas import wire
 DEFAULT_URL = "http://127.0.0.1:8000"
 USER_AGENT = "revisit-client"
 
-Picture = bytes | str | os.PathLike[str]
+Image = bytes | str | os.PathLike[str]
 """A picture's bytes (JPEG, PNG, WebP, BMP, TIFF), or the path of a file that holds them."""
 
 Answer = TypeVar("Answer", bound=BaseModel)
@@ -90,7 +90,7 @@ class Revisit:
 
     def enroll(
         self,
-        picture: Picture,
+        image: Image,
         *,
         map: str | None = None,
         place: str | None = None,
@@ -112,17 +112,17 @@ class Revisit:
         ------
         RevisitProblem, Unreachable
         """
-        said = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
-        fields = texts({**said, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
+        attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
+        fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
         # One key for all repetitions of this call: the service does the work once, whatever gets lost on the way.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
-        name, data = _read(picture)
+        name, data = _read(image)
         answer = self._send("POST", "/enroll", data=fields, files={"image": (name, data)}, headers=headers)
         return self._model(wire.Enrolled, answer)
 
     def query(
         self,
-        picture: Picture,
+        image: Image,
         *,
         map: str | None = None,
         top: int | None = None,
@@ -149,12 +149,12 @@ class Revisit:
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         asked = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
-        name, data = _read(picture)
+        name, data = _read(image)
         answer = self._send("POST", "/query", data=texts({**asked, **chosen}), files={"image": (name, data)})
         return self._model(wire.QueryAnswer, answer)
 
     def explanation(self, query_id: str, view: str | None = None) -> bytes:
-        """PNG of a question (asked with `explain`) beside a match, with what agrees."""
+        """PNG of a query (asked with `explain`) beside a match, with what agrees."""
         return self._send("GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})).content
 
     # views
@@ -193,10 +193,10 @@ class Revisit:
         """One view."""
         return self._model(wire.View, self._send("GET", f"/views/{view_id}"))
 
-    def patch(self, view_id: str, **said: Any) -> wire.View:
+    def patch(self, view_id: str, **attributes: Any) -> wire.View:
         """Change `place`, `position` (a mapping), `captured_at` or `metadata` of a view; None clears."""
-        said = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in said.items()}
-        return self._model(wire.View, self._send("PATCH", f"/views/{view_id}", json=said))
+        attributes = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in attributes.items()}
+        return self._model(wire.View, self._send("PATCH", f"/views/{view_id}", json=attributes))
 
     def delete(self, view_id: str) -> wire.Deleted:
         """Delete a view and its picture."""
@@ -355,9 +355,9 @@ class Revisit:
             pause = min(8.0, pause * 2)
 
 
-def _read(picture: Picture) -> tuple[str, bytes]:
+def _read(image: Image) -> tuple[str, bytes]:
     """Name and bytes of a picture."""
-    if isinstance(picture, bytes):
-        return "picture", picture
-    path = Path(picture)
+    if isinstance(image, bytes):
+        return "picture", image
+    path = Path(image)
     return path.name, path.read_bytes()

@@ -64,5 +64,5 @@ def wanted(
     parameters: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """What a map is to be made with; what is None is the service\'s choice."""
-    said = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
-    return {name: value for name, value in said.items() if value is not None}
+    attributes = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
+    return {name: value for name, value in attributes.items() if value is not None}

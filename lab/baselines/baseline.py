@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats
-from schemas.errors import BadPicture
+from schemas.errors import BadImage
 
 Tick = Callable[[], object]
 """Called once for each picture that has been described."""
@@ -37,7 +37,7 @@ def grey(path: Path) -> npt.NDArray[np.uint8]:
 
     Raises
     ------
-    BadPicture
+    BadImage
         When the file cannot be decoded.
     """
     return _decoded(path, cv2.IMREAD_GRAYSCALE)
@@ -59,11 +59,11 @@ def euclidean(database: Floats, queries: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(squares, 0)), np.float32)
 
 
-def described(pictures: Iterable[Path], describe: Callable[[Path], Floats], tick: Tick) -> Floats:
+def described(images: Iterable[Path], describe: Callable[[Path], Floats], tick: Tick) -> Floats:
     """Descriptors of pictures, float32 (pictures, dimensions)."""
     rows = []
-    for picture in pictures:
-        rows.append(describe(picture))
+    for image in images:
+        rows.append(describe(image))
         tick()
     return np.stack(rows)
 
@@ -71,5 +71,5 @@ def described(pictures: Iterable[Path], describe: Callable[[Path], Floats], tick
 def _decoded(path: Path, how: int) -> npt.NDArray[np.uint8]:
     pixels = cv2.imread(str(path), how)
     if pixels is None:
-        raise BadPicture("undecodable-picture", f"{path} cannot be decoded as a picture")
+        raise BadImage("undecodable-picture", f"{path} cannot be decoded as a picture")
     return np.asarray(pixels, np.uint8)

@@ -32,7 +32,7 @@ class Hog:
         return city_block(described(database, describe, tick), described(queries, describe, tick))
 
 
-def gradients(picture: npt.NDArray[np.uint8]) -> Floats:
+def gradients(image: npt.NDArray[np.uint8]) -> Floats:
     """The descriptor of a 256 x 256 grey picture, float32 (8100,).
 
     Notes
@@ -40,7 +40,7 @@ def gradients(picture: npt.NDArray[np.uint8]) -> Floats:
     16 x 16 cells of 16 x 16 pixels; 9 unsigned orientations, each gradient shared between the two nearest; blocks
     of 2 x 2 cells, one cell apart; each block L2-Hys normalised.
     """
-    g = np.pad(picture.astype(np.float32), 1, mode="reflect")
+    g = np.pad(image.astype(np.float32), 1, mode="reflect")
     dx, dy = g[1:-1, 2:] - g[1:-1, :-2], g[2:, 1:-1] - g[:-2, 1:-1]
     size = np.hypot(dx, dy)
     # In units of bins; the middle of bin 0 is half a bin above the angle 0.

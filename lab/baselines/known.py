@@ -9,9 +9,9 @@ from lab.baselines.hog import Hog
 from lab.baselines.label_shares import LabelShares
 from lab.baselines.orb_words import OrbWords
 from lab.baselines.random_order import RandomOrder
-from lab.baselines.tiny import TinyPicture
+from lab.baselines.tiny import TinyImage
 from schemas.errors import InvalidParameters
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder
 
 NAMES = ("random", "tiny", "hog", "orb", "labels", "netvlad")
@@ -26,7 +26,7 @@ class Needs:
     encoder: Encoder | None = None
     labels: tuple[str, ...] = ()
     dynamic: tuple[str, ...] = ()
-    decode: Callable[[Path], Picture] | None = None
+    decode: Callable[[Path], Image] | None = None
     netvlad: Path | None = None
     device: str = "cpu"
 
@@ -46,7 +46,7 @@ def _make(name: str, needs: Needs, seed: int) -> Baseline:
     if name == "random":
         return RandomOrder(seed)
     if name == "tiny":
-        return TinyPicture()
+        return TinyImage()
     if name == "hog":
         return Hog()
     if name == "orb":

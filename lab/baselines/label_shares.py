@@ -7,7 +7,7 @@ import numpy as np
 
 from lab.baselines.baseline import Tick, described, euclidean
 from schemas.description import Floats
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder
 
 
@@ -20,13 +20,13 @@ class LabelShares:
     labels, dynamic : sequence of str
         The label set, and those of it that move.
     decode : function
-        From a path to a `Picture`.
+        From a path to a `Image`.
     """
 
     name = "label shares"
 
     def __init__(
-        self, encoder: Encoder, labels: Sequence[str], dynamic: Sequence[str], decode: Callable[[Path], Picture]
+        self, encoder: Encoder, labels: Sequence[str], dynamic: Sequence[str], decode: Callable[[Path], Image]
     ) -> None:
         self.encoder, self.decode = encoder, decode
         self.vectors = encoder.text_vectors(labels)

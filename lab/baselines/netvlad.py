@@ -66,9 +66,9 @@ class NetVlad(nn.Module):
         self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("deviation", torch.tensor(DEVIATION).view(3, 1, 1), persistent=False)
 
-    def features(self, pictures: Tensor) -> Tensor:
+    def features(self, images: Tensor) -> Tensor:
         """Signed features, (n, 512, h // 16, w // 16), of pictures in 0..1, RGB, (n, 3, h, w)."""
-        features: Tensor = self.encoder((pictures - self.mean) / self.deviation)
+        features: Tensor = self.encoder((images - self.mean) / self.deviation)
         return features
 
     def logits(self, features: Tensor) -> Tensor:
@@ -76,9 +76,9 @@ class NetVlad(nn.Module):
         logits: Tensor = self.pool.conv(functional.normalize(features, dim=1))
         return logits
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Unit vectors (n, clusters * 512), cluster by cluster."""
-        features = self.features(pictures)
+        features = self.features(images)
         share = self.logits(features).flatten(2).softmax(dim=1)
         cells = functional.normalize(features, dim=1).flatten(2)
         # sum over x of a_k(x) (f(x) - c_k), as two products instead of an array of n x k x d x cells

@@ -41,11 +41,11 @@ class OrbWords:
         known = [self._bits(path, tick) for path in database]
         vocabulary = self._vocabulary(np.concatenate(known))
         counts = self._counts(known, vocabulary)
-        asked = self._counts([self._bits(path, tick) for path in queries], vocabulary)
+        results = self._counts([self._bits(path, tick) for path in queries], vocabulary)
         # A word in every picture tells nothing; a word in none cannot be met in the database.
         seen = (counts > 0).sum(axis=0)
         idf = np.log(len(database) / np.maximum(seen, 1)).astype(np.float32)
-        return 1 - unit(asked * idf) @ unit(counts * idf).T
+        return 1 - unit(results * idf) @ unit(counts * idf).T
 
     def _bits(self, path: Path, tick: Tick) -> Floats:
         """ORB descriptors as bits, float32 (features, 256): their squared distance is Hamming's."""
@@ -67,11 +67,11 @@ class OrbWords:
         return np.asarray(trainer.centroids, np.float32)
 
     @staticmethod
-    def _counts(pictures: Sequence[Floats], vocabulary: Floats) -> Floats:
+    def _counts(images: Sequence[Floats], vocabulary: Floats) -> Floats:
         """How often each word occurs, float32 (pictures, words)."""
         lengths = (vocabulary**2).sum(axis=1)
-        counts = np.zeros((len(pictures), len(vocabulary)), np.float32)
-        for row, bits in zip(counts, pictures, strict=True):
+        counts = np.zeros((len(images), len(vocabulary)), np.float32)
+        for row, bits in zip(counts, images, strict=True):
             if len(bits):
                 nearest = np.argmin(lengths - 2 * bits @ vocabulary.T, axis=1)
                 row += np.bincount(nearest, minlength=len(vocabulary))

@@ -12,7 +12,7 @@ from schemas.description import Floats
 SIDE, PATCH = 32, 8
 
 
-class TinyPicture:
+class TinyImage:
     """City-block distance between patch-normalised thumbnails."""
 
     name = "tiny picture"

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from worker.configure import keep_freed_memory
-from worker.encoders.compact.encoder import READERS, WEIGHTS, Engine
+from worker.encoders.compact.encoder import ENSEMBLE, WEIGHTS, Engine
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
 
@@ -40,10 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     today = datetime.datetime.now(tz=datetime.UTC).date()
     print(f"{options.engine} {version(options.engine)}, {platform.machine()}, {options.threads} thread(s), {today}")
     for height, width in SIZES:
-        picture = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
-        runs: dict[str, Callable[[], object]] = {"words and detail": partial(engine.fields, picture)}
+        image = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
+        runs: dict[str, Callable[[], object]] = {"words and detail": partial(engine.fields, image)}
         runs |= {
-            f"fine words, reader {reader}": partial(engine.fine_words, picture, at) for at, reader in enumerate(READERS)
+            f"fine words, reader {reader}": partial(engine.segmentation, image, at)
+            for at, reader in enumerate(ENSEMBLE)
         }
         for outputs, run in runs.items():
             product = _milliseconds(lambda: square @ square, 4 * options.runs)
@@ -56,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _engine(name: str, weights: Path, threads: int) -> Engine:
-    fine = [weights.with_name(f"{weights.stem}-{reader}.safetensors") for reader in READERS]
+    fine = [weights.with_name(f"{weights.stem}-{reader}.safetensors") for reader in ENSEMBLE]
     if name == "torch":
         keep_freed_memory()
         return TorchEngine(weights.read_bytes(), [path.read_bytes() for path in fine], "cpu")

@@ -23,9 +23,9 @@ from typing import cast
 
 import numpy as np
 import torch
-from PIL import Image
+from PIL import Image as PilImage
 
-from schemas.image import Picture
+from schemas.image import Image
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED
 from worker.encoders.lseg.cost import multiply_adds
@@ -51,7 +51,7 @@ class Row:
     device: str
     threads: int
     size: tuple[int, int]
-    pictures: int
+    images: int
     repeats: int
     weights: Path | None
 
@@ -131,17 +131,17 @@ def measure(row: Row) -> Measured:
         batch=row.batch,
     )
     rng = np.random.default_rng(0)
-    pixels = [rng.integers(0, 256, (*row.size, 3)).astype(np.uint8) for _ in range(row.pictures)]
-    pictures = [Picture.of(p) for p in pixels]
+    pixels = [rng.integers(0, 256, (*row.size, 3)).astype(np.uint8) for _ in range(row.images)]
+    images = [Image.of(p) for p in pixels]
 
     def describe() -> None:
-        for field in encoder.encode(pictures):
+        for field in encoder.encode(images):
             del field
 
     timed(describe, row.device)
     cpu = time.process_time()
-    seconds = [timed(describe, row.device) / row.pictures for _ in range(row.repeats)]
-    cpu = (time.process_time() - cpu) / row.repeats / row.pictures
+    seconds = [timed(describe, row.device) / row.images for _ in range(row.repeats)]
+    cpu = (time.process_time() - cpu) / row.repeats / row.images
     if row.device == "cpu":
         # Kilobytes on Linux, bytes on macOS.
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if platform.system() == "Darwin" else 1024)
@@ -164,18 +164,18 @@ def line(row: Row, seen: Measured) -> str:
 PAPER_WORDS = "road,sidewalk,building,vehicle,car,bicycle,motorcycle,vegetation,trunk,terrain,cyclist,pole,sky,other"
 
 
-def compare(weights: Path, pictures: list[Path], variants: list[tuple[Mode, str]], device: str) -> None:
+def compare(weights: Path, images: list[Path], variants: list[tuple[Mode, str]], device: str) -> None:
     """Print how other modes and precisions differ from windows in float32, cell by cell of the reference's grid."""
     print("| picture | mode | precision | labels equal | cosine, mean | cosine, lowest hundredth |\n|" + " --- |" * 6)
-    for path in pictures:
-        picture = Picture.of(np.asarray(Image.open(path).convert("RGB")))
+    for path in images:
+        image = Image.of(np.asarray(PilImage.open(path).convert("RGB")))
         exact = LsegEncoder.open(weights, device=device, dtype=torch.float32)
         words = torch.from_numpy(exact.text_vectors(PAPER_WORDS.split(","))).to(device)
-        wanted = next(exact.raw([picture]))
+        wanted = next(exact.raw([image]))
         labels = (wanted @ words.T).argmax(-1)
         for mode, dtype in variants:
             other = LsegEncoder.open(weights, mode=mode, device=device, dtype=DTYPES[dtype])
-            raw = next(other.raw([picture]))
+            raw = next(other.raw([image]))
             rows, columns = map(Axis.whole, raw.shape[:2], wanted.shape[:2])
             raw = enlarge(raw[None], rows, columns)[0]
             equal = ((raw @ words.T).argmax(-1) == labels).float().mean().item()

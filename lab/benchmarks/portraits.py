@@ -13,7 +13,7 @@ import numpy as np
 from scenes.geometry import Pixels
 from scenes.scene import Scene, scene
 from schemas.description import PixelField
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.settings import Settings
 from worker.bootstrap import make_encoder
 from worker.description.describer import Describer
@@ -41,26 +41,26 @@ class Portraitist:
         recipe = make_recipe(self._encoder, "default")
         self._describer = Describer(self._encoder, recipe, general_vocabulary(self._encoder, "default"))
 
-    def labels(self, picture: Picture) -> Pixels:
+    def labels(self, image: Image) -> Pixels:
         """The labels over the picture, as `GET /views/{id}/segmentation.png?overlay=true` draws them."""
-        seen = self._describer.see(self._encoder.fine(picture))
+        seen = self._describer.see(self._encoder.fine(image))
         return _decoded(
-            drawing.overlay_png(picture.pixels, seen.labels, self._describer.recipe.labels, seen.static), picture
+            drawing.overlay_png(image.pixels, seen.labels, self._describer.recipe.labels, seen.static), image
         )
 
-    def graph(self, picture: Picture) -> Pixels:
+    def graph(self, image: Image) -> Pixels:
         """The context graph over the picture."""
-        field: PixelField = next(iter(self._encoder.encode([picture])))
+        field: PixelField = next(iter(self._encoder.encode([image])))
         recipe = self._describer.recipe
         graph = self._describer.graph(field, self._describer.see(field))
-        return _decoded(drawing.graph_png(picture.pixels, graph, recipe.labels, recipe.parameters.graph.tau), picture)
+        return _decoded(drawing.graph_png(image.pixels, graph, recipe.labels, recipe.parameters.graph.tau), image)
 
 
-def _decoded(png: bytes, picture: Picture) -> Pixels:
+def _decoded(png: bytes, image: Image) -> Pixels:
     """An RGB picture from PNG, its key below left as it is, at the width of the others."""
     pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
     if pixels is None:
-        raise ValueError(f"the drawing of a {picture.width} x {picture.height} picture is no PNG")
+        raise ValueError(f"the drawing of a {image.width} x {image.height} picture is no PNG")
     return _at_width(np.asarray(pixels, np.uint8))
 
 
@@ -69,10 +69,10 @@ def _at_width(pixels: Pixels) -> Pixels:
     return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def beside(*pictures: Pixels) -> Pixels:
+def parallel(*images: Pixels) -> Pixels:
     """Pictures side by side, from the top, on white."""
-    height = max(len(p) for p in pictures)
-    filled = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in pictures]
+    height = max(len(p) for p in images)
+    filled = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in images]
     return np.concatenate(filled, axis=1)
 
 
@@ -88,18 +88,18 @@ def main() -> None:
     parser.add_argument("--to", type=Path, default=Path("docs"))
     options = parser.parse_args()
     draw = Portraitist()
-    street = Picture.of(SEEN.pixels)
-    _written(beside(_at_width(street.pixels), draw.labels(street), draw.graph(street)), options.to / "seen.jpg")
+    street = Image.of(SEEN.pixels)
+    _written(parallel(_at_width(street.pixels), draw.labels(street), draw.graph(street)), options.to / "seen.jpg")
     rows = []
     for limit in LIMITS:
-        picture = _picture(limit)
-        rows.append(beside(_at_width(picture.pixels), draw.labels(picture)))
+        image = _image(limit)
+        rows.append(parallel(_at_width(image.pixels), draw.labels(image)))
     halves = [np.concatenate(rows[at::2], axis=0) for at in range(2)]
-    _written(beside(*halves), options.to / "limits.jpg")
+    _written(parallel(*halves), options.to / "limits.jpg")
 
 
-def _picture(limit: Scene) -> Picture:
-    return Picture.of(limit.pixels)
+def _image(limit: Scene) -> Image:
+    return Image.of(limit.pixels)
 
 
 if __name__ == "__main__":

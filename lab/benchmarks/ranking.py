@@ -21,7 +21,7 @@ from lab.datasets import pairs
 from lab.datasets.dataset import ENDINGS, Dataset
 from lab.metrics.recall import bootstrap_interval
 from schemas.description import Floats, Int8s, LocalFeatures, PixelField
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.recipe import DenseCells
 from worker.description import vocabularies
 from worker.description.local_features import local_features
@@ -66,7 +66,7 @@ class Describer:
         return self._known[path]
 
     def _field(self, path: Path) -> PixelField:
-        return next(iter(self._encoder.encode([_picture(path)])))
+        return next(iter(self._encoder.encode([_image(path)])))
 
     def _describe(self, path: Path) -> Described:
         field, vectors, parts = self._field(path), {}, {}
@@ -78,7 +78,7 @@ class Describer:
                 parts[name] = dense_cells.reduce(grid, learned.cells)
         cells = quantise(dense_cells.join(parts, PARAMETERS.dense.shares if PARAMETERS.dense else {}))
         wanted = PARAMETERS.verification.keypoints if PARAMETERS.verification else 0
-        return Described(vectors, cells, field.extent, local_features(_picture(path).pixels, wanted))
+        return Described(vectors, cells, field.extent, local_features(_image(path).pixels, wanted))
 
 
 def steps(query: Described, database: Sequence[Described], weights: Mapping[str, float]) -> Iterator[tuple[str, int]]:
@@ -103,34 +103,34 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
         terms[term] = np.zeros(len(database), np.float32)
         terms[term][where] = values
 
-    def stretch(where: Rows) -> Doubles:
-        return hough.stretches(query.extent, [database[int(row)].extent for row in where])
+    def cell_aspect(where: Rows) -> Doubles:
+        return hough.cell_aspects(query.extent, [database[int(row)].extent for row in where])
 
     ours, *theirs = (quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
-    halves, dense = np.stack(theirs), PARAMETERS.dense or DenseCells(closely=0)
-    alike = dense_cells.compare(ours, halves, stretch=stretch(rows)).scores
+    halves, dense = np.stack(theirs), PARAMETERS.dense or DenseCells(full_resolution_top_k=0)
+    alike = dense_cells.compare(ours, halves, cell_aspect=cell_aspect(rows)).scores
     put("dense", rows, alike)
     yield "cells at half size", int(best(1)[0])
     rates, scores = {}, alike
     for part in dense.read_alone:
-        alone = channel_fusion.alone(ours, halves, PARAMETERS.joined(), part, stretch=stretch(rows))
-        rates[part] = channel_fusion.exchange(alike, alone)
-        scores = channel_fusion.stronger(scores, alone, rates[part])
+        alone = channel_fusion.alone(ours, halves, PARAMETERS.joined(), part, cell_aspect=cell_aspect(rows))
+        rates[part] = channel_fusion.align_scale(alike, alone)
+        scores = channel_fusion.max_fusion(scores, alone, rates[part])
     put("dense", rows, scores)
     yield "and channels alone", int(best(1)[0])
-    first = best(dense.closely)
+    first = best(dense.full_resolution_top_k)
     cells = np.stack([database[int(row)].cells for row in first])
-    alike_in_full = dense_cells.compare(query.cells, cells, stretch=stretch(first))
+    alike_in_full = dense_cells.compare(query.cells, cells, cell_aspect=cell_aspect(first))
     put("close", first, alike_in_full.scores)
     yield "joined cells in full, at any scale", int(best(1)[0])
     near = dense_cells.nearness(alike_in_full.scales, dense.scale_penalty)
     put("close", first, alike_in_full.scores * near)
     yield "joined cells in full", int(best(1)[0])
     scores = alike_in_full.scores
-    for part, closely in dense.read_alone.items():
-        some = (cells[:closely], PARAMETERS.joined(), part)
-        alone = channel_fusion.alone(query.cells, *some, stretch=stretch(first[:closely]))
-        scores = channel_fusion.stronger(scores, alone, rates[part])
+    for part, full_resolution_top_k in dense.read_alone.items():
+        some = (cells[:full_resolution_top_k], PARAMETERS.joined(), part)
+        alone = channel_fusion.alone(query.cells, *some, cell_aspect=cell_aspect(first[:full_resolution_top_k]))
+        scores = channel_fusion.max_fusion(scores, alone, rates[part])
     put("close", first, scores * near)
     yield "and channels alone in full", int(best(1)[0])
     first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
@@ -142,20 +142,20 @@ def steps(query: Described, database: Sequence[Described], weights: Mapping[str,
 def measure(dataset: Dataset, describe: Describer, part: float) -> dict[str, list[bool]]:
     """For each step, whether its first answer to each query that has one is right."""
     database = [describe(path) for path in dataset.database]
-    asked = [i for i, right in enumerate(dataset.positives) if len(right)]
-    asked = asked[:: max(1, round(1 / part))]
+    results = [i for i, right in enumerate(dataset.positives) if len(right)]
+    results = results[:: max(1, round(1 / part))]
     found: dict[str, list[bool]] = {}
-    for i in asked:
+    for i in results:
         for step, answer in steps(describe(dataset.queries[i]), database, PARAMETERS.weights):
             found.setdefault(step, []).append(answer in dataset.positives[i])
     return found
 
 
-def _picture(path: Path) -> Picture:
+def _image(path: Path) -> Image:
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
     if pixels is None:
         raise SystemExit(f"{path} is not a picture that OpenCV reads")
-    return Picture.of(np.asarray(pixels, np.uint8))
+    return Image.of(np.asarray(pixels, np.uint8))
 
 
 def _general(folders: Sequence[Path], count: int) -> list[Path]:

@@ -31,12 +31,12 @@ from app.http.application import create_app
 from lab.benchmarks.filling import fill
 from scenes import scene
 from schemas.description import Description
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.records import Filters
 from schemas.settings import Settings
 from worker.bootstrap import build, make_product
 from worker.description.describer import Describer
-from worker.runtime import House
+from worker.runtime import Runtime
 from worker.search.searcher import Searcher
 
 SIZE = (640, 480)
@@ -96,64 +96,64 @@ def matrix_product(repeats: int = 50) -> Took:
 
 def drawn(count: int) -> list[bytes]:
     """JPEG pictures of drawn places."""
-    pictures = []
+    images = []
     for number in range(count):
         pixels = scene(f"benchmark {number}", KINDS[number % len(KINDS)]).sized(*SIZE).pixels  # type: ignore[arg-type]
         encoded = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
-        pictures.append(encoded.tobytes())
-    return pictures
+        images.append(encoded.tobytes())
+    return images
 
 
-def describing(house: House, pictures: Sequence[bytes], repeats: int) -> list[Row]:
+def describing(runtime: Runtime, images: Sequence[bytes], repeats: int) -> list[Row]:
     """Stages that do not depend on the size of the map."""
-    recipe = house.default_recipe
-    describer = house.describers.of(recipe)
-    decoded = [house.decode(data) for data in pictures]
-    fields = [next(iter(house.encoder.encode([picture]))) for picture in decoded]
+    recipe = runtime.default_recipe
+    describer = runtime.describers.of(recipe)
+    decoded = [runtime.decode(data) for data in images]
+    fields = [next(iter(runtime.encoder.encode([image]))) for image in decoded]
     turn = iter(range(10**9))
 
     def each(work: Callable[[int], object]) -> Took:
-        return milliseconds(lambda: work(next(turn) % len(pictures)), repeats)
+        return milliseconds(lambda: work(next(turn) % len(images)), repeats)
 
     rows = [
-        row("decode", None, each(lambda i: house.decode(pictures[i]))),
-        row("encode", None, each(lambda i: list(house.encoder.encode([decoded[i]])))),
+        row("decode", None, each(lambda i: runtime.decode(images[i]))),
+        row("encode", None, each(lambda i: list(runtime.encoder.encode([decoded[i]])))),
         row("local features", None, each(lambda i: describer.keypoints(decoded[i]))),
     ]
-    found = [describer.keypoints(picture) for picture in decoded]
+    found = [describer.keypoints(image) for image in decoded]
     rows.append(row("describe", None, each(lambda i: describer.describe(decoded[i], fields[i], found[i]))))
     return rows
 
 
-def enrolling(house: House, client: TestClient, pictures: Sequence[bytes]) -> list[Row]:
+def enrolling(runtime: Runtime, client: TestClient, images: Sequence[bytes]) -> list[Row]:
     """Pictures through `/enroll`: one after the other, each to its answer; and all at once, per picture.
 
     Before them, in the same minute, what both are held against: the network and local features alone.
     """
-    describer = house.describers.of(house.default_recipe)
-    decoded = [house.decode(data) for data in pictures]
+    describer = runtime.describers.of(runtime.default_recipe)
+    decoded = [runtime.decode(data) for data in images]
 
     def enroll(data: bytes, url: str, status: int) -> None:
         answer = client.post(url, content=data, headers={"content-type": "image/jpeg"})
         assert answer.status_code == status, answer.text
 
     def nothing_else() -> None:
-        for picture in decoded:
-            list(house.encoder.encode([picture]))
-            describer.keypoints(picture)
+        for image in decoded:
+            list(runtime.encoder.encode([image]))
+            describer.keypoints(image)
 
     described = threading.Semaphore(0)
-    assert house.loop is not None
-    house.loop.on_finish(lambda _: described.release())
+    assert runtime.loop is not None
+    runtime.loop.on_finish(lambda _: described.release())
 
     def at_once() -> None:
-        for data in pictures:
+        for data in images:
             enroll(data, "/enroll?map=at-once&wait=false", 202)
-        for _ in pictures:
+        for _ in images:
             described.acquire()
 
     def one_by_one() -> None:
-        for data in pictures:
+        for data in images:
             enroll(data, "/enroll", 201)
 
     nothing_else()
@@ -164,17 +164,17 @@ def enrolling(house: House, client: TestClient, pictures: Sequence[bytes]) -> li
         ("enroll, one after the other", one_by_one),
     ):
         whole = took(work)
-        rows.append(row(stage, None, Took(whole.wall / len(pictures), whole.cpu / len(pictures))))
+        rows.append(row(stage, None, Took(whole.wall / len(images), whole.cpu / len(images))))
     return rows
 
 
-def described(house: House, describer: Describer, picture: Picture) -> Description:
+def described(runtime: Runtime, describer: Describer, image: Image) -> Description:
     """A description, made at once."""
-    return describer.describe(picture, next(iter(house.encoder.encode([picture]))), describer.keypoints(picture))
+    return describer.describe(image, next(iter(runtime.encoder.encode([image]))), describer.keypoints(image))
 
 
 def asking(
-    house: House,
+    runtime: Runtime,
     client: TestClient,
     describer: Describer,
     data: bytes,
@@ -183,30 +183,30 @@ def asking(
     nearest: int = NEAREST,
 ) -> list[Row]:
     """Stages that depend on the size of the map, at `views` views, with `nearest` candidates of each channel."""
-    recipe = house.default_recipe
-    picture: Picture = house.decode(data)
-    description = described(house, describer, picture)
+    recipe = runtime.default_recipe
+    image: Image = runtime.decode(data)
+    description = described(runtime, describer, image)
     began = time.perf_counter()
-    house.catalogue.index("default")
+    runtime.catalogue.index("default")
     rows = [Row("index from the database", views, (time.perf_counter() - began) * 1000)]
-    index, _ = house.catalogue.index("default")
-    selection = house.store.select("default", Filters())
-    changes = house.store.since("default", 0)
+    index, _ = runtime.catalogue.index("default")
+    selection = runtime.store.select("default", Filters())
+    changes = runtime.store.since("default", 0)
     start = 0
     for name, channel in recipe.parameters.channels.items():
         bare = faiss.IndexFlatL2(channel.length)
         bare.add(np.ascontiguousarray(changes.vectors[:, start : start + channel.length]))
         start += channel.length
-        question = {name: description.vectors[name]}
-        query = question[name][None]
+        alone = {name: description.vectors[name]}
+        query = alone[name][None]
         rows += [
             row(f"bare FAISS, {name}", views, milliseconds(partial(bare.search, query, nearest), repeats)),
-            row(f"search, {name}", views, milliseconds(partial(index.search, question, nearest, selection), repeats)),
+            row(f"search, {name}", views, milliseconds(partial(index.search, alone, nearest, selection), repeats)),
         ]
     stages: dict[str, list[Took]] = {"search": [], "rerank": [], "verify": []}
-    product = make_product(house.settings)
+    product = make_product(runtime.settings)
     timers = [
-        Searcher(house.store, house.catalogue, product, clock) for clock in (time.perf_counter, time.process_time)
+        Searcher(runtime.store, runtime.catalogue, product, clock) for clock in (time.perf_counter, time.process_time)
     ]
     for _ in range(repeats):
         wall, cpu = (timer.search("default", recipe, description, Filters(), 5, nearest).timing_ms for timer in timers)
@@ -246,23 +246,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data=Path(folder), encoder=options.encoder, threads=options.threads)
-        house = build(settings)
+        runtime = build(settings)
         # In another process: drawing takes more memory than serving, and would be counted with it.
         with ProcessPoolExecutor(1, get_context("spawn")) as artist:
-            pictures = artist.submit(drawn, options.pictures).result()
-        describer = house.describers.of(house.default_recipe)
+            images = artist.submit(drawn, options.images).result()
+        describer = runtime.describers.of(runtime.default_recipe)
         rows = []
-        with TestClient(create_app(house)) as client:
+        with TestClient(create_app(runtime)) as client:
             yardstick = matrix_product()
-            rows += enrolling(house, client, pictures)
-            rows += describing(house, pictures, options.repeats)
-            decoded = [house.decode(data) for data in pictures]
-            seen = [described(house, describer, picture) for picture in decoded]
-            there = len(pictures)
+            rows += enrolling(runtime, client, images)
+            rows += describing(runtime, images, options.repeats)
+            decoded = [runtime.decode(data) for data in images]
+            seen = [described(runtime, describer, image) for image in decoded]
+            there = len(images)
             for views in sorted(options.views):
-                fill(settings.database_url, "default", house.default_recipe, seen, views - there, seed=views)
+                fill(settings.database_url, "default", runtime.default_recipe, seen, views - there, seed=views)
                 there = views
-                rows += asking(house, client, describer, pictures[0], views, options.repeats, options.nearest)
+                rows += asking(runtime, client, describer, images[0], views, options.repeats, options.nearest)
             # Whatever else the machine did in one of the two moments, it was not quicker than this.
             yardstick = min(yardstick, matrix_product(), key=lambda unit: unit.cpu)
         disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())

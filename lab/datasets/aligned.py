@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.datasets.dataset import Dataset, UnexpectedLayout, pictures_in
+from lab.datasets.dataset import Dataset, UnexpectedLayout, images_in
 
 EXPECTED = """\
   ROOT/database/   pictures of the first walk
@@ -28,7 +28,7 @@ def read(root: Path, *, database: str = "database", query: str = "query", tolera
     UnexpectedLayout
         When a folder is missing or empty, or they differ in number: then they cannot be aligned.
     """
-    first, second = pictures_in(root / database, EXPECTED), pictures_in(root / query, EXPECTED)
+    first, second = images_in(root / database, EXPECTED), images_in(root / query, EXPECTED)
     if len(first) != len(second):
         problem = f"{len(first)} pictures in {database}, {len(second)} in {query}: these are not aligned"
         raise UnexpectedLayout(root, problem, EXPECTED)

@@ -57,12 +57,12 @@ class Dataset:
     allowed: Indices | None = None
 
     def __post_init__(self) -> None:
-        for pictures, positions in (
+        for images, positions in (
             (self.database, self.database_positions),
             (self.queries, self.query_positions),
         ):
-            if positions is not None and positions.shape != (len(pictures), 2):
-                raise ValueError(f"{self.name}: {positions.shape} positions for {len(pictures)} pictures")
+            if positions is not None and positions.shape != (len(images), 2):
+                raise ValueError(f"{self.name}: {positions.shape} positions for {len(images)} pictures")
         self.judged()
 
     def judged(self) -> Truth:
@@ -86,7 +86,7 @@ def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts], path.name
 
 
-def pictures_in(folder: Path, expected: str) -> list[Path]:
+def images_in(folder: Path, expected: str) -> list[Path]:
     """The pictures directly in a folder, in natural order of their names.
 
     Raises

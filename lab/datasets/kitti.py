@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, pictures_in, within
+from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, images_in, within
 from lab.metrics.recall import Doubles
 
 EXPECTED = """\
@@ -59,11 +59,11 @@ def read(
     if (root / "dataset" / "sequences").is_dir():
         root = root / "dataset"
     positions = ground_plane(root / "poses" / f"{sequence}.txt")
-    pictures = pictures_in(root / "sequences" / sequence / camera, EXPECTED)
-    if len(pictures) != len(positions):
-        problem = f"{len(pictures)} pictures in sequences/{sequence}/{camera}, but {len(positions)} poses"
+    images = images_in(root / "sequences" / sequence / camera, EXPECTED)
+    if len(images) != len(positions):
+        problem = f"{len(images)} pictures in sequences/{sequence}/{camera}, but {len(positions)} poses"
         raise UnexpectedLayout(root, problem, EXPECTED)
-    frames, places = tuple(pictures[::every]), positions[::every]
+    frames, places = tuple(images[::every]), positions[::every]
     if protocol == "halves":
         half = len(frames) // 2
         return [

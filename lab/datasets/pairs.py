@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.datasets.dataset import Dataset, UnexpectedLayout, pictures_in, rows_of
+from lab.datasets.dataset import Dataset, UnexpectedLayout, images_in, rows_of
 
 COLUMNS = ("query_folder", "query_file", "database_folder", "database_file")
 
@@ -51,16 +51,16 @@ def _sets(table: Path, unlisted: bool) -> list[Dataset]:
         pair = right.setdefault((row["query_folder"], row["database_folder"]), {})
         pair.setdefault(row["query_file"], set()).add(row["database_file"])
     sets = []
-    for (asked, searched), answers in right.items():
-        database = pictures_in(folder / searched, EXPECTED)
-        queries = [p for p in pictures_in(folder / asked, EXPECTED) if unlisted or p.name in answers]
+    for (results, searched), answers in right.items():
+        database = images_in(folder / searched, EXPECTED)
+        queries = [p for p in images_in(folder / results, EXPECTED) if unlisted or p.name in answers]
         number = {p.name: i for i, p in enumerate(database)}
-        missing = {f"{asked}/{q}" for q in answers.keys() - {p.name for p in queries}}
+        missing = {f"{results}/{q}" for q in answers.keys() - {p.name for p in queries}}
         missing |= {f"{searched}/{d}" for named in answers.values() for d in named - number.keys()}
         if missing:
             problem = f"{len(missing)} pictures that the table names are not there: {', '.join(sorted(missing)[:5])}"
             raise UnexpectedLayout(table, problem, EXPECTED)
         positives = tuple(np.array(sorted(number[d] for d in answers.get(q.name, ())), np.int64) for q in queries)
-        name = f"{folder.name} {asked} -> {searched}"
+        name = f"{folder.name} {results} -> {searched}"
         sets.append(Dataset(name, tuple(database), tuple(queries), positives, f"the pairs of {table.name}"))
     return sets

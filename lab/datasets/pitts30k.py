@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, pictures_in, within
+from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, images_in, within
 from lab.datasets.matlab import NotMatlab, read_matlab
 from lab.metrics.recall import Doubles, Indices
 
@@ -52,20 +52,20 @@ def read(
     table = root / "datasets" / f"pitts30k_{split}.mat"
     by_name = root / "images" / split
     if table.is_file():
-        files, positions, asked, asked_at = _from_table(root, table)
+        files, positions, results, asked_at = _from_table(root, table)
     elif by_name.is_dir():
         files, positions = _from_names(by_name / "database")
-        asked, asked_at = _from_names(by_name / "queries")
+        results, asked_at = _from_names(by_name / "queries")
     else:
         raise UnexpectedLayout(root, f"neither datasets/{table.name} nor images/{split} is there", EXPECTED)
     generator = np.random.default_rng(seed)
-    kept, chosen = _draw(len(files), database, generator), _draw(len(asked), queries, generator)
+    kept, chosen = _draw(len(files), database, generator), _draw(len(results), queries, generator)
     subset = "" if queries is None and database is None else f", {len(chosen)} queries and {len(kept)} drawn"
     return [
         Dataset(
             name=f"pitts30k {split}{subset}",
             database=tuple(files[i] for i in kept),
-            queries=tuple(asked[i] for i in chosen),
+            queries=tuple(results[i] for i in chosen),
             positives=tuple(within(positions[kept], asked_at[chosen], radius_m)),
             truth=f"within {radius_m:g} m (UTM)",
             database_positions=positions[kept],
@@ -90,20 +90,20 @@ def _from_table(root: Path, table: Path) -> tuple[list[Path], Doubles, list[Path
     if not isinstance(content, dict) or any(f not in content for f in FIELDS):
         raise UnexpectedLayout(table, f"no struct dbStruct with the fields {', '.join(FIELDS)}", EXPECTED)
     files = [root / name for name in content["dbImageFns"]]
-    asked = [root / "queries_real" / name for name in content["qImageFns"]]
+    results = [root / "queries_real" / name for name in content["qImageFns"]]
     positions, asked_at = (np.asarray(content[f], np.float64).T for f in ("utmDb", "utmQ"))
-    if positions.shape != (len(files), 2) or asked_at.shape != (len(asked), 2):
-        problem = f"utmDb and utmQ must be 2 x {len(files)} and 2 x {len(asked)}"
+    if positions.shape != (len(files), 2) or asked_at.shape != (len(results), 2):
+        problem = f"utmDb and utmQ must be 2 x {len(files)} and 2 x {len(results)}"
         raise UnexpectedLayout(table, f"{problem}, not {positions.T.shape} and {asked_at.T.shape}", EXPECTED)
-    missing = [p for p in files + asked if not p.is_file()]
+    missing = [p for p in files + results if not p.is_file()]
     if missing:
-        problem = f"{len(missing)} of {len(files) + len(asked)} pictures are not there, first {missing[0]}"
+        problem = f"{len(missing)} of {len(files) + len(results)} pictures are not there, first {missing[0]}"
         raise UnexpectedLayout(table, problem, EXPECTED)
-    return files, positions, asked, asked_at
+    return files, positions, results, asked_at
 
 
 def _from_names(folder: Path) -> tuple[list[Path], Doubles]:
-    files = pictures_in(folder, EXPECTED)
+    files = images_in(folder, EXPECTED)
     positions = []
     for path in files:
         found = re.match(r"@\s*(\d+(?:\.\d+)?)@\s*(\d+(?:\.\d+)?)@", path.name)

@@ -5,11 +5,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from lab.evaluation.html import Shown
-from lab.evaluation.service import HouseRetriever
+from lab.evaluation.service import ServiceRetriever
 from schemas.description import Floats, PixelField
 from schemas.errors import RevisitError
-from schemas.image import Picture
-from schemas.records import Where
+from schemas.image import Image
+from schemas.records import Position
 from worker.description.describer import Describer
 from worker.images import drawing
 
@@ -17,30 +17,30 @@ EXPLAINED = 100
 """Answers among which the one to be explained is looked for."""
 
 
-class HouseArtist:
+class ServiceArtist:
     """Draws what a house saw.
 
     Parameters
     ----------
-    retriever : HouseRetriever
+    retriever : ServiceRetriever
     """
 
-    def __init__(self, retriever: HouseRetriever) -> None:
-        self.retriever, self.house = retriever, retriever.house
+    def __init__(self, retriever: ServiceRetriever) -> None:
+        self.retriever, self.runtime = retriever, retriever.runtime
 
     def explain(self, query: Path, answer: Path) -> Sequence[Shown]:
         """Both context graphs, and what corresponds between the query and that answer."""
-        one, other = (self.house.decode(path.read_bytes()) for path in (query, answer))
+        one, other = (self.runtime.decode(path.read_bytes()) for path in (query, answer))
         shown = [Shown("context graph of the query", self._graph(one)), Shown("of the answer", self._graph(other))]
         # A run that was only read back from its journal has enrolled nothing. Where the picture is in the map already,
         # with its position, it is refused, which is as well.
         with suppress(RevisitError):
-            self.retriever.enroll(answer, Where())
-        question = self.retriever.ask(one, EXPLAINED)
-        match = next((f for f in question.answer.found if f.view.picture.sha256 == other.digest), None)
+            self.retriever.enroll(answer, Position())
+        searched = self.retriever.ask(one, EXPLAINED)
+        match = next((f for f in searched.answer.found if f.view.image.sha256 == other.digest), None)
         if match is None:
             return shown
-        graph, own = match.graph, question.served.value.appearance.graph
+        graph, own = match.graph, searched.timed.value.appearance.graph
         words = self.retriever.settings.labels
         nodes = (
             [(words[own.labels[p]], _point(own.positions[p]), _point(graph.view.positions[r])) for p, r in graph.pairs]
@@ -49,36 +49,36 @@ class HouseArtist:
         )
         inliers = [((a, b), (c, d)) for a, b, c, d in match.verified.pairs.tolist()] if match.verified else []
         parts = ", ".join(f"{name} {value:.2f}" for name, value in match.parts.items())
-        said = [f"score {match.score:.3f} = {parts}", f"{len(nodes)} node pairs, {len(inliers)} keypoints agree"]
-        drawn = drawing.explanation_png(one.pixels, other.pixels, inliers, nodes, said)
+        attributes = [f"score {match.score:.3f} = {parts}", f"{len(nodes)} node pairs, {len(inliers)} keypoints agree"]
+        drawn = drawing.explanation_png(one.pixels, other.pixels, inliers, nodes, attributes)
         return [*shown, Shown("what agrees: nodes (thick, by word) and keypoints (thin, green)", drawn, wide=True)]
 
-    def portray(self, picture: Path) -> Sequence[Shown]:
+    def portray(self, image: Path) -> Sequence[Shown]:
         """Labels, with what moves in grey, and the method's nodes."""
-        one = self.house.decode(picture.read_bytes())
+        one = self.runtime.decode(image.read_bytes())
         words = self.retriever.settings.labels
 
-        def draw(pixels: Picture, field: PixelField) -> bytes:
+        def draw(pixels: Image, field: PixelField) -> bytes:
             seen = self._describer().see(field)
             return drawing.overlay_png(pixels.pixels, seen.labels, words, seen.static)
 
-        overlay = self.house.desk.hand_in(one, draw, urgent=True, fine=True).result().value
+        overlay = self.runtime.scheduler.submit(one, draw, urgent=True, fine=True).result().value
         return [
             Shown("segmentation by words; what moves is grey", overlay),
             Shown("where the method puts its own: nodes of static regions", self._graph(one)),
         ]
 
     def _describer(self) -> Describer:
-        return self.house.describers.of(self.retriever.settings)
+        return self.runtime.describers.of(self.retriever.settings)
 
-    def _graph(self, picture: Picture) -> bytes:
+    def _graph(self, image: Image) -> bytes:
         describer, recipe = self._describer(), self.retriever.settings
 
-        def draw(pixels: Picture, field: PixelField) -> bytes:
+        def draw(pixels: Image, field: PixelField) -> bytes:
             graph = describer.graph(field, describer.see(field))
             return drawing.graph_png(pixels.pixels, graph, recipe.labels, recipe.parameters.graph.tau)
 
-        return self.house.desk.hand_in(picture, draw, urgent=True).result().value
+        return self.runtime.scheduler.submit(image, draw, urgent=True).result().value
 
 
 def _point(position: Floats) -> tuple[float, float]:

@@ -5,8 +5,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Retriever
 from lab.evaluation.gallery import Artist
+from lab.evaluation.querying import Retriever
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from lab.baselines.baseline import grey, rgb
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Asked
 from lab.evaluation.html import Example, Shown
+from lab.evaluation.querying import RankedResults
 from lab.metrics.recall import Indices, first_right
 
 LONG_SIDE = 420
@@ -29,40 +29,42 @@ class Artist(Protocol):
         """Context graphs of both, and what corresponds between them."""
         ...
 
-    def portray(self, picture: Path) -> Sequence[Shown]:
+    def portray(self, image: Path) -> Sequence[Shown]:
         """One picture as the method sees it: labels, what was dropped as moving, its nodes."""
         ...
 
 
-def answers(dataset: Dataset, asked: Asked, artist: Artist | None, *, each: int = 3, seed: int = 0) -> list[Example]:
+def answers(
+    dataset: Dataset, results: RankedResults, artist: Artist | None, *, each: int = 3, seed: int = 0
+) -> list[Example]:
     """Some right and some wrong first answers, drawn at random from a seed.
 
     Drawn, not chosen: a gallery of the best cases says nothing.
     """
     truth = dataset.judged()
-    first = first_right(asked.ranked, truth)
-    answered = asked.ranked[:, 0] >= 0
+    first = first_right(results.ranked, truth)
+    answered = results.ranked[:, 0] >= 0
     rng = np.random.default_rng(seed)
     examples = []
     for right, mask in ((True, first == 1), (False, truth.answerable & answered & (first != 1))):
         candidates = np.flatnonzero(mask)
         chosen = np.sort(rng.choice(candidates, min(each, len(candidates)), replace=False))
-        examples += [_answer(dataset, asked, int(q), int(first[q]), right, artist) for q in chosen]
+        examples += [_answer(dataset, results, int(q), int(first[q]), right, artist) for q in chosen]
     return examples
 
 
-def the_papers_figures(dataset: Dataset, asked: Asked, artist: Artist | None, seed: int = 0) -> list[Example]:
+def the_papers_figures(dataset: Dataset, results: RankedResults, artist: Artist | None, seed: int = 0) -> list[Example]:
     """Where ORB puts its features against where the method puts its own, and the matches of both.
 
     For one query, drawn from a seed among those answered rightly (or among all, if none was).
     """
     truth = dataset.judged()
-    rightly = np.flatnonzero(first_right(asked.ranked, truth) == 1)
-    pool = rightly if len(rightly) else np.flatnonzero(asked.ranked[:, 0] >= 0)
+    rightly = np.flatnonzero(first_right(results.ranked, truth) == 1)
+    pool = rightly if len(rightly) else np.flatnonzero(results.ranked[:, 0] >= 0)
     if len(pool) == 0:
         return []
     query = int(np.random.default_rng(seed).choice(pool))
-    one, other = dataset.queries[query], dataset.database[int(asked.ranked[query, 0])]
+    one, other = dataset.queries[query], dataset.database[int(results.ranked[query, 0])]
     features = [Shown("ORB's 500 features, moving things included", orb_features(one))]
     matches = [orb_matches(one, other)]
     if artist is not None:
@@ -103,19 +105,25 @@ def thumbnail(path: Path) -> bytes:
     return _jpeg(_fitted(rgb(path)))
 
 
-def _answer(dataset: Dataset, asked: Asked, query: int, first: int, right: bool, artist: Artist | None) -> Example:
+def _answer(
+    dataset: Dataset, results: RankedResults, query: int, first: int, right: bool, artist: Artist | None
+) -> Example:
     one = dataset.queries[query]
-    answer = dataset.database[int(asked.ranked[query, 0])]
-    pictures = [Shown(f"query {one.name}", thumbnail(one)), Shown(f"answer {answer.name}", thumbnail(answer))]
+    answer = dataset.database[int(results.ranked[query, 0])]
+    images = [Shown(f"query {one.name}", thumbnail(one)), Shown(f"answer {answer.name}", thumbnail(answer))]
     if not right:
         positives: Indices = dataset.positives[query]
         wanted = dataset.database[int(positives[len(positives) // 2])]
-        pictures.append(Shown(f"a right answer {wanted.name}", thumbnail(wanted)))
+        images.append(Shown(f"a right answer {wanted.name}", thumbnail(wanted)))
     if artist is not None:
-        pictures += [_smaller(shown) for shown in artist.explain(one, answer)]
-    where = "" if right else f", first right answer at rank {first}" if first else ", no right answer among those asked"
-    sure = f", confidence {asked.confidence[query]:.2f}" if asked.calibrated and asked.confidence is not None else ""
-    return Example(f"{asked.method}, query {query}{where}{sure}", right, pictures)
+        images += [_smaller(shown) for shown in artist.explain(one, answer)]
+    position = (
+        "" if right else f", first right answer at rank {first}" if first else ", no right answer among those asked"
+    )
+    sure = (
+        f", confidence {results.confidence[query]:.2f}" if results.calibrated and results.confidence is not None else ""
+    )
+    return Example(f"{results.method}, query {query}{position}{sure}", right, images)
 
 
 def _smaller(shown: Shown) -> Shown:

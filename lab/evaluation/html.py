@@ -32,12 +32,12 @@ class Example:
         Which query, and what happened.
     right : bool or None
         None for pictures that are neither, such as the paper's figures.
-    pictures : sequence of Shown
+    images : sequence of Shown
     """
 
     title: str
     right: bool | None
-    pictures: Sequence[Shown]
+    images: Sequence[Shown]
 
 
 def as_html(evaluations: Sequence[Evaluation], examples: dict[str, list[Example]], title: str = "Evaluation") -> str:
@@ -191,7 +191,7 @@ def _example(x: Example) -> str:
         f'<figure class="{"pair" if p.wide else "one"}">'
         f'<img alt="{escape(p.caption)}" src="{_embedded(p.data)}"><figcaption>{escape(p.caption)}</figcaption>'
         "</figure>"
-        for p in x.pictures
+        for p in x.images
     )
     return (
         f'<div class="example"><header>{mark}<span>{escape(x.title)}</span></header>'

@@ -6,18 +6,18 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from lab.evaluation.artist import HouseArtist
-from lab.evaluation.asking import Retriever
+from lab.evaluation.artist import ServiceArtist
 from lab.evaluation.contender import Contender
 from lab.evaluation.gallery import Artist
-from lab.evaluation.service import HouseRetriever, map_of_its_own
+from lab.evaluation.querying import Retriever
+from lab.evaluation.service import ServiceRetriever, map_of_its_own
 from schemas.settings import Settings
 from worker.description.presets import make_recipe
-from worker.runtime import House
+from worker.runtime import Runtime
 
 
 @contextmanager
-def house_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[House]:
+def runtime_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[Runtime]:
     """A started house with a data folder of its own, which is removed afterwards.
 
     Parameters
@@ -30,19 +30,19 @@ def house_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[Hou
 
     with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
         apart = {"data": Path(folder), "database": None, "inline_worker": True, "device": device}
-        house = build(settings.model_copy(update=apart))
-        house.start()
+        runtime = build(settings.model_copy(update=apart))
+        runtime.start()
         try:
-            yield house
+            yield runtime
         finally:
-            house.stop()
+            runtime.stop()
 
 
-def contender(house: House, preset: str) -> Contender:
+def contender(runtime: Runtime, preset: str) -> Contender:
     """A preset of a house as something to be measured."""
-    recipe = make_recipe(house.encoder, preset)
-    return Contender(partial(map_of_its_own, house, recipe, preset), _artist)
+    recipe = make_recipe(runtime.encoder, preset)
+    return Contender(partial(map_of_its_own, runtime, recipe, preset), _artist)
 
 
 def _artist(retriever: Retriever) -> Artist | None:
-    return HouseArtist(retriever) if isinstance(retriever, HouseRetriever) else None
+    return ServiceArtist(retriever) if isinstance(retriever, ServiceRetriever) else None

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Asked
+from lab.evaluation.querying import RankedResults
 from lab.metrics.chance import Luck, looks_like_chance, suspicions
 from lab.metrics.precision_recall import correct_rejection, precision_recall
 from lab.metrics.recall import (
@@ -156,7 +156,7 @@ def alarms(evaluation: Evaluation) -> list[tuple[str, tuple[str, ...]]]:
 def frame(dataset: Dataset, depths: Sequence[int] = DEPTHS) -> Evaluation:
     """What can be said of a set before any method is tried: sizes, chance, ceiling, oddities."""
     truth = dataset.judged()
-    where = [p for p in (dataset.database_positions, dataset.query_positions) if p is not None]
+    position = [p for p in (dataset.database_positions, dataset.query_positions) if p is not None]
     return Evaluation(
         dataset=dataset.name,
         truth=dataset.truth,
@@ -167,17 +167,19 @@ def frame(dataset: Dataset, depths: Sequence[int] = DEPTHS) -> Evaluation:
         chance=tuple(chance(truth, truth.answerable, depths).tolist()),
         chance_of_all=tuple(chance(truth, None, depths).tolist()),
         ceiling_of_all=ceiling(truth),
-        suspicions=suspicions(truth, np.concatenate(where) if where else None),
+        suspicions=suspicions(truth, np.concatenate(position) if position else None),
     )
 
 
-def measure(dataset: Dataset, asked: Asked, *, seed: int = 0, depths: Sequence[int] = DEPTHS) -> list[Figures]:
+def measure(
+    dataset: Dataset, results: RankedResults, *, seed: int = 0, depths: Sequence[int] = DEPTHS
+) -> list[Figures]:
     """The figures of one method; where it re-ranks, those before re-ranking follow as a second entry.
 
     Parameters
     ----------
     dataset : Dataset
-    asked : Asked
+    results : RankedResults
     seed : int
         Of the intervals and of the test against luck.
     depths : sequence of int
@@ -186,19 +188,19 @@ def measure(dataset: Dataset, asked: Asked, *, seed: int = 0, depths: Sequence[i
     -------
     list of Figures
     """
-    after = first_right(asked.ranked, dataset.judged())
-    if asked.before is None:
-        return [_figures(dataset, asked, after, None, seed, depths)]
-    first = first_right(asked.before, dataset.judged())
-    plain = Asked(f"{asked.method}, histograms alone", asked.before, None)
+    after = first_right(results.ranked, dataset.judged())
+    if results.before is None:
+        return [_figures(dataset, results, after, None, seed, depths)]
+    first = first_right(results.before, dataset.judged())
+    plain = RankedResults(f"{results.method}, histograms alone", results.before, None)
     return [
-        _figures(dataset, asked, after, first, seed, depths),
+        _figures(dataset, results, after, first, seed, depths),
         _figures(dataset, plain, first, None, seed, depths),
     ]
 
 
 def _figures(
-    dataset: Dataset, asked: Asked, first: Indices, before: Indices | None, seed: int, depths: Sequence[int]
+    dataset: Dataset, results: RankedResults, first: Indices, before: Indices | None, seed: int, depths: Sequence[int]
 ) -> Figures:
     truth = dataset.judged()
     answerable = truth.answerable
@@ -218,19 +220,21 @@ def _figures(
         gain = _with_interval(mean, *bootstrap_interval(difference, np.random.default_rng(seed), block=block))
     right = first == 1
     return Figures(
-        method=asked.method,
+        method=results.method,
         recall=share(answerable),
         recall_of_all=share(None),
-        luck=looks_like_chance(asked.ranked, truth, np.random.default_rng(seed), depths=depths),
-        known_place=_known_place(asked, right, answerable),
-        calibrated=_calibrated(asked.confidence, right) if asked.calibrated and asked.confidence is not None else None,
+        luck=looks_like_chance(results.ranked, truth, np.random.default_rng(seed), depths=depths),
+        known_place=_known_place(results, right, answerable),
+        calibrated=_calibrated(results.confidence, right)
+        if results.calibrated and results.confidence is not None
+        else None,
         gain=gain,
         timing_ms={
             stage: (float(np.median(ms)), float(np.quantile(ms, 0.95)))
-            for stage, ms in asked.timing_ms.items()
+            for stage, ms in results.timing_ms.items()
             if len(ms)
         },
-        refused=dict(asked.refused),
+        refused=dict(results.refused),
         first=tuple(first.tolist()),
     )
 
@@ -239,13 +243,13 @@ def _with_interval(means: Doubles, low: Doubles, high: Doubles) -> tuple[Figure,
     return tuple(Figure(float(m), float(a), float(b)) for m, a, b in zip(means, low, high, strict=True))
 
 
-def _known_place(asked: Asked, right: Booleans, answerable: Booleans) -> KnownPlace | None:
-    if asked.confidence is None:
+def _known_place(results: RankedResults, right: Booleans, answerable: Booleans) -> KnownPlace | None:
+    if results.confidence is None:
         return None
-    curve = precision_recall(asked.confidence, right, answerable)
+    curve = precision_recall(results.confidence, right, answerable)
     best, at = curve.best_f1
-    claimed = asked.confidence >= at if asked.claimed is None else asked.claimed
-    own = asked.claimed is not None and bool(asked.claimed.any())
+    claimed = results.confidence >= at if results.claimed is None else results.claimed
+    own = results.claimed is not None and bool(results.claimed.any())
     return KnownPlace(
         best_f1=best,
         at=at,

@@ -9,10 +9,10 @@ from pathlib import Path
 from revisit_client.client import Revisit, RevisitProblem
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Answer
 from lab.evaluation.contender import Contender
+from lab.evaluation.querying import Answer
 from schemas.errors import RevisitError
-from schemas.records import Where
+from schemas.records import Position
 from schemas.wire import MapFacts
 
 
@@ -32,20 +32,27 @@ class ServedRetriever:
         self._revisit, self._map, self.name = revisit, facts.name, name
         self.recipe = f"{facts.recipe['id']} {revisit.version().version}"
 
-    def enroll(self, picture: Path, where: Where) -> str:
+    def enroll(self, image: Path, position: Position) -> str:
         """Enrol and wait until it is searchable; raises RevisitError as the service refused."""
         try:
             return self._revisit.enroll(
-                picture, map=self._map, x=where.x, y=where.y, z=where.z, lat=where.lat, lon=where.lon, alt=where.alt
+                image,
+                map=self._map,
+                x=position.x,
+                y=position.y,
+                z=position.z,
+                lat=position.lat,
+                lon=position.lon,
+                alt=position.alt,
             ).view.id
         except RevisitProblem as problem:
             raise _refusal(problem) from problem
 
-    def query(self, picture: Path, top: int) -> Answer:
+    def query(self, image: Path, top: int) -> Answer:
         """Ask twice: as usual, and for the histograms alone."""
         try:
-            answer = self._revisit.query(picture, map=self._map, top=top)
-            plain = self._revisit.query(picture, map=self._map, top=top, candidates=0)
+            answer = self._revisit.query(image, map=self._map, top=top)
+            plain = self._revisit.query(image, map=self._map, top=top, candidates=0)
         except RevisitProblem as problem:
             raise _refusal(problem) from problem
         return Answer(

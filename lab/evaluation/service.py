@@ -10,15 +10,15 @@ from itertools import count
 from pathlib import Path
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Answer, Retriever
+from lab.evaluation.querying import Answer, Retriever
 from schemas.description import Description
 from schemas.errors import RevisitError
-from schemas.image import Picture, PictureFacts
+from schemas.image import Image, ImageFacts
 from schemas.recipe import Recipe
-from schemas.records import Filters, Said, Where
-from worker.description.scheduler import Served
+from schemas.records import Filters, Position, ViewAttributes
+from worker.description.scheduler import Timed
 from worker.method.decision import decide, features
-from worker.runtime import House
+from worker.runtime import Runtime
 from worker.search.searcher import Answer as Ranked
 
 LOOK_AGAIN_S = 0.25
@@ -28,19 +28,19 @@ _numbers = count()
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class QueryRecord:
     """What the house made of a query."""
 
-    served: Served[Description]
+    timed: Timed[Description]
     answer: Ranked
 
 
-class HouseRetriever:
+class ServiceRetriever:
     """A map of its own in a house that has been started.
 
     Parameters
     ----------
-    house : House
+    runtime : Runtime
         Built by `worker.bootstrap`, with a worker of its own.
     recipe : Recipe
         Of the map.
@@ -50,27 +50,29 @@ class HouseRetriever:
         New.
     """
 
-    def __init__(self, house: House, recipe: Recipe, name: str, map_name: str) -> None:
-        if house.loop is None:
+    def __init__(self, runtime: Runtime, recipe: Recipe, name: str, map_name: str) -> None:
+        if runtime.loop is None:
             raise ValueError("a house without a worker describes nothing")
-        self.house, self.settings, self.name, self.map_name = house, recipe, name, map_name
-        house.store.put_map(map_name, recipe, datetime.now(UTC))
+        self.runtime, self.settings, self.name, self.map_name = runtime, recipe, name, map_name
+        runtime.store.put_map(map_name, recipe, datetime.now(UTC))
         self._settled = threading.Event()
-        self._loop = house.loop
+        self._loop = runtime.loop
         self._loop.on_finish(lambda _: self._settled.set())
 
     @property
     def recipe(self) -> str:
         """Id of the map's recipe, and how its confidences are made."""
-        return f"{self.settings.id} {self.house.calibration(self.settings).to_json()}"
+        return f"{self.settings.id} {self.runtime.calibration(self.settings).to_json()}"
 
-    def enroll(self, picture: Path, where: Where) -> str:
+    def enroll(self, image: Path, position: Position) -> str:
         """Keep a picture and wait until it is described; raises RevisitError when it cannot be."""
-        data = picture.read_bytes()
-        decoded = self.house.decode(data)
-        facts = PictureFacts(decoded.width, decoded.height, decoded.byte_count, decoded.format, decoded.digest)
-        store = self.house.store
-        kept = store.submit(self.map_name, data, facts, Said(where=where), self.settings, datetime.now(UTC))
+        data = image.read_bytes()
+        decoded = self.runtime.decode(data)
+        facts = ImageFacts(decoded.width, decoded.height, decoded.byte_count, decoded.format, decoded.digest)
+        store = self.runtime.store
+        kept = store.submit(
+            self.map_name, data, facts, ViewAttributes(position=position), self.settings, datetime.now(UTC)
+        )
         view = kept.view
         self._loop.wake()
         while view.state == "pending":
@@ -83,21 +85,21 @@ class HouseRetriever:
             raise refusal
         return view.id
 
-    def query(self, picture: Path, top: int) -> Answer:
+    def query(self, image: Path, top: int) -> Answer:
         """Ask; the histograms alone are searched a second time with the same description."""
         began = time.perf_counter()
-        decoded = self.house.decode(picture.read_bytes())
+        decoded = self.runtime.decode(image.read_bytes())
         decode_ms = (time.perf_counter() - began) * 1000
-        asked = self.ask(decoded, top)
+        results = self.ask(decoded, top)
         total_ms = (time.perf_counter() - began) * 1000
-        found = asked.answer.found
-        decision = decide(found, self.house.calibration(asked.answer.recipe))
-        plain = self._search(asked.served.value, top, 0)
+        found = results.answer.found
+        decision = decide(found, self.runtime.calibration(results.answer.recipe))
+        plain = self._search(results.timed.value, top, 0)
         timing: Mapping[str, float] = {
             "decode": decode_ms,
-            "encode": asked.served.encode_ms,
-            "describe": asked.served.finish_ms,
-            **asked.answer.timing_ms,
+            "encode": results.timed.encode_ms,
+            "describe": results.timed.finish_ms,
+            **results.answer.timing_ms,
             "total": total_ms,
         }
         return Answer(
@@ -110,21 +112,23 @@ class HouseRetriever:
             features={name: float(values[0]) for name, values in features(found).items()} if found else {},
         )
 
-    def ask(self, picture: Picture, top: int) -> Question:
+    def ask(self, image: Image, top: int) -> QueryRecord:
         """Describe and search, with everything that the search saw."""
-        describer = self.house.describers.of(self.settings)
-        served = self.house.desk.hand_in(picture, describer.describe, urgent=True, beside=describer.keypoints).result()
-        return Question(served, self._search(served.value, top, None))
+        describer = self.runtime.describers.of(self.settings)
+        timed = self.runtime.scheduler.submit(
+            image, describer.describe, urgent=True, parallel=describer.keypoints
+        ).result()
+        return QueryRecord(timed, self._search(timed.value, top, None))
 
     def _search(self, description: Description, top: int, candidates: int | None) -> Ranked:
-        return self.house.searcher.search(self.map_name, self.settings, description, Filters(), top, candidates)
+        return self.runtime.searcher.search(self.map_name, self.settings, description, Filters(), top, candidates)
 
 
 @contextmanager
-def map_of_its_own(house: House, recipe: Recipe, name: str, dataset: Dataset) -> Iterator[Retriever]:
+def map_of_its_own(runtime: Runtime, recipe: Recipe, name: str, dataset: Dataset) -> Iterator[Retriever]:
     """A retriever on a new map, which is deleted afterwards."""
     map_name = f"evaluation-{next(_numbers)}"
     try:
-        yield HouseRetriever(house, recipe, name, map_name)
+        yield ServiceRetriever(runtime, recipe, name, map_name)
     finally:
-        house.store.delete_map(map_name)
+        runtime.store.delete_map(map_name)

@@ -15,7 +15,7 @@ SIGNIFICANCE = 0.01
 """A result is called more than luck only when luck does as well less often than this."""
 
 FEW_ANSWERS = 0.5
-"""Share of queries with the same first answer above which the answers hardly depend on the question."""
+"""Share of queries with the same first answer above which the answers hardly depend on the query."""
 
 GENEROUS = 0.25
 """Chance of recall@1 above which the ground truth itself is suspect."""
@@ -31,7 +31,7 @@ class Luck:
     Parameters
     ----------
     at_chance : bool
-        True when nothing shows that the answers depend on the questions.
+        True when nothing shows that the answers depend on the queries.
     p_value : float
         Share of exchanged rankings (see `looks_like_chance`) that did at least as well.
     causes : tuple of str
@@ -70,26 +70,26 @@ def looks_like_chance(
     -----
     A permutation test. Rankings are exchanged among the answerable queries, which leaves everything about the
     retriever as it is (how often each database picture is returned, how answers cluster on the map) except what
-    it knew of the question. A random retriever and one that always gives the same answers are both found out:
+    it knew of the query. A random retriever and one that always gives the same answers are both found out:
     exchanging changes nothing. Comparing with a uniformly random order would let the second one pass where its
     fixed answers happen to be right for many.
 
     In online loop closure an exchanged ranking may name pictures that its new query could not have seen; they
     count as wrong. That makes luck look a little worse than it is, and only there.
     """
-    asked = np.flatnonzero(truth.answerable)
-    if len(asked) == 0:
+    results = np.flatnonzero(truth.answerable)
+    if len(results) == 0:
         return Luck(True, 1.0, ("no query has a right answer in the database: check the ground truth and its radius",))
-    right = _right_matrix(truth, asked)
-    answers = ranked[asked]
+    right = _right_matrix(truth, results)
+    answers = ranked[results]
     got = _score(answers, right, depths)
     as_good = sum(
-        _score(answers[generator.permutation(len(asked))], right, depths) >= got - 1e-12 for _ in range(exchanges)
+        _score(answers[generator.permutation(len(results))], right, depths) >= got - 1e-12 for _ in range(exchanges)
     )
     p_value = (1 + as_good) / (1 + exchanges)
     if p_value <= SIGNIFICANCE:
         return Luck(False, p_value, ())
-    return Luck(True, p_value, tuple(_causes(answers, right, truth, asked, got, depths)))
+    return Luck(True, p_value, tuple(_causes(answers, right, truth, results, got, depths)))
 
 
 def suspicions(truth: Truth, positions: Doubles | None = None) -> tuple[str, ...]:
@@ -122,10 +122,10 @@ def suspicions(truth: Truth, positions: Doubles | None = None) -> tuple[str, ...
     return tuple(found)
 
 
-def _right_matrix(truth: Truth, asked: Indices) -> Booleans:
+def _right_matrix(truth: Truth, results: Indices) -> Booleans:
     """Which database picture is right for which answerable query; a last column of False catches -1."""
-    right = np.zeros((len(asked), int(truth.searched.max()) + 1), np.bool_)
-    for row, query in enumerate(asked):
+    right = np.zeros((len(results), int(truth.searched.max()) + 1), np.bool_)
+    for row, query in enumerate(results):
         right[row, truth.positives[query]] = True
     return right
 
@@ -139,14 +139,14 @@ def _score(answers: Indices, right: Booleans, depths: Sequence[int]) -> float:
 
 
 def _causes(
-    answers: Indices, right: Booleans, truth: Truth, asked: Indices, got: float, depths: Sequence[int]
+    answers: Indices, right: Booleans, truth: Truth, results: Indices, got: float, depths: Sequence[int]
 ) -> list[str]:
     """Likely causes: those with evidence in the answers first, then what to look at anyway."""
     causes = []
     names, times = np.unique(answers[:, 0], return_counts=True)
-    if len(asked) > 1 and times.max() > FEW_ANSWERS * len(asked):
+    if len(results) > 1 and times.max() > FEW_ANSWERS * len(results):
         causes.append(
-            f"{times.max()} of {len(asked)} queries get the same first answer (database picture "
+            f"{times.max()} of {len(results)} queries get the same first answer (database picture "
             f"{int(names[times.argmax()])}): the descriptor does not depend on the picture"
         )
     order = _order_that_fits(answers, right, got, depths)

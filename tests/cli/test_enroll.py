@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from PIL import Image
+from PIL import Image as PilImage
 from PIL.TiffImagePlugin import IFDRational
 
-from app.cli import pictures
+from app.cli import images
 from app.cli.__main__ import main
 from app.cli.console import Failure
 from tests import answers
@@ -20,7 +20,7 @@ Out = pytest.CaptureFixture[str]
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "photos" / "inner").mkdir(parents=True)
     for name in ("b.png", "a.PNG", "inner/c.png"):
-        Image.new("RGB", (40, 40), "red").save(tmp_path / "photos" / name)
+        PilImage.new("RGB", (40, 40), "red").save(tmp_path / "photos" / name)
     (tmp_path / "photos" / "notes.txt").write_text("no picture")
     return tmp_path / "photos"
 
@@ -30,11 +30,11 @@ def names(paths: list[Path], folder: Path) -> list[str]:
 
 
 def test_a_folder_means_all_pictures_inside(folder: Path) -> None:
-    assert names(pictures.found([str(folder)]), folder) == ["a.PNG", "b.png", "inner/c.png"]
+    assert names(images.found([str(folder)]), folder) == ["a.PNG", "b.png", "inner/c.png"]
 
 
 def test_globs_are_understood_and_nothing_is_taken_twice(folder: Path) -> None:
-    found = pictures.found([f"{folder}/*.png", f"{folder}/b.png", f"{folder}/**/c.png"])
+    found = images.found([f"{folder}/*.png", f"{folder}/b.png", f"{folder}/**/c.png"])
 
     assert names(found, folder) == ["b.png", "inner/c.png"]
 
@@ -44,7 +44,7 @@ def test_nothing_there_is_wrong_use(folder: Path, name: str) -> None:
     (folder / "empty").mkdir()
 
     with pytest.raises(Failure) as caught:
-        pictures.found([str(folder / name)])
+        images.found([str(folder / name)])
     assert caught.value.code == 2
 
 
@@ -90,10 +90,10 @@ def test_the_folder_can_name_the_place(service: FakeService, folder: Path) -> No
     assert b"inner" in service.asked[0][1]
 
 
-def positions(folder: Path, text: str) -> pictures.Positions:
+def positions(folder: Path, text: str) -> images.Positions:
     path = folder / "positions.csv"
     path.write_text(text)
-    return pictures.Positions(path)
+    return images.Positions(path)
 
 
 def test_rows_belong_to_the_pictures_whose_path_they_end(folder: Path) -> None:
@@ -129,15 +129,15 @@ def test_positions_travel(service: FakeService, folder: Path, capsys: Out) -> No
 
 def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
     path = tmp_path / "photo.jpg"
-    exif = Image.Exif()
+    exif = PilImage.Exif()
     gps = exif.get_ifd(0x8825)
     gps[1], gps[2] = "S", (IFDRational(33), IFDRational(51), IFDRational(36))
     gps[3], gps[4] = "E", (IFDRational(151), IFDRational(12), IFDRational(0))
     gps[6], gps[16], gps[17] = IFDRational(20), "T", IFDRational(270)
     gps[29], gps[7] = "2026:03:01", (IFDRational(9), IFDRational(30), IFDRational(0))
-    Image.new("RGB", (40, 40)).save(path, exif=exif)
+    PilImage.new("RGB", (40, 40)).save(path, exif=exif)
 
-    known = pictures.from_exif(path)
+    known = images.from_exif(path)
 
     assert known["lat"] == pytest.approx(-33.86)
     assert known["lon"] == pytest.approx(151.2)
@@ -146,5 +146,5 @@ def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
 
 
 def test_pictures_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
-    assert pictures.from_exif(folder / "b.png") == {}
-    assert pictures.from_exif(folder / "notes.txt") == {}
+    assert images.from_exif(folder / "b.png") == {}
+    assert images.from_exif(folder / "notes.txt") == {}

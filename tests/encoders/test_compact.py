@@ -15,19 +15,19 @@ from safetensors.numpy import load_file
 from scenes import scene
 from schemas.description import Floats
 from schemas.errors import SetupError
-from schemas.image import Bytes2D, Picture
+from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
 from worker.bootstrap import make_encoder
 from worker.encoders.compact.encoder import (
+    ENSEMBLE,
     LONGEST,
     MULTIPLE,
-    READERS,
     WEIGHTS,
     CompactEncoder,
-    looked_at,
+    confidence,
     network_size,
     resized,
-    sureness,
+    segment_with_ensemble,
 )
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
@@ -36,19 +36,19 @@ ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]
 """Width and height of pictures."""
 
-FINE = [WEIGHTS.with_name(f"compact-{reader}.safetensors") for reader in READERS]
+FINE = [WEIGHTS.with_name(f"compact-{member}.safetensors") for member in ENSEMBLE]
 FILES = tuple(path.name for weights in (WEIGHTS, *FINE) for path in (weights, weights.with_suffix(".onnx")))
 
 
-def without(weights: Path, *readers: str) -> CompactEncoder:
+def without(weights: Path, *members: str) -> CompactEncoder:
     described = weights.with_suffix(".json")
     facts = json.loads(described.read_text())
-    described.write_text(json.dumps({name: fact for name, fact in facts.items() if name not in readers}))
+    described.write_text(json.dumps({name: fact for name, fact in facts.items() if name not in members}))
     return CompactEncoder(weights=weights)
 
 
-def drawn(width: int, height: int) -> Picture:
-    return Picture.of(scene("town", "street").sized(width, height).pixels)
+def drawn(width: int, height: int) -> Image:
+    return Image.of(scene("town", "street").sized(width, height).pixels)
 
 
 def cosines(one: Floats, other: Floats) -> Floats:
@@ -84,16 +84,19 @@ class TestParity:
     def test_every_cell_is_as_torch_has_it(
         self, encoder: CompactEncoder, reference: TorchEngine, width: int, height: int
     ) -> None:
-        picture = drawn(width, height)
-        pixels = resized(picture.pixels)[None]
-        [field] = encoder.encode([picture])
+        image = drawn(width, height)
+        pixels = resized(image.pixels)[None]
+        [field] = encoder.encode([image])
         words, detail = reference.fields(pixels)
         engine = in_onnx()
 
         for mine, other in (
             (field.semantic, words[0]),
             (field.layers["detail"], detail[0]),
-            *((engine.fine_words(pixels, reader)[0], reference.fine_words(pixels, reader)[0]) for reader in range(3)),
+            *(
+                (engine.segmentation(pixels, member)[0], reference.segmentation(pixels, member)[0])
+                for member in range(3)
+            ),
         ):
             assert mine.shape == other.shape
             assert cosines(mine, other).min() > 0.9999
@@ -103,14 +106,17 @@ class TestParity:
     def test_every_cell_takes_the_word_that_it_takes_in_torch(
         self, encoder: CompactEncoder, reference: TorchEngine, width: int, height: int
     ) -> None:
-        picture = drawn(width, height)
+        image = drawn(width, height)
         text = encoder.text_vectors(["road", "sidewalk", "building", "car", "vegetation", "sky", "person", "pole"])
-        pixels = resized(picture.pixels)[None]
+        pixels = resized(image.pixels)[None]
         engine = in_onnx()
 
         for mine, other in (
-            (next(encoder.encode([picture])).semantic, reference.fields(pixels)[0][0]),
-            *((engine.fine_words(pixels, reader)[0], reference.fine_words(pixels, reader)[0]) for reader in range(3)),
+            (next(encoder.encode([image])).semantic, reference.fields(pixels)[0][0]),
+            *(
+                (engine.segmentation(pixels, member)[0], reference.segmentation(pixels, member)[0])
+                for member in range(3)
+            ),
         ):
             first, second = np.sort(other @ text.T, axis=-1)[..., :-3:-1].transpose(2, 0, 1)
             certain = first - second > 1e-4  # two words as near as that may change places by rounding
@@ -118,28 +124,28 @@ class TestParity:
             assert np.array_equal((mine @ text.T).argmax(-1)[certain], (other @ text.T).argmax(-1)[certain])
 
     def test_on_another_device_runs_of_one_size_go_together_and_keep_their_order(self, encoder: CompactEncoder) -> None:
-        pictures = [drawn(*size) for size in ((640, 480), (320, 240), (300, 300), (640, 480))]
+        images = [drawn(*size) for size in ((640, 480), (320, 240), (300, 300), (640, 480))]
         in_torch = CompactEncoder("cpu:0")  # anything but "cpu" means torch, and batches
 
-        for mine, other in zip(encoder.encode(pictures), in_torch.encode(pictures), strict=True):
+        for mine, other in zip(encoder.encode(images), in_torch.encode(images), strict=True):
             assert cosines(mine.semantic, other.semantic).min() > 0.9999
-        for picture in pictures[:2]:
-            assert cosines(encoder.fine(picture).semantic, in_torch.fine(picture).semantic).min() > 0.9999
+        for image in images[:2]:
+            assert cosines(encoder.fine(image).semantic, in_torch.fine(image).semantic).min() > 0.9999
 
 
 class TestIndependence:
     def test_a_picture_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
-        pictures = [drawn(*size) for size in SIZES]
+        images = [drawn(*size) for size in SIZES]
 
-        together = [field.semantic for field in encoder.encode(pictures)]
+        together = [field.semantic for field in encoder.encode(images)]
 
-        for picture, field in zip(pictures, together, strict=True):
-            assert np.array_equal(next(encoder.encode([picture])).semantic, field)
+        for image, field in zip(images, together, strict=True):
+            assert np.array_equal(next(encoder.encode([image])).semantic, field)
 
     def test_nor_on_the_number_of_threads(self, encoder: CompactEncoder) -> None:
-        picture = drawn(640, 480)
+        image = drawn(640, 480)
 
-        [one], [several] = encoder.encode([picture]), CompactEncoder(threads=3).encode([picture])
+        [one], [several] = encoder.encode([image]), CompactEncoder(threads=3).encode([image])
 
         assert np.array_equal(one.semantic, several.semantic)
         assert np.array_equal(one.layers["detail"], several.layers["detail"])
@@ -163,20 +169,20 @@ class TestIndependence:
 
         if not Path("/proc/self/statm").exists():
             pytest.skip("NOT RUN: only Linux says how much memory a process has")
-        largest = Picture.of(np.zeros((LONGEST, LONGEST, 3), np.uint8))
+        largest = Image.of(np.zeros((LONGEST, LONGEST, 3), np.uint8))
         list(encoder.encode([largest]))
         before = resident_mb()
         for width, height in sizes:
-            list(encoder.encode([Picture.of(np.zeros((height, width, 3), np.uint8))]))
+            list(encoder.encode([Image.of(np.zeros((height, width, 3), np.uint8))]))
         assert resident_mb() < before + 60
 
 
 class TestFineWords:
     def test_they_mostly_say_the_same_at_twice_the_resolution(self, encoder: CompactEncoder) -> None:
-        picture = drawn(640, 480)
+        image = drawn(640, 480)
         text = encoder.text_vectors(["road", "building", "car", "vegetation", "sky"])
 
-        coarse, fine = next(encoder.encode([picture])), encoder.fine(picture)
+        coarse, fine = next(encoder.encode([image])), encoder.fine(image)
 
         assert fine.extent == coarse.extent
         assert fine.shape == (2 * coarse.shape[0], 2 * coarse.shape[1])
@@ -185,28 +191,28 @@ class TestFineWords:
         assert float(same.mean()) > 0.7
 
     def test_a_picture_and_its_mirror_image_mostly_show_the_same(self, encoder: CompactEncoder) -> None:
-        picture = drawn(480, 352)
-        mirrored = Picture.of(np.ascontiguousarray(picture.pixels[:, ::-1]))
+        image = drawn(480, 352)
+        mirrored = Image.of(np.ascontiguousarray(image.pixels[:, ::-1]))
         text = encoder.text_vectors(["road", "building", "car", "vegetation", "sky"])
 
-        one, other = encoder.fine(picture).semantic, encoder.fine(mirrored).semantic
+        one, other = encoder.fine(image).semantic, encoder.fine(mirrored).semantic
 
         same = (one @ text.T).argmax(-1) == (other[:, ::-1] @ text.T).argmax(-1)
         assert float(same.mean()) > 0.8
         assert np.abs(np.linalg.norm(one, axis=-1) - 1).max() < 1e-5
 
     def test_they_are_the_mean_of_mirrored_looks_and_larger_ones(self) -> None:
-        picture = drawn(960, 704)
+        image = drawn(960, 704)
         sizes = []
 
         # Channels: where the cell lies across the view, and how large that is.
-        def look(seen: Bytes2D, reader: int) -> Floats:
-            sizes.append((reader, *seen.shape[:2]))
+        def look(seen: Bytes2D, member: int) -> Floats:
+            sizes.append((member, *seen.shape[:2]))
             rows, columns = seen.shape[0] // 4, seen.shape[1] // 4
             across = np.broadcast_to((np.arange(columns) + 0.5) / columns, (rows, columns))
             return np.stack([across, np.full_like(across, columns / 120)], axis=2).astype(np.float32)
 
-        seen = looked_at(picture.pixels, look, np.eye(2, dtype=np.float32)[1:] * 0)
+        seen = segment_with_ensemble(image.pixels, look, np.eye(2, dtype=np.float32)[1:] * 0)
 
         assert sizes == [
             *((0, 256, 352), (0, 448, 608)),
@@ -223,38 +229,38 @@ class TestFineWords:
     def test_a_look_that_is_near_no_word_counts_for_little(self) -> None:
         word, nothing = np.eye(2, dtype=np.float32)
 
-        def look(seen: Bytes2D, reader: int) -> Floats:
-            at = word if reader == 0 else 0.5 * word + np.sqrt(0.75) * nothing
+        def look(seen: Bytes2D, member: int) -> Floats:
+            at = word if member == 0 else 0.5 * word + np.sqrt(0.75) * nothing
             return np.broadcast_to(at, (seen.shape[0] // 4, seen.shape[1] // 4, 2)).astype(np.float32)
 
-        seen = looked_at(drawn(960, 704).pixels, look, word[None])
+        seen = segment_with_ensemble(drawn(960, 704).pixels, look, word[None])
 
-        assert sureness(look(np.zeros((32, 32, 3), np.uint8), 1), word[None]) == pytest.approx(0.5)
+        assert confidence(look(np.zeros((32, 32, 3), np.uint8), 1), word[None]) == pytest.approx(0.5)
         expected = 2 * word + 4 * 1.4 * 0.5**6 * (0.5 * word + np.sqrt(0.75) * nothing)
         np.testing.assert_allclose(seen[0, 0], expected / np.linalg.norm(expected), atol=1e-4)
 
     def test_without_them_the_finest_field_is_the_ordinary_one(self, copied: Path) -> None:
-        picture = drawn(640, 480)
+        image = drawn(640, 480)
 
-        encoder = without(copied, *READERS)
+        encoder = without(copied, *ENSEMBLE)
 
-        assert np.array_equal(encoder.fine(picture).semantic, next(encoder.encode([picture])).semantic)
+        assert np.array_equal(encoder.fine(image).semantic, next(encoder.encode([image])).semantic)
 
-    @pytest.mark.parametrize("readers", [1, 2])
+    @pytest.mark.parametrize("members", [1, 2])
     def test_without_a_later_reader_those_before_it_are_believed(
-        self, encoder: CompactEncoder, copied: Path, readers: int
+        self, encoder: CompactEncoder, copied: Path, members: int
     ) -> None:
-        picture = drawn(640, 480)
+        image = drawn(640, 480)
         engine = in_onnx()
 
-        believed = without(copied, READERS[readers]).fine(picture).semantic
+        believed = without(copied, ENSEMBLE[members]).fine(image).semantic
 
         vectors = load_file(WEIGHTS)["text.vectors"].astype(np.float32)
-        expected = looked_at(
-            picture.pixels, lambda seen, reader: engine.fine_words(seen[None], reader)[0], vectors, readers
+        expected = segment_with_ensemble(
+            image.pixels, lambda seen, member: engine.segmentation(seen[None], member)[0], vectors, members
         )
         assert np.array_equal(believed, expected)
-        assert not np.array_equal(believed, encoder.fine(picture).semantic)
+        assert not np.array_equal(believed, encoder.fine(image).semantic)
 
 
 class TestFiles:

@@ -2,21 +2,21 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.http.fakes import FakeHouse, FakeRecogniser
+from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
 
 
 @pytest.fixture
-def house() -> FakeHouse:
-    return FakeHouse()
+def runtime() -> FakeRuntime:
+    return FakeRuntime()
 
 
 @pytest.fixture
-def recogniser(house: FakeHouse) -> FakeRecogniser:
-    return house.recogniser
+def recogniser(runtime: FakeRuntime) -> FakeRecogniser:
+    return runtime.recogniser
 
 
 @pytest.fixture
-def client(house: FakeHouse) -> Iterator[CheckedClient]:
-    with CheckedClient(house.app()) as client:
+def client(runtime: FakeRuntime) -> Iterator[CheckedClient]:
+    with CheckedClient(runtime.app()) as client:
         yield client

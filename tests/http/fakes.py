@@ -15,13 +15,13 @@ from uuid6 import uuid7
 from app.http.application import application
 from app.http.curate import Curator
 from app.http.examples import MATCH, QUERY_ANSWER, VIEW
-from app.http.lifecycle import Condition
+from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
 from app.http.service import Service
 from schemas import wire
 from schemas.errors import Conflict, KeyReused, NotFound, RevisitError
-from schemas.image import PictureFacts
-from schemas.records import Filters, Replay, Said
+from schemas.image import ImageFacts
+from schemas.records import Filters, Replay, ViewAttributes
 from schemas.settings import Settings
 from worker.images.codec import Limits, decode, facts, thumbnail
 
@@ -34,20 +34,20 @@ class Kept:
 
     id: str
     map: str
-    said: Said
+    attributes: ViewAttributes
     data: bytes
-    facts: PictureFacts
+    facts: ImageFacts
 
     def view(self) -> wire.View:
-        where = wire.Position(**vars(self.said.where))
+        position = wire.Position(**vars(self.attributes.position))
         return wire.View(
             id=self.id,
             map=self.map,
-            place=self.said.place,
-            position=where if any(value is not None for _, value in where) else None,
-            captured_at=self.said.captured_at,
+            place=self.attributes.place,
+            position=position if any(value is not None for _, value in position) else None,
+            captured_at=self.attributes.captured_at,
             enrolled_at=NOW,
-            metadata=dict(self.said.metadata),
+            metadata=dict(self.attributes.metadata),
             image=wire.ImageFacts(
                 width=self.facts.width,
                 height=self.facts.height,
@@ -69,7 +69,7 @@ class FakeRecogniser:
     kept: dict[str, Kept] = field(default_factory=dict)
     calls: dict[str, tuple[str, Replay | None]] = field(default_factory=dict)
     fails: dict[str, BaseException] = field(default_factory=dict)
-    asked: dict[str, Any] = field(default_factory=dict)
+    given: dict[str, Any] = field(default_factory=dict)
     made: dict[str, wire.PutMap] = field(default_factory=dict)
     hold: asyncio.Event | None = None
     enrolments: int = 0
@@ -82,25 +82,27 @@ class FakeRecogniser:
             raise self.fails[name]
 
     async def enroll(
-        self, pictures: Sequence[tuple[str | None, bytes]], map_name: str, said: Said, wait: bool
+        self, images: Sequence[tuple[str | None, bytes]], map_name: str, attributes: ViewAttributes, wait: bool
     ) -> list[wire.Enrolled | RevisitError]:
         self._may_fail("enroll")
-        self.asked = {"map": map_name, "said": said, "wait": wait, "names": [name for name, _ in pictures]}
+        self.given = {"map": map_name, "said": attributes, "wait": wait, "names": [name for name, _ in images]}
         self.enrolments += 1
         if self.hold is not None:
             await self.hold.wait()
-        return [self._enroll(data, map_name, said, wait) for _, data in pictures]
+        return [self._enroll(data, map_name, attributes, wait) for _, data in images]
 
-    def _enroll(self, data: bytes, map_name: str, said: Said, wait: bool) -> wire.Enrolled | RevisitError:
+    def _enroll(
+        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool
+    ) -> wire.Enrolled | RevisitError:
         try:
             self._may_fail("enroll_one")
             seen = facts(decode(data, self.limits))
             known = next((k for k in self.kept.values() if (k.map, k.facts.sha256) == (map_name, seen.sha256)), None)
-            if known is not None and known.said != said and said != Said():
+            if known is not None and known.attributes != attributes and attributes != ViewAttributes():
                 raise Conflict("these bytes are in the map already, with something else said about them")
         except RevisitError as error:
             return error
-        kept = known or Kept(str(uuid7()), map_name, said, data, seen)
+        kept = known or Kept(str(uuid7()), map_name, attributes, data, seen)
         self.kept[kept.id] = kept
         return wire.Enrolled(
             view=kept.view(),
@@ -112,7 +114,7 @@ class FakeRecogniser:
 
     async def query(
         self,
-        picture: bytes,
+        image: bytes,
         map_name: str,
         *,
         top: int,
@@ -122,8 +124,8 @@ class FakeRecogniser:
         drive: str | None,
     ) -> wire.QueryAnswer:
         self._may_fail("query")
-        decode(picture, self.limits)
-        self.asked = {
+        decode(image, self.limits)
+        self.given = {
             "map": map_name,
             "top": top,
             "candidates": candidates,
@@ -152,27 +154,27 @@ class FakeRecogniser:
         return self._view(view_id).view()
 
     async def views(self, map_name: str | None, filters: Filters, **how: Any) -> wire.Views:
-        self.asked = {"map": map_name, "filters": filters, **how}
+        self.given = {"map": map_name, "filters": filters, **how}
         return wire.Views(views=[k.view() for k in self.kept.values() if map_name in (None, k.map)], next=None)
 
-    async def said_of(self, view_id: str) -> Said:
-        return self._view(view_id).said
+    async def attributes_of(self, view_id: str) -> ViewAttributes:
+        return self._view(view_id).attributes
 
-    async def patch_view(self, view_id: str, said: Said) -> wire.View:
-        self._view(view_id).said = said
+    async def patch_view(self, view_id: str, attributes: ViewAttributes) -> wire.View:
+        self._view(view_id).attributes = attributes
         return self._view(view_id).view()
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
         self._view(view_id)
         del self.kept[view_id]
-        return wire.Deleted(views=1, pictures=1, revision=2)
+        return wire.Deleted(views=1, images=1, revision=2)
 
     async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
-        self.asked = {"map": map_name, "filters": filters}
+        self.given = {"map": map_name, "filters": filters}
         gone = [key for key, kept in self.kept.items() if kept.map == map_name]
         for key in gone:
             del self.kept[key]
-        return wire.Deleted(views=len(gone), pictures=len(gone), revision=2)
+        return wire.Deleted(views=len(gone), images=len(gone), revision=2)
 
     async def image(self, view_id: str) -> tuple[bytes, str]:
         kept = self._view(view_id)
@@ -227,7 +229,7 @@ class FakeRecogniser:
 
     async def delete_map(self, name: str) -> wire.Deleted:
         await self.map(name)
-        return wire.Deleted(views=0, pictures=0, revision=None)
+        return wire.Deleted(views=0, images=0, revision=None)
 
     async def places(self, map_name: str | None, cursor: str | None, limit: int) -> wire.Places:
         return wire.Places(
@@ -310,7 +312,7 @@ class FakeRecogniser:
 
 
 @dataclass
-class FakeHouse:
+class FakeRuntime:
     """One fake that stands for all use-cases; it fits by its shape, not by its type."""
 
     recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
@@ -319,4 +321,4 @@ class FakeHouse:
     def app(self) -> FastAPI:
         """The application around this house."""
         fake = self.recogniser
-        return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Condition, fake), self.settings))
+        return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings))

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from schemas.errors import Busy, DiskFull, NothingStatic
-from schemas.records import Said, Where
-from tests.http.fakes import FakeHouse, FakeRecogniser
+from schemas.records import Position, ViewAttributes
+from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
-from tests.pictures import photo
+from tests.sample_images import photo
 
 URN = "urn:revisit:problem:"
 
@@ -20,8 +20,8 @@ def code(response: Any) -> str:
     return str(response.json()["type"]).removeprefix(URN)
 
 
-def files(*pictures: bytes) -> list[tuple[str, tuple[str, bytes, str]]]:
-    return [("image", (f"{i}.jpg", data, "image/jpeg")) for i, data in enumerate(pictures)]
+def files(*images: bytes) -> list[tuple[str, tuple[str, bytes, str]]]:
+    return [("image", (f"{i}.jpg", data, "image/jpeg")) for i, data in enumerate(images)]
 
 
 def test_a_picture_is_enrolled_as_multipart(client: CheckedClient, recogniser: FakeRecogniser) -> None:
@@ -44,8 +44,8 @@ def test_a_picture_is_enrolled_as_multipart(client: CheckedClient, recogniser: F
     assert answer.headers["location"] == f"/views/{body['view']['id']}"
     assert body["created"] is True
     assert body["view"]["captured_at"] == "2026-03-01T09:30:00.000000Z"
-    assert recogniser.asked["said"] == Said(
-        "library", Where(x=1.5, y=-2.0, heading=359.9), datetime(2026, 3, 1, 9, 30, tzinfo=UTC), {"floor": 2}
+    assert recogniser.given["said"] == ViewAttributes(
+        "library", Position(x=1.5, y=-2.0, heading=359.9), datetime(2026, 3, 1, 9, 30, tzinfo=UTC), {"floor": 2}
     )
 
 
@@ -56,14 +56,14 @@ def test_a_picture_is_enrolled_as_the_raw_body_whatever_picture_it_is_called(
     headers = {"content-type": content_type} if content_type else {}
     answer = client.post("/enroll?map=m&lat=48.1&lon=11.5", content=photo(), headers=headers)
     assert answer.status_code == 201
-    assert recogniser.asked["said"].where == Where(lat=48.1, lon=11.5)
+    assert recogniser.given["said"].position == Position(lat=48.1, lon=11.5)
 
 
 def test_parameters_may_stand_in_the_url_of_a_multipart_request(
     client: CheckedClient, recogniser: FakeRecogniser
 ) -> None:
     assert client.post("/enroll?map=m", files=files(photo()), data={"place": "p"}).status_code == 201
-    assert (recogniser.asked["map"], recogniser.asked["said"].place) == ("m", "p")
+    assert (recogniser.given["map"], recogniser.given["said"].place) == ("m", "p")
 
 
 def test_a_name_given_in_the_url_and_in_the_body_is_an_error(client: CheckedClient) -> None:
@@ -220,7 +220,7 @@ def test_a_body_larger_than_allowed_is_refused_by_its_announcement_and_by_its_co
 
 
 def test_a_connection_that_closes_within_the_body_is_no_mistake_of_ours(
-    house: FakeHouse, recogniser: FakeRecogniser
+    runtime: FakeRuntime, recogniser: FakeRecogniser
 ) -> None:
     messages: list[dict[str, Any]] = [
         {"type": "http.request", "body": photo()[:100], "more_body": True},
@@ -242,7 +242,7 @@ def test_a_connection_that_closes_within_the_body_is_no_mistake_of_ours(
         "query_string": b"",
         "headers": [(b"content-type", b"image/jpeg")],
     }
-    asyncio.run(house.app()(scope, receive, send))
+    asyncio.run(runtime.app()(scope, receive, send))
     assert sent[0]["status"] == 400
     assert b"malformed-body" in sent[1]["body"]
     assert not recogniser.kept
@@ -292,11 +292,11 @@ ERRORS: list[tuple[dict[str, str], list[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("said", "wrong"), ERRORS, ids=lambda value: str(value)[:40])
+@pytest.mark.parametrize(("attributes", "wrong"), ERRORS, ids=lambda value: str(value)[:40])
 def test_a_parameter_that_cannot_be_used_is_named(
-    client: CheckedClient, recogniser: FakeRecogniser, said: dict[str, str], wrong: list[str]
+    client: CheckedClient, recogniser: FakeRecogniser, attributes: dict[str, str], wrong: list[str]
 ) -> None:
-    answer = client.post("/enroll", content=photo(), params=said, headers={"content-type": "image/jpeg"})
+    answer = client.post("/enroll", content=photo(), params=attributes, headers={"content-type": "image/jpeg"})
     assert (answer.status_code, code(answer)) == (422, "invalid-parameter")
     assert sorted({e["parameter"] for e in answer.json()["errors"]}) == sorted(wrong)
     assert all(e["detail"] for e in answer.json()["errors"])

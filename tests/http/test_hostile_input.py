@@ -12,31 +12,31 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image as PilImage
 from starlette.requests import Request
 
-from app.http.body import LARGEST_JSON, MOST_PICTURES, Sent, json_object, take
+from app.http.body import LARGEST_JSON, MOST_IMAGES, Sent, json_object, take
 from app.http.idempotency import fingerprint
 from app.http.merge_patch import merge
 from app.http.parameters import (
+    AttributesDocument,
     DeleteViews,
     EnrollParameters,
     ListViews,
     QueryParameters,
-    SaidDocument,
     read,
     validated,
 )
 from app.http.problems import KINDS, code_of
 from schemas.errors import InvalidParameters, RevisitError
-from tests.pictures import PNG_MAGIC, drawn, encoded, png_chunk
+from tests.sample_images import PNG_MAGIC, drawn, encoded, png_chunk
 from worker.images.codec import Limits, decode, probe, thumbnail
-from worker.images.sniffing import picture_type
+from worker.images.sniffing import image_type
 
 LIMITS = Limits(max_bytes=1_000_000, max_pixels=500_000)
 FORMS = ("jpeg", "png", "webp", "bmp", "tiff")
 SOUND = {form: encoded(drawn(96, 64), form) for form in FORMS}
-SOUND["exif"] = encoded(drawn(96, 64), "jpeg", exif=(exif := Image.Exif()))
+SOUND["exif"] = encoded(drawn(96, 64), "jpeg", exif=(exif := PilImage.Exif()))
 SOUND["progressive"] = encoded(drawn(96, 64), "jpeg", progressive=True)
 
 # A warning of Pillow about odd metadata is its way of carrying on; here only what comes out counts.
@@ -46,15 +46,15 @@ many = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCh
 
 
 def outcome(data: bytes) -> str:
-    """``picture``, or the code of the refusal; anything else raises."""
+    """``image``, or the code of the refusal; anything else raises."""
     try:
-        picture = decode(data, LIMITS)
+        image = decode(data, LIMITS)
     except RevisitError as error:
         assert code_of(error) != "internal", error
         return error.code
     facts = probe(data, LIMITS)
-    assert (facts.width, facts.height, facts.sha256) == (picture.width, picture.height, picture.digest)
-    assert picture.width * picture.height <= LIMITS.max_pixels
+    assert (facts.width, facts.height, facts.sha256) == (image.width, image.height, image.digest)
+    assert image.width * image.height <= LIMITS.max_pixels
     assert thumbnail(data, 32)
     return "picture"
 
@@ -73,16 +73,16 @@ def test_a_damaged_picture_is_a_picture_or_a_refusal(
     form: str, changes: list[tuple[float, int]], keep: float, tail: bytes
 ) -> None:
     data = bytearray(SOUND[form])
-    for where, value in changes:
-        data[int(where * len(data))] = value
+    for position, value in changes:
+        data[int(position * len(data))] = value
     outcome(bytes(data[: int(keep * len(data)) if keep < 0.9 else len(data)]) + tail)
 
 
 @many
-@given(form=st.sampled_from(sorted(SOUND)), where=st.integers(0, 200), value=st.integers(0, 255))
-def test_a_damaged_header_is_a_picture_or_a_refusal(form: str, where: int, value: int) -> None:
+@given(form=st.sampled_from(sorted(SOUND)), position=st.integers(0, 200), value=st.integers(0, 255))
+def test_a_damaged_header_is_a_picture_or_a_refusal(form: str, position: int, value: int) -> None:
     data = bytearray(SOUND[form])
-    data[min(where, len(data) - 1)] = value
+    data[min(position, len(data) - 1)] = value
     outcome(bytes(data))
 
 
@@ -152,7 +152,7 @@ def test_exif_that_is_long_or_deep_does_no_harm() -> None:
 @given(st.binary(max_size=600))
 def test_everything_has_a_type_or_a_reason(data: bytes) -> None:
     try:
-        assert picture_type(data) in FORMS
+        assert image_type(data) in FORMS
     except RevisitError as error:
         assert error.code == "not-a-picture"
         assert "seems to be" in error.detail
@@ -197,7 +197,7 @@ def test_a_whole_body_is_taken_apart() -> None:
     if isinstance(sent, str):
         sent = taken(WHOLE, FORM, "place=p")
     assert isinstance(sent, Sent)
-    assert sent.pictures == [("a.jpg", b"picture")]
+    assert sent.images == [("a.jpg", b"picture")]
     assert sent.parameters == [("place", "p"), ("map", "m"), ("metadata", '{"a": 1}')]
 
 
@@ -217,11 +217,11 @@ def test_a_body_cut_at_every_byte_is_malformed() -> None:
 )
 def test_a_damaged_body_is_taken_apart_or_refused(changes: list[tuple[int, bytes]], content_type: str) -> None:
     body = WHOLE
-    for where, what in changes:
-        body = body[:where] + what + body[where + 1 :]
+    for position, what in changes:
+        body = body[:position] + what + body[position + 1 :]
     sent = taken(body, content_type)
     if isinstance(sent, Sent):
-        assert all(data for _, data in sent.pictures)
+        assert all(data for _, data in sent.images)
 
 
 @many
@@ -235,18 +235,18 @@ def test_any_content_type_is_taken_or_refused(content_type: str, body: bytes) ->
 
 
 def test_a_picture_that_looks_like_boundaries_arrives_whole() -> None:
-    for picture in (b"\r\n--xy", b"--xyz", b"\r\n--xyzz", b"\r\n" * 50, b"\r\n--xyz-", b"\r" * 99, b"--"):
-        sent = taken(part("image", picture) + b"--xyz--", FORM)
+    for image in (b"\r\n--xy", b"--xyz", b"\r\n--xyzz", b"\r\n" * 50, b"\r\n--xyz-", b"\r" * 99, b"--"):
+        sent = taken(part("image", image) + b"--xyz--", FORM)
         assert isinstance(sent, Sent)
-        assert sent.pictures == [(None, picture)]
+        assert sent.images == [(None, image)]
 
 
 def test_a_body_of_near_boundaries_takes_no_minute() -> None:
-    picture = b"\r\n--xyz?" * 200_000
+    image = b"\r\n--xyz?" * 200_000
     begin = time.perf_counter()
-    sent = taken(part("image", picture) + b"--xyz--", FORM)
+    sent = taken(part("image", image) + b"--xyz--", FORM)
     assert isinstance(sent, Sent)
-    assert sent.pictures[0][1] == picture
+    assert sent.images[0][1] == image
     assert time.perf_counter() - begin < 20
 
 
@@ -256,7 +256,7 @@ def test_headers_of_a_part_that_never_end_are_refused() -> None:
 
 
 def test_many_pictures_are_too_many() -> None:
-    sent = taken(part("image", b"p") * (MOST_PICTURES + 1) + b"--xyz--", FORM)
+    sent = taken(part("image", b"p") * (MOST_IMAGES + 1) + b"--xyz--", FORM)
     assert isinstance(sent, Sent)
     assert [error.parameter for error in sent.errors] == ["image"]
 
@@ -296,12 +296,12 @@ fields = st.sampled_from(["place", "x", "y", "z", "lat", "lon", "alt", "heading"
 @given(st.dictionaries(fields, values_, max_size=5))
 def test_any_document_is_what_was_said_or_a_list_of_mistakes(document: dict[str, Any]) -> None:
     try:
-        said = validated(SaidDocument, document).said()
+        attributes = validated(AttributesDocument, document).attributes()
     except InvalidParameters as error:
         assert error.errors
         assert all(one.detail for one in error.errors)
     else:
-        json.dumps(dict(said.metadata), allow_nan=False).encode()
+        json.dumps(dict(attributes.metadata), allow_nan=False).encode()
 
 
 texts = st.text(max_size=30) | st.sampled_from(
@@ -353,5 +353,5 @@ def test_fingerprints_tell_requests_apart() -> None:
 def test_an_image_of_one_colour_survives_every_format() -> None:
     for form in FORMS:
         out = io.BytesIO()
-        Image.new("RGB", (40, 40), (7, 7, 7)).save(out, form)
+        PilImage.new("RGB", (40, 40), (7, 7, 7)).save(out, form)
         assert outcome(out.getvalue()) == "picture"

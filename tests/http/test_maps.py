@@ -7,7 +7,7 @@ import pytest
 from schemas.wire import PutMap
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
-from tests.pictures import photo
+from tests.sample_images import photo
 
 
 def test_a_map_is_made_once(client: CheckedClient, recogniser: FakeRecogniser) -> None:

@@ -1,4 +1,4 @@
-"""`POST /query` reads its question exactly, or says all that is wrong with it."""
+"""`POST /query` reads its query exactly, or says all that is wrong with it."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -9,7 +9,7 @@ from schemas.errors import Busy, NothingStatic
 from schemas.records import Filters
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
-from tests.pictures import photo
+from tests.sample_images import photo
 
 JPEG = {"content-type": "image/jpeg"}
 
@@ -22,7 +22,7 @@ def _enrolled(client: CheckedClient) -> None:
 def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     answer = client.post("/query", content=photo(1), headers=JPEG)
     assert answer.status_code == 200
-    assert recogniser.asked == {
+    assert recogniser.given == {
         "map": "default",
         "top": 5,
         "candidates": None,
@@ -33,7 +33,7 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
 
 
 def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecogniser) -> None:
-    said = {
+    attributes = {
         "top": "100",
         "candidates": "0",
         "explain": "true",
@@ -48,8 +48,8 @@ def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecognis
         "exclude_last": "30s",
         "exclude": "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90,b",
     }
-    assert client.post("/query", files={"image": photo(1)}, data=said).status_code == 200
-    assert recogniser.asked["filters"] == Filters(
+    assert client.post("/query", files={"image": photo(1)}, data=attributes).status_code == 200
+    assert recogniser.given["filters"] == Filters(
         near=(48.1, 11.5, 250.0),
         geographic=True,
         after=datetime(2026, 1, 1, tzinfo=UTC),
@@ -59,13 +59,13 @@ def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecognis
         exclude_last=timedelta(seconds=30),
         exclude=("0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90", "b"),
     )
-    assert recogniser.asked["candidates"] == 0
-    assert recogniser.asked["drive"] == "monday-7"
+    assert recogniser.given["candidates"] == 0
+    assert recogniser.given["drive"] == "monday-7"
 
 
 def test_exclude_last_counts_views_without_a_unit(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     client.post("/query?exclude_last=10", content=photo(1), headers=JPEG)
-    assert recogniser.asked["filters"].exclude_last == 10
+    assert recogniser.given["filters"].exclude_last == 10
 
 
 ERRORS: list[tuple[dict[str, Any], list[str]]] = [
@@ -103,13 +103,13 @@ ERRORS: list[tuple[dict[str, Any], list[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("said", "wrong"), ERRORS, ids=lambda value: str(value)[:50])
+@pytest.mark.parametrize(("attributes", "wrong"), ERRORS, ids=lambda value: str(value)[:50])
 def test_a_parameter_that_cannot_be_used_is_named(
-    client: CheckedClient, said: dict[str, Any], wrong: list[str]
+    client: CheckedClient, attributes: dict[str, Any], wrong: list[str]
 ) -> None:
     for answer in (
-        client.post("/query", content=photo(), params=said, headers=JPEG),
-        client.post("/query", files={"image": photo()}, data=said),
+        client.post("/query", content=photo(), params=attributes, headers=JPEG),
+        client.post("/query", files={"image": photo()}, data=attributes),
     ):
         assert answer.status_code == 422
         assert answer.json()["type"].endswith(":invalid-parameter")

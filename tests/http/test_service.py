@@ -14,18 +14,18 @@ import pytest
 from app.http.examples import ENROLLED, PATCH, PROBLEM_DETAILS, QUERY_ANSWER, VIEW
 from app.http.problems import KINDS, URN
 from schemas import errors, wire
-from tests.http.fakes import FakeHouse, FakeRecogniser
+from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
-from tests.pictures import photo
+from tests.sample_images import photo
 
 JPEG = {"content-type": "image/jpeg"}
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_house_is_started_and_stopped_with_the_application(house: FakeHouse) -> None:
-    with CheckedClient(house.app()):
-        assert house.recogniser.events == ["start"]
-    assert house.recogniser.events == ["start", "stop"]
+def test_the_house_is_started_and_stopped_with_the_application(runtime: FakeRuntime) -> None:
+    with CheckedClient(runtime.app()):
+        assert runtime.recogniser.events == ["start"]
+    assert runtime.recogniser.events == ["start", "stop"]
 
 
 @pytest.mark.parametrize("path", ["/livez", "/readyz", "/metrics", "/version", "/maps", "/views", "/places"])

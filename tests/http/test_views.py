@@ -6,20 +6,20 @@ from io import BytesIO
 from typing import Any
 
 import pytest
-from PIL import Image
+from PIL import Image as PilImage
 
-from schemas.records import Filters, Said, Where
+from schemas.records import Filters, Position, ViewAttributes
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
-from tests.pictures import photo
+from tests.sample_images import photo
 
 UNKNOWN = "0195f2a4-7c1e-7b3a-9d52-000000000000"
 
 
 @pytest.fixture
 def view(client: CheckedClient) -> str:
-    said = {"place": "hall", "x": "1", "y": "2", "metadata": '{"camera": "front", "lens": {"mm": 4, "f": 2}}'}
-    answer = client.post("/enroll", files={"image": photo()}, data=said | {"captured_at": "2026-03-01T09:30:00Z"})
+    attributes = {"place": "hall", "x": "1", "y": "2", "metadata": '{"camera": "front", "lens": {"mm": 4, "f": 2}}'}
+    answer = client.post("/enroll", files={"image": photo()}, data=attributes | {"captured_at": "2026-03-01T09:30:00Z"})
     return str(answer.json()["view"]["id"])
 
 
@@ -36,7 +36,7 @@ def test_a_view_can_be_looked_at_listed_and_deleted(client: CheckedClient, view:
 def test_a_list_takes_filters_order_and_pages(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     query = "map=m&state=failed&sort=-enrolled_at&limit=7&cursor=abc&place=hall&metadata.a=b"
     assert client.get(f"/views?{query}").status_code == 200
-    assert recogniser.asked == {
+    assert recogniser.given == {
         "map": "m",
         "filters": Filters(place="hall", metadata={"a": "b"}),
         "state": "failed",
@@ -81,49 +81,49 @@ def test_deleting_many_needs_a_map_and_a_filter_or_all(
 
 def test_deleting_many_by_a_filter_and_all(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
     assert client.delete("/views?map=other&metadata.camera=front").json()["views"] == 0
-    assert recogniser.asked["filters"] == Filters(metadata={"camera": "front"})
+    assert recogniser.given["filters"] == Filters(metadata={"camera": "front"})
     assert client.delete("/views?map=default&all=true").json()["views"] == 1
 
 
-SAID = Said(
+ATTRIBUTES = ViewAttributes(
     "hall",
-    Where(x=1.0, y=2.0),
+    Position(x=1.0, y=2.0),
     datetime(2026, 3, 1, 9, 30, tzinfo=UTC),
     {"camera": "front", "lens": {"mm": 4, "f": 2}},
 )
 
 
-def said(**changes: Any) -> Said:
-    return Said(**{**vars(SAID), **changes})
+def attributes(**changes: Any) -> ViewAttributes:
+    return ViewAttributes(**{**vars(ATTRIBUTES), **changes})
 
 
 @pytest.mark.parametrize(
     ("patch", "expected"),
     [
-        ({}, SAID),
-        ({"place": "cellar"}, said(place="cellar")),
-        ({"place": None}, said(place=None)),
-        ({"position": {"heading": 90}}, said(where=Where(x=1.0, y=2.0, heading=90.0))),
-        ({"position": {"x": 5.5, "z": 1}}, said(where=Where(x=5.5, y=2.0, z=1.0))),
-        ({"position": None}, said(where=Where())),
+        ({}, ATTRIBUTES),
+        ({"place": "cellar"}, attributes(place="cellar")),
+        ({"place": None}, attributes(place=None)),
+        ({"position": {"heading": 90}}, attributes(position=Position(x=1.0, y=2.0, heading=90.0))),
+        ({"position": {"x": 5.5, "z": 1}}, attributes(position=Position(x=5.5, y=2.0, z=1.0))),
+        ({"position": None}, attributes(position=Position())),
         (
             {"position": {"x": None, "y": None, "lat": 48, "lon": 11}},
-            said(where=Where(lat=48.0, lon=11.0)),
+            attributes(position=Position(lat=48.0, lon=11.0)),
         ),
-        ({"captured_at": None}, said(captured_at=None)),
-        ({"captured_at": "2026-01-01T01:00:00+01:00"}, said(captured_at=datetime(2026, 1, 1, tzinfo=UTC))),
-        ({"metadata": {"camera": None, "lens": {"f": None}}}, said(metadata={"lens": {"mm": 4}})),
-        ({"metadata": {"floor": 2}}, said(metadata={**SAID.metadata, "floor": 2})),
-        ({"metadata": None}, said(metadata={})),
+        ({"captured_at": None}, attributes(captured_at=None)),
+        ({"captured_at": "2026-01-01T01:00:00+01:00"}, attributes(captured_at=datetime(2026, 1, 1, tzinfo=UTC))),
+        ({"metadata": {"camera": None, "lens": {"f": None}}}, attributes(metadata={"lens": {"mm": 4}})),
+        ({"metadata": {"floor": 2}}, attributes(metadata={**ATTRIBUTES.metadata, "floor": 2})),
+        ({"metadata": None}, attributes(metadata={})),
     ],
     ids=str,
 )
 def test_a_patch_changes_what_it_names_and_nothing_else(
-    client: CheckedClient, recogniser: FakeRecogniser, view: str, patch: dict[str, Any], expected: Said
+    client: CheckedClient, recogniser: FakeRecogniser, view: str, patch: dict[str, Any], expected: ViewAttributes
 ) -> None:
     answer = client.patch(f"/views/{view}", json=patch, headers={"content-type": "application/merge-patch+json"})
     assert answer.status_code == 200, answer.text
-    assert recogniser.kept[view].said == expected
+    assert recogniser.kept[view].attributes == expected
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_patch_that_cannot_be_used_changes_nothing(
     answer = client.patch(f"/views/{view}", json=patch)
     assert answer.status_code == 422
     assert sorted(e["parameter"] for e in answer.json()["errors"]) == wrong
-    assert recogniser.kept[view].said == SAID
+    assert recogniser.kept[view].attributes == ATTRIBUTES
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: Chec
     image = client.get(f"/views/{view}/image")
     assert (image.content, image.headers["content-type"]) == (photo(), "image/jpeg")
     assert image.headers["x-content-type-options"] == "nosniff"
-    assert Image.open(BytesIO(client.get(f"/views/{view}/thumbnail?size=32").content)).size == (32, 24)
+    assert PilImage.open(BytesIO(client.get(f"/views/{view}/thumbnail?size=32").content)).size == (32, 24)
 
 
 @pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])
@@ -202,14 +202,14 @@ def test_a_picture_refuses_options_it_does_not_know(client: CheckedClient, view:
 
 
 def test_two_patches_at_once_lose_nothing(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
-    original = recogniser.said_of
+    original = recogniser.attributes_of
 
-    async def slowly(view_id: str) -> Said:
+    async def slowly(view_id: str) -> ViewAttributes:
         found = await original(view_id)
         await asyncio.sleep(0.01)
         return found
 
-    recogniser.said_of = slowly  # type: ignore[method-assign]
+    recogniser.attributes_of = slowly  # type: ignore[method-assign]
 
     async def both() -> None:
         import httpx
@@ -222,5 +222,5 @@ def test_two_patches_at_once_lose_nothing(client: CheckedClient, recogniser: Fak
             )
 
     asyncio.run(both())
-    assert recogniser.kept[view].said.place == "cellar"
-    assert recogniser.kept[view].said.where.heading == 5
+    assert recogniser.kept[view].attributes.place == "cellar"
+    assert recogniser.kept[view].attributes.position.heading == 5

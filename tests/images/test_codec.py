@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PIL import Image
+from PIL import Image as PilImage
 
-from schemas.errors import BadPicture, BodyTooLarge, RevisitError
-from tests.pictures import PNG_MAGIC, drawn, encoded, png_chunk
+from schemas.errors import BadImage, BodyTooLarge, RevisitError
+from tests.sample_images import PNG_MAGIC, drawn, encoded, png_chunk
 from worker.images.codec import Limits, decode, facts, probe, shrink, thumbnail
 
 LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
@@ -36,11 +36,11 @@ def test_every_accepted_format_decodes_to_what_was_drawn(form: str) -> None:
     pixels = drawn(80, 60)
     data = encoded(pixels, form)
 
-    picture = decode(data, LIMITS)
+    image = decode(data, LIMITS)
 
-    assert (picture.width, picture.height, picture.format, picture.byte_count) == (80, 60, form, len(data))
-    assert apart(picture.pixels, pixels) < (4 if form in ("jpeg", "webp") else 0.001)
-    assert probe(data, LIMITS) == facts(picture)
+    assert (image.width, image.height, image.format, image.byte_count) == (80, 60, form, len(data))
+    assert apart(image.pixels, pixels) < (4 if form in ("jpeg", "webp") else 0.001)
+    assert probe(data, LIMITS) == facts(image)
 
 
 @pytest.mark.parametrize("form", ["jpeg", "png", "webp", "tiff"])
@@ -58,23 +58,23 @@ def test_exif_orientation_is_honoured(form: str, orientation: int) -> None:
         7: lambda p: np.rot90(p, 2).transpose(1, 0, 2),
         8: lambda p: np.rot90(p, -1),
     }[orientation]
-    exif = Image.Exif()
+    exif = PilImage.Exif()
     exif[0x0112] = orientation
     data = encoded(np.ascontiguousarray(stored(upright)), form, exif=exif)
 
-    picture = decode(data, LIMITS)
+    image = decode(data, LIMITS)
 
-    assert (picture.width, picture.height) == (80, 60)
-    assert apart(picture.pixels, upright) < 4
-    assert probe(data, LIMITS) == facts(picture)
-    small = Image.open(io.BytesIO(thumbnail(data, 40)))
+    assert (image.width, image.height) == (80, 60)
+    assert apart(image.pixels, upright) < 4
+    assert probe(data, LIMITS) == facts(image)
+    small = PilImage.open(io.BytesIO(thumbnail(data, 40)))
     assert small.size == (40, 30)
-    assert apart(np.asarray(small), np.asarray(Image.fromarray(upright).resize((40, 30)))) < 8
+    assert apart(np.asarray(small), np.asarray(PilImage.fromarray(upright).resize((40, 30)))) < 8
 
 
 @pytest.mark.filterwarnings("ignore:Corrupt EXIF data")
 def test_a_nonsense_orientation_and_a_broken_exif_block_do_not_spoil_a_picture() -> None:
-    exif = Image.Exif()
+    exif = PilImage.Exif()
     exif[0x0112] = 77
     for data in (
         encoded(drawn(80, 60), "jpeg", exif=exif),
@@ -84,8 +84,8 @@ def test_a_nonsense_orientation_and_a_broken_exif_block_do_not_spoil_a_picture()
         assert thumbnail(data, 40)
 
 
-def mode(name: str, pixels: npt.NDArray[np.uint8]) -> Image.Image:
-    return Image.fromarray(pixels).convert(name)
+def mode(name: str, pixels: npt.NDArray[np.uint8]) -> PilImage.Image:
+    return PilImage.fromarray(pixels).convert(name)
 
 
 def test_grey_becomes_three_equal_channels() -> None:
@@ -102,7 +102,7 @@ def test_alpha_is_laid_over_white(form: str) -> None:
     rgba = np.zeros((40, 64, 4), np.uint8)
     rgba[:, 32:, 3] = 255  # black on the right; the left is transparent (black underneath)
     out = io.BytesIO()
-    Image.fromarray(rgba).save(out, form, **({"lossless": True} if form == "webp" else {}))
+    PilImage.fromarray(rgba).save(out, form, **({"lossless": True} if form == "webp" else {}))
 
     pixels = decode(out.getvalue(), LIMITS).pixels
 
@@ -111,11 +111,11 @@ def test_alpha_is_laid_over_white(form: str) -> None:
 
 
 def test_a_palette_with_a_transparent_entry_is_laid_over_white() -> None:
-    image = Image.fromarray(np.repeat(np.arange(4, dtype=np.uint8), 16 * 40).reshape(64, 40))
-    image = image.convert("P")
-    image.putpalette([255, 0, 0, 0, 255, 0, 0, 0, 255, 9, 9, 9])
+    pil_image = PilImage.fromarray(np.repeat(np.arange(4, dtype=np.uint8), 16 * 40).reshape(64, 40))
+    pil_image = pil_image.convert("P")
+    pil_image.putpalette([255, 0, 0, 0, 255, 0, 0, 0, 255, 9, 9, 9])
     out = io.BytesIO()
-    image.save(out, "PNG", transparency=0)
+    pil_image.save(out, "PNG", transparency=0)
 
     pixels = decode(out.getvalue(), LIMITS).pixels
 
@@ -127,7 +127,7 @@ def test_sixteen_bits_keep_their_upper_eight() -> None:
     ramp = np.linspace(0, 65535, 64 * 48).reshape(48, 64).astype(np.uint16)
     for form in ("png", "tiff"):
         out = io.BytesIO()
-        Image.fromarray(ramp).save(out, form)
+        PilImage.fromarray(ramp).save(out, form)
         assert np.abs(decode(out.getvalue(), LIMITS).pixels[..., 0].astype(int) - (ramp >> 8)).max() <= 1
     wide = np.stack([ramp, ramp[::-1], ramp], axis=-1)
     assert np.abs(decode(png16(wide), LIMITS).pixels.astype(int) - (wide >> 8)).max() <= 1
@@ -154,7 +154,7 @@ def test_a_cmyk_jpeg_keeps_its_colours() -> None:
 
 
 def test_of_a_tiff_with_pages_the_first_counts() -> None:
-    pages = [Image.fromarray(np.full((48, 64, 3), value, np.uint8)) for value in (10, 200)]
+    pages = [PilImage.fromarray(np.full((48, 64, 3), value, np.uint8)) for value in (10, 200)]
     out = io.BytesIO()
     pages[0].save(out, "TIFF", save_all=True, append_images=pages[1:])
     assert decode(out.getvalue(), LIMITS).pixels.mean() == 10
@@ -162,7 +162,7 @@ def test_of_a_tiff_with_pages_the_first_counts() -> None:
 
 def test_float_pixels_are_refused_rather_than_guessed() -> None:
     out = io.BytesIO()
-    Image.fromarray(np.ones((48, 64), np.float32)).save(out, "TIFF")
+    PilImage.fromarray(np.ones((48, 64), np.float32)).save(out, "TIFF")
     assert refusal(out.getvalue()).code == "undecodable-picture"
 
 
@@ -220,13 +220,13 @@ def iso(brand: bytes) -> bytes:
 
 
 def gif(frames: int) -> bytes:
-    pictures = [Image.fromarray(drawn(64, 48)).quantize(8) for _ in range(frames)]
+    images = [PilImage.fromarray(drawn(64, 48)).quantize(8) for _ in range(frames)]
     out = io.BytesIO()
-    pictures[0].save(out, "GIF", save_all=True, append_images=pictures[1:])
+    images[0].save(out, "GIF", save_all=True, append_images=images[1:])
     return out.getvalue()
 
 
-STRANGERS = {
+UNKNOWN_PLACES = {
     "a GIF": gif(1),
     "a GIF that moves": gif(3),
     "a PDF": b"%PDF-1.7\n" + b"0" * 200,
@@ -246,15 +246,15 @@ STRANGERS = {
 }
 
 
-@pytest.mark.parametrize("name", STRANGERS)
+@pytest.mark.parametrize("name", UNKNOWN_PLACES)
 def test_what_is_not_a_picture_is_refused_by_its_content_and_named(name: str) -> None:
-    error = refusal(STRANGERS[name])
+    error = refusal(UNKNOWN_PLACES[name])
     assert error.code == "not-a-picture"
     assert name.removesuffix(" that moves") in error.detail
 
 
 def test_an_animated_webp_is_refused() -> None:
-    frames = [Image.fromarray(drawn(64, 48, seed)) for seed in range(3)]
+    frames = [PilImage.fromarray(drawn(64, 48, seed)) for seed in range(3)]
     out = io.BytesIO()
     frames[0].save(out, "WEBP", save_all=True, append_images=frames[1:])
     assert refusal(out.getvalue()).code == "not-a-picture"
@@ -290,7 +290,7 @@ def test_a_pixel_bomb_is_refused_from_its_header_at_once() -> None:
 def test_a_header_is_read_without_decoding_a_pixel(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     data = encoded(drawn(64, 48), form)
 
-    def load(image: object) -> None:
+    def load(pil_image: object) -> None:
         pytest.fail("pixels were decoded")
 
     monkeypatch.setattr("PIL.ImageFile.ImageFile.load", load)
@@ -300,7 +300,7 @@ def test_a_header_is_read_without_decoding_a_pixel(form: str, monkeypatch: pytes
 
 def test_orientation_behind_the_pixels_of_a_png_is_honoured() -> None:
     plain = encoded(drawn(80, 60), "png")
-    exif = Image.Exif()
+    exif = PilImage.Exif()
     exif[0x0112] = 6
     end = plain.index(b"IEND") - 4
     turned = plain[:end] + png_chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\x00\x00")) + plain[end:]
@@ -321,23 +321,23 @@ def test_more_bytes_than_allowed_are_refused() -> None:
 
 
 def test_nothing_at_all_is_not_a_picture() -> None:
-    with pytest.raises(BadPicture):
+    with pytest.raises(BadImage):
         decode(b"", LIMITS)
 
 
 def test_a_picture_that_is_kept_small_keeps_its_digest() -> None:
-    picture = decode(encoded(drawn(320, 240), "png"), LIMITS)
-    small = shrink(picture, 64)
-    assert (small.width, small.height, small.digest) == (64, 48, picture.digest)
-    assert apart(small.pixels, np.asarray(Image.fromarray(picture.pixels).resize((64, 48)))) < 3
-    assert shrink(picture, 320) is picture
+    image = decode(encoded(drawn(320, 240), "png"), LIMITS)
+    small = shrink(image, 64)
+    assert (small.width, small.height, small.digest) == (64, 48, image.digest)
+    assert apart(small.pixels, np.asarray(PilImage.fromarray(image.pixels).resize((64, 48)))) < 3
+    assert shrink(image, 320) is image
 
 
 def test_a_thumbnail_is_never_enlarged_and_tells_no_position() -> None:
-    exif = Image.Exif()
+    exif = PilImage.Exif()
     exif.get_ifd(0x8825)[1] = "N"
     exif[0x010E] = "my garden"
-    small = Image.open(io.BytesIO(thumbnail(encoded(drawn(80, 60), "jpeg", exif=exif, comment=b"mine"), 400)))
+    small = PilImage.open(io.BytesIO(thumbnail(encoded(drawn(80, 60), "jpeg", exif=exif, comment=b"mine"), 400)))
     assert small.size == (80, 60)
     assert not small.getexif()
     assert "comment" not in small.info

@@ -5,7 +5,7 @@ import io
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image as PilImage
 
 from schemas.description import ContextGraph
 from worker.images import drawing
@@ -15,9 +15,9 @@ WORDS = ("sky", "building", "car")
 
 
 def decoded(png: bytes) -> np.ndarray:
-    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
-    assert picture is not None
-    return np.asarray(picture)
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert image is not None
+    return np.asarray(image)
 
 
 def graph(*nodes: tuple[int, float, float, float]) -> ContextGraph:
@@ -33,7 +33,7 @@ def graph(*nodes: tuple[int, float, float, float]) -> ContextGraph:
 def test_a_segmentation_has_the_size_of_the_picture_and_labels_as_values() -> None:
     labels = np.array([[0, 0, 1], [2, 1, 1]], np.int16)
 
-    image = Image.open(io.BytesIO(drawing.segmentation_png(labels, (30, 20), WORDS)))
+    image = PilImage.open(io.BytesIO(drawing.segmentation_png(labels, (30, 20), WORDS)))
 
     assert (image.mode, image.size) == ("P", (30, 20))
     values = np.asarray(image)
@@ -44,14 +44,14 @@ def test_a_segmentation_has_the_size_of_the_picture_and_labels_as_values() -> No
 
 
 def test_the_palette_gives_each_label_the_colour_that_the_map_names_and_no_transparency() -> None:
-    image = Image.open(io.BytesIO(drawing.segmentation_png(np.array([[2]]), (4, 4), WORDS)))
+    image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.array([[2]]), (4, 4), WORDS)))
 
     assert "transparency" not in image.info
     assert image.convert("RGB").getpixel((0, 0)) == colour("car")
 
 
 def test_the_picture_may_have_any_size() -> None:
-    image = Image.open(io.BytesIO(drawing.segmentation_png(np.zeros((60, 80), np.int16), (33, 41), WORDS)))
+    image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.zeros((60, 80), np.int16), (33, 41), WORDS)))
 
     assert image.size == (33, 41)
 
@@ -60,11 +60,11 @@ def test_an_overlay_greys_what_moves_and_colours_the_rest() -> None:
     pixels = np.full((48, 64, 3), (200, 40, 40), np.uint8)
     labels = np.array([[0, 2]], np.int16)
 
-    picture = decoded(drawing.overlay_png(pixels, labels, WORDS, np.array([[True, False]])))
+    image = decoded(drawing.overlay_png(pixels, labels, WORDS, np.array([[True, False]])))
 
-    assert picture.shape[0] > 48  # the key is below
-    assert picture.shape[1] == 64
-    moving, still = picture[20, 50].astype(int), picture[20, 10].astype(int)
+    assert image.shape[0] > 48  # the key is below
+    assert image.shape[1] == 64
+    moving, still = image[20, 50].astype(int), image[20, 10].astype(int)
     assert np.ptp(moving) <= 2
     np.testing.assert_allclose(still, 0.55 * pixels[0, 0] + 0.45 * np.array(colour("sky")), atol=2)
 
@@ -73,13 +73,13 @@ def test_a_graph_draws_its_nodes_and_only_short_edges() -> None:
     pixels = np.full((480, 640, 3), 90, np.uint8)
     three = graph((0, 0.2, 0.3, 0.01), (1, 0.4, 0.3, 0.01), (1, 0.9, 0.3, 0.01))
 
-    picture = decoded(drawing.graph_png(pixels, three, WORDS, tau=0.25))
+    image = decoded(drawing.graph_png(pixels, three, WORDS, tau=0.25))
 
-    assert tuple(picture[192, 128]) == colour("sky")
-    assert tuple(picture[192, 576]) == colour("building")
-    background = picture[400, 320]
-    assert (picture[192, 192] != background).any()  # the edge between the first two
-    np.testing.assert_array_equal(picture[192, 416], background)  # none to the third
+    assert tuple(image[192, 128]) == colour("sky")
+    assert tuple(image[192, 576]) == colour("building")
+    background = image[400, 320]
+    assert (image[192, 192] != background).any()  # the edge between the first two
+    np.testing.assert_array_equal(image[192, 416], background)  # none to the third
 
 
 @pytest.mark.parametrize("nodes", [0, 1])

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.asking import Answer
+from lab.evaluation.querying import Answer
 from schemas.errors import NothingStatic
-from schemas.records import Where
+from schemas.records import Position
 from worker.method.calibration import Verdict
 
 
@@ -17,22 +17,22 @@ class FakeRetriever:
 
     name, recipe = "fake", "fake-1"
 
-    def __init__(self, likeness: Callable[[int, int], float]) -> None:
-        self.likeness = likeness
+    def __init__(self, similarity: Callable[[int, int], float]) -> None:
+        self.similarity = similarity
         self.enrolled: dict[str, int] = {}
-        self.questions: list[str] = []
+        self.queries: list[str] = []
 
-    def enroll(self, picture: Path, where: Where) -> str:
-        if "cars" in picture.name:
+    def enroll(self, image: Path, position: Position) -> str:
+        if "cars" in image.name:
             raise NothingStatic("nothing but cars")
-        self.enrolled[f"view-{picture.stem}"] = int(picture.stem)
-        return f"view-{picture.stem}"
+        self.enrolled[f"view-{image.stem}"] = int(image.stem)
+        return f"view-{image.stem}"
 
-    def query(self, picture: Path, top: int) -> Answer:
-        self.questions.append(picture.stem)
+    def query(self, image: Path, top: int) -> Answer:
+        self.queries.append(image.stem)
         if not self.enrolled:
             return Answer(())
-        scores = {view: self.likeness(int(picture.stem), place) for view, place in self.enrolled.items()}
+        scores = {view: self.similarity(int(image.stem), place) for view, place in self.enrolled.items()}
         best = sorted(scores, key=lambda view: -scores[view])[:top]
         confidence = float(np.clip(scores[best[0]], 0, 1))
         status: Verdict = "matched" if confidence > 0.5 else "no_match"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lab.ablate import VARIANTS, Measured, RememberingEncoder, as_markdown
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.recipe import Channel, DenseCells, Parameters, Verification
 from worker.encoders.color import ColorEncoder
 
@@ -52,13 +52,13 @@ def test_the_table_pairs_queries() -> None:
 def test_a_picture_is_encoded_once() -> None:
     encoder = ColorEncoder()
     remembering = RememberingEncoder(encoder)
-    picture = Picture.of(np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8))
-    [first] = remembering.encode([picture])
-    [second] = remembering.encode([picture])
-    [plain] = encoder.encode([picture])
+    image = Image.of(np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    [first] = remembering.encode([image])
+    [second] = remembering.encode([image])
+    [plain] = encoder.encode([image])
     assert second is first
     assert first.semantic == pytest.approx(plain.semantic)
     remembering.forget()
-    [third] = remembering.encode([picture])
+    [third] = remembering.encode([image])
     assert third is not first
     assert (remembering.name, remembering.digest) == (encoder.name, encoder.digest)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lab.calibrate import Evidence, as_markdown, evidence, judged_on, learn
-from lab.evaluation.asking import Answer, ask
+from lab.evaluation.querying import Answer, ask
 from tests.lab.fakes import FakeRetriever, walk
 from worker.method.calibration import Calibration
 
@@ -47,8 +47,8 @@ def test_matched_is_right_as_often_as_promised() -> None:
 
 def test_evidence_of_a_run_leaves_out_what_was_not_answered(tmp_path: Path) -> None:
     class Sometimes(FakeRetriever):
-        def query(self, picture: Path, top: int) -> Answer:
-            place = int(picture.stem)
+        def query(self, image: Path, top: int) -> Answer:
+            place = int(image.stem)
             if place % 2:
                 return Answer(())
             return Answer((f"view-{place}" if place < 30 else "view-0",), features={"score": place / 40})

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.evaluation.asking import ask
 from lab.evaluation.measuring import frame, measure
+from lab.evaluation.querying import ask
 from tests.lab.fakes import FakeRetriever, walk
 
 

@@ -9,7 +9,7 @@ import pytest
 from lab.datasets.dataset import Dataset
 from lab.evaluation.remote import connect
 from schemas.errors import RevisitError
-from schemas.records import Where
+from schemas.records import Position
 from tests import answers
 from tests.cli.fake_service import FakeService, fake_service
 
@@ -39,27 +39,27 @@ def replies(service: FakeService) -> None:
 
 
 def test_a_map_of_its_own_is_used_and_removed(tmp_path: Path) -> None:
-    picture = tmp_path / "a.jpg"
-    picture.write_bytes(b"picture")
+    image = tmp_path / "a.jpg"
+    image.write_bytes(b"picture")
     with fake_service() as service:
         replies(service)
         with connect(service.url, "paper").open(cast(Dataset, None)) as retriever:
             assert retriever.name == "paper"
-            assert retriever.enroll(picture, Where(x=1, y=2)) == answers.ID
-            answer = retriever.query(picture, 3)
+            assert retriever.enroll(image, Position(x=1, y=2)) == answers.ID
+            answer = retriever.query(image, 3)
 
     assert answer.views == answer.before == (answers.ID,)
     assert answer.status == "matched"
-    asked = [path for path, _ in service.asked]
+    results = [path for path, _ in service.asked]
     assert json.loads(service.asked[0][1]) == {"preset": "paper"}
-    assert asked[-1] == "DELETE /maps/m"
+    assert results[-1] == "DELETE /maps/m"
     plain = [body for path, body in service.asked if path == "POST /query"][1]
     assert b'name="candidates"' in plain
 
 
 def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
-    picture = tmp_path / "a.jpg"
-    picture.write_bytes(b"picture")
+    image = tmp_path / "a.jpg"
+    image.write_bytes(b"picture")
     with fake_service() as service:
         replies(service)
         service.replies["POST /enroll"] = 422, answers.problem("nothing-static", 422)
@@ -67,6 +67,6 @@ def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
             connect(service.url, "default").open(cast(Dataset, None)) as retriever,
             pytest.raises(RevisitError) as caught,
         ):
-            retriever.enroll(picture, Where())
+            retriever.enroll(image, Position())
 
     assert caught.value.code == "nothing-static"

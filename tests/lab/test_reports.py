@@ -13,11 +13,11 @@ import pytest
 from lab.baselines.random_order import RandomOrder
 from lab.datasets.dataset import Dataset
 from lab.evaluate import Outcome, main, run
-from lab.evaluation.asking import Retriever
 from lab.evaluation.contender import Contender
 from lab.evaluation.html import Shown, as_html
+from lab.evaluation.querying import Retriever
 from lab.evaluation.tables import as_json, as_markdown, as_text, overview
-from tests.lab.datasets.drawn import picture
+from tests.lab.datasets.drawn import image
 from tests.lab.fakes import FakeRetriever
 
 
@@ -39,7 +39,7 @@ def fake(dataset: Dataset) -> Iterator[Retriever]:
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     root = tmp_path_factory.mktemp("walk & co")
-    files = {(f, i): picture(root / f / f"{i}.jpg", i) for f in "dq" for i in range(24)}
+    files = {(f, i): image(root / f / f"{i}.jpg", i) for f in "dq" for i in range(24)}
     positives = tuple(np.arange(max(0, i - 1), min(20, i + 2)) if i < 20 else np.zeros(0, np.int64) for i in range(24))
     database = tuple(files["d", i] for i in range(20))
     dataset = Dataset("walk <q> -> d", database, tuple(files["q", i] for i in range(24)), positives, "+-1 frame")
@@ -89,14 +89,14 @@ def test_html_is_self_contained_and_well_formed(outcome: Outcome) -> None:
 
 def test_examples_show_right_and_wrong_and_the_papers_figures(outcome: Outcome) -> None:
     assert [e.right for e in outcome.examples] == [True, True, True, None, None]
-    assert "ORB" in outcome.examples[-1].pictures[0].caption
-    assert "ORB" in outcome.examples[-2].pictures[0].caption
+    assert "ORB" in outcome.examples[-1].images[0].caption
+    assert "ORB" in outcome.examples[-2].images[0].caption
 
 
 def test_the_command_writes_its_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("database", "query"):
         for i in range(25):
-            picture(tmp_path / "set" / folder / f"{i}.png", i)
+            image(tmp_path / "set" / folder / f"{i}.png", i)
     given = ["aligned", "--root", str(tmp_path / "set"), "--no-service", "--out", str(tmp_path / "out")]
     assert main([*given, "--baselines", "random,tiny", "--tolerance", "0"]) == 0
     assert "tiny picture" in capsys.readouterr().out
@@ -109,11 +109,11 @@ def test_the_command_writes_its_reports(tmp_path: Path, capsys: pytest.CaptureFi
 def test_truth_alone_needs_no_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("database", "query"):
         for i in range(5):
-            picture(tmp_path / folder / f"{i}.png", i)
+            image(tmp_path / folder / f"{i}.png", i)
     assert main(["aligned", "--root", str(tmp_path), "--truth-only"]) == 0
-    said = capsys.readouterr().out
-    assert "(chance)" in said
-    assert "suspicious" in said  # five pictures, five of them right with +-2
+    attributes = capsys.readouterr().out
+    assert "(chance)" in attributes
+    assert "suspicious" in attributes  # five pictures, five of them right with +-2
 
 
 def test_a_wrong_folder_is_explained_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

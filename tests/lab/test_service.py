@@ -12,15 +12,15 @@ from lab.ablate import VARIANTS, ablate, as_markdown, recipe_of, remembering
 from lab.calibrate import evidence
 from lab.datasets.dataset import Dataset
 from lab.evaluate import run
-from lab.evaluation.asking import ask
-from lab.evaluation.in_process import contender, house_for_measuring
+from lab.evaluation.in_process import contender, runtime_for_measuring
+from lab.evaluation.querying import ask
 from schemas.errors import RevisitError
-from schemas.records import Where
+from schemas.records import Position
 from schemas.settings import Settings
 from worker.bootstrap import build
 from worker.description.presets import general_vocabulary
 from worker.description.vocabularies import Vocabulary
-from worker.runtime import House
+from worker.runtime import Runtime
 
 
 def street(path: Path, seed: int, light: float) -> Path:
@@ -43,19 +43,19 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     database = tuple(street(root / "d" / f"{i}.png", i, 1.0) for i in known)
     queries = tuple(street(root / "q" / f"{i}.png", i, 0.9) for i in range(15))
     positives = tuple(np.array([i] if i in known else [], np.int64) for i in range(15))
-    where = np.column_stack([np.arange(12.0) * 10, np.zeros(12)])
-    return Dataset("streets q -> d", database, queries, positives, "the same street", database_positions=where)
+    position = np.column_stack([np.arange(12.0) * 10, np.zeros(12)])
+    return Dataset("streets q -> d", database, queries, positives, "the same street", database_positions=position)
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[House]:
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runtime]:
     settings = Settings(data=tmp_path_factory.mktemp("never used"), encoder="color", threads=1)
-    with house_for_measuring(settings) as started:
+    with runtime_for_measuring(settings) as started:
         yield started
 
 
-def test_presets_know_streets_again_and_are_drawn(house: House, walk: Dataset) -> None:
-    outcome = run(walk, [contender(house, "default"), contender(house, "paper")])
+def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Dataset) -> None:
+    outcome = run(walk, [contender(runtime, "default"), contender(runtime, "paper")])
     names = [m.method for m in outcome.evaluation.methods]
     assert names == ["default", "default, histograms alone", "paper", "paper, histograms alone"]
     default = outcome.evaluation.methods[0]
@@ -64,55 +64,55 @@ def test_presets_know_streets_again_and_are_drawn(house: House, walk: Dataset) -
     assert default.gain is not None
     assert default.calibrated is not None
     assert {"decode", "encode", "describe", "search", "rerank", "total"} <= set(default.timing_ms)
-    captions = [shown.caption for e in outcome.examples for shown in e.pictures]
+    captions = [shown.caption for e in outcome.examples for shown in e.images]
     assert any("segmentation by words" in c for c in captions)
     assert any("what agrees" in c for c in captions)
-    assert all(shown.data[:2] in (b"\x89P", b"\xff\xd8") for e in outcome.examples for shown in e.pictures)
-    assert house.store.maps() == []
+    assert all(shown.data[:2] in (b"\x89P", b"\xff\xd8") for e in outcome.examples for shown in e.images)
+    assert runtime.store.maps() == []
 
 
-def test_answers_carry_evidence_for_calibration(house: House, walk: Dataset) -> None:
-    with contender(house, "default").open(walk) as retriever:
-        asked = ask(walk, retriever)
-    seen = evidence(walk, asked)
+def test_answers_carry_evidence_for_calibration(runtime: Runtime, walk: Dataset) -> None:
+    with contender(runtime, "default").open(walk) as retriever:
+        results = ask(walk, retriever)
+    seen = evidence(walk, results)
     assert len(seen.right) == 15
     assert {"score", "lead"} <= set(seen.features)
     assert seen.features["score"].max() <= 1
 
 
 def test_a_picture_that_cannot_be_described_is_refused_with_its_reason(
-    house: House, walk: Dataset, tmp_path: Path
+    runtime: Runtime, walk: Dataset, tmp_path: Path
 ) -> None:
     (tmp_path / "text.png").write_text("no picture")
-    with contender(house, "default").open(walk) as retriever:
+    with contender(runtime, "default").open(walk) as retriever:
         with pytest.raises(RevisitError) as refusal:
-            retriever.enroll(tmp_path / "text.png", Where())
+            retriever.enroll(tmp_path / "text.png", Position())
         assert refusal.value.code == "not-a-picture"
 
 
 def test_variants_are_measured_on_a_house_that_encodes_once(walk: Dataset, tmp_path: Path) -> None:
-    house, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
-    house.start()
+    runtime, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
+    runtime.start()
     try:
         chosen = [v for v in VARIANTS if v.name in ("default", "histograms alone", "paper, histograms alone")]
-        measured = ablate([walk], chosen, house, encoder)
+        measured = ablate([walk], chosen, runtime, encoder)
     finally:
-        house.stop()
+        runtime.stop()
     assert "default" in {m.variant for m in measured}
     assert as_markdown(measured).count("|") > 10
 
 
 def test_a_variant_takes_another_vocabulary(walk: Dataset, tmp_path: Path) -> None:
-    house, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
-    house.start()
+    runtime, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
+    runtime.start()
     try:
         shipped = general_vocabulary(encoder, "default")
         mirrored = Vocabulary({n: replace(c, words=c.words[::-1].copy()) for n, c in shipped.channels.items()})
         path = tmp_path / "other.safetensors"
         path.write_bytes(mirrored.tensors)
-        assert recipe_of(VARIANTS[0], house, walk).vocabulary == shipped.digest
-        recipe = recipe_of(replace(VARIANTS[0], vocabulary=path), house, walk)
+        assert recipe_of(VARIANTS[0], runtime, walk).vocabulary == shipped.digest
+        recipe = recipe_of(replace(VARIANTS[0], vocabulary=path), runtime, walk)
         assert recipe.vocabulary == mirrored.digest != shipped.digest
-        assert house.store.vocabulary(recipe.vocabulary) == mirrored.tensors
+        assert runtime.store.vocabulary(recipe.vocabulary) == mirrored.tensors
     finally:
-        house.stop()
+        runtime.stop()

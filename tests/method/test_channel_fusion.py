@@ -22,7 +22,7 @@ def test_a_channel_cut_out_of_joined_cells_compares_as_it_would_by_itself() -> N
     query, view = ({"words": cells(seed), "detail": cells(seed + 1)} for seed in (0, 2))
     view["detail"] = np.roll(query["detail"], 1, axis=1) * 0.8 + view["detail"] * 0.6
     view["detail"] /= np.linalg.norm(view["detail"], axis=2, keepdims=True)
-    ours, theirs = (quantise(dense_cells.join(picture, SHARES)) for picture in (query, view))
+    ours, theirs = (quantise(dense_cells.join(image, SHARES)) for image in (query, view))
 
     mine = channel_fusion.part(ours, SHARES, "detail")
     cut = channel_fusion.alone(ours, theirs[None], SHARES, "detail")
@@ -52,36 +52,36 @@ def test_readings_are_exchanged_so_that_what_most_candidates_get_is_the_same() -
     joined = np.array([0.2] * 9 + [0.3], np.float32)
     alone = np.array([0.1] * 9 + [0.4], np.float32)
 
-    rate = channel_fusion.exchange(joined, alone)
+    rate = channel_fusion.align_scale(joined, alone)
 
     assert rate == pytest.approx(2)
     # The last one stands out more when it is read alone.
-    assert channel_fusion.stronger(joined, alone, rate).tolist() == pytest.approx([0.2] * 9 + [0.8])
-    assert channel_fusion.exchange(joined, np.zeros(10, np.float32)) == 0
+    assert channel_fusion.max_fusion(joined, alone, rate).tolist() == pytest.approx([0.2] * 9 + [0.8])
+    assert channel_fusion.align_scale(joined, np.zeros(10, np.float32)) == 0
 
 
 def test_what_little_agrees_in_a_picture_of_nothing_does_not_stand_out_without_bound() -> None:
     joined = np.full(40, 0.2, np.float32)
     alone = np.array([0.0] * 33 + [1e-20] * 6 + [0.05], np.float32)
 
-    assert channel_fusion.stronger(joined, alone, channel_fusion.exchange(joined, alone)) == pytest.approx(joined)
+    assert channel_fusion.max_fusion(joined, alone, channel_fusion.align_scale(joined, alone)) == pytest.approx(joined)
 
 
 def test_the_only_candidate_stands_out_in_neither_reading() -> None:
     joined, alone = np.array([0.2], np.float32), np.array([0.7], np.float32)
-    assert channel_fusion.stronger(joined, alone, channel_fusion.exchange(joined, alone)) == pytest.approx([0.2])
+    assert channel_fusion.max_fusion(joined, alone, channel_fusion.align_scale(joined, alone)) == pytest.approx([0.2])
 
 
-Likenesses = st.lists(st.floats(0, 1, width=32), min_size=1, max_size=20)
+Similarities = st.lists(st.floats(0, 1, width=32), min_size=1, max_size=20)
 
 
-@given(Likenesses, Likenesses, st.floats(0, 8))
+@given(Similarities, Similarities, st.floats(0, 8))
 def test_reading_alone_lowers_nothing_and_what_was_not_read_so_stays(
     joined: list[float], alone: list[float], rate: float
 ) -> None:
     alone = alone[: len(joined)]
 
-    merged = channel_fusion.stronger(np.array(joined, np.float32), np.array(alone, np.float32), rate)
+    merged = channel_fusion.max_fusion(np.array(joined, np.float32), np.array(alone, np.float32), rate)
 
     assert merged.dtype == np.float32
     assert ((merged >= np.array(joined, np.float32)) & (merged <= 1)).all()

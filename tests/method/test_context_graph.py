@@ -19,8 +19,8 @@ def embeddings_of(labels: np.ndarray) -> np.ndarray:
     return np.stack([y, x, np.ones_like(y)], axis=-1).astype(np.float32)
 
 
-def graph_of(picture: list[str], min_region_cells: int = 1, dynamic: str = "") -> ContextGraph:
-    labels = np.array([[int(c) for c in row] for row in picture], np.int16)
+def graph_of(image: list[str], min_region_cells: int = 1, dynamic: str = "") -> ContextGraph:
+    labels = np.array([[int(c) for c in row] for row in image], np.int16)
     static = ~np.isin(labels, [int(c) for c in dynamic])
     return context_graph.build(labels, static, embeddings_of(labels), SQUARE, components, min_region_cells)
 

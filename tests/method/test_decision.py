@@ -9,7 +9,7 @@ from schemas.records import ViewRecord
 from worker.method.calibration import Calibration, Logistic, Thresholds
 from worker.method.decision import UNCALIBRATED, decide, features
 from worker.method.verification import Verified
-from worker.search.searcher import Dense, Found
+from worker.search.searcher import Dense, ScoredView
 
 ANY_VIEW = cast(ViewRecord, None)
 
@@ -17,14 +17,14 @@ ANY_VIEW = cast(ViewRecord, None)
 def found(
     score: float,
     similarity: float | None = None,
-    typical: float = 0.0,
+    median_similarity: float = 0.0,
     high: float = 0.0,
     inliers: int = 0,
     **parts: Any,
-) -> Found:
-    dense = None if similarity is None else Dense(similarity, typical, high, (0, 0), 1.0)
+) -> ScoredView:
+    dense = None if similarity is None else Dense(similarity, median_similarity, high, (0, 0), 1.0)
     verified = Verified(inliers, inliers, None, np.zeros((inliers, 4), np.float32)) if inliers else None
-    return Found(ANY_VIEW, score, parts, {}, {}, dense, None, verified)
+    return ScoredView(ANY_VIEW, score, parts, {}, {}, dense, None, verified)
 
 
 def by(feature: str, steepness: float = 10.0) -> Calibration:
@@ -43,20 +43,26 @@ def test_the_evidence_of_each_match() -> None:
 
 
 def test_a_view_that_stands_out_is_matched_and_one_among_many_alike_is_not() -> None:
-    outstanding, usual = found(0.6, similarity=0.9, typical=0.2), found(0.6, similarity=0.9, typical=0.85)
+    outstanding, usual = (
+        found(0.6, similarity=0.9, median_similarity=0.2),
+        found(0.6, similarity=0.9, median_similarity=0.85),
+    )
     assert decide([outstanding], by("standing")).status == "matched"
     assert decide([usual], by("standing")).status == "no_match"
 
 
 def test_a_stranger_that_looks_like_the_few_views_of_its_kind_is_not_matched() -> None:
-    place, stranger = found(0.6, 0.9, typical=0.1, high=0.2), found(0.6, 0.9, typical=0.1, high=0.85)
+    place, unknown_place = (
+        found(0.6, 0.9, median_similarity=0.1, high=0.2),
+        found(0.6, 0.9, median_similarity=0.1, high=0.85),
+    )
     assert decide([place], by("margin")).status == "matched"
-    assert decide([stranger], by("margin")).status == "no_match"
+    assert decide([unknown_place], by("margin")).status == "no_match"
 
 
 def test_confidence_never_rises_with_rank() -> None:
-    said = decide([found(0.8, 0.5, 0.2), found(0.7, 0.9, 0.2), found(0.1, 0.1, 0.2)], by("standing"))
-    assert said.confidence == said.confidences[0] == said.confidences[1] > said.confidences[2]
+    attributes = decide([found(0.8, 0.5, 0.2), found(0.7, 0.9, 0.2), found(0.1, 0.1, 0.2)], by("standing"))
+    assert attributes.confidence == attributes.confidences[0] == attributes.confidences[1] > attributes.confidences[2]
 
 
 def test_nothing_found_is_no_match_and_a_feature_never_seen_is_no_evidence() -> None:

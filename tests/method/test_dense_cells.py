@@ -122,9 +122,9 @@ def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
 def test_a_cell_that_is_seen_again_far_away_says_nothing() -> None:
     # Columns: a, b, c, a, d with d halfway (cosine .6) between b and something else; neighbours do not count.
     a, b, c, d = np.eye(5)[0], np.eye(5)[1], np.eye(5)[2], 0.6 * np.eye(5)[1] + 0.8 * np.eye(5)[4]
-    distinct = dense_cells.distinctness(np.array([[a, b, c, a, d]], np.float32), apart=2)
+    distinct = dense_cells.burstiness_weight(np.array([[a, b, c, a, d]], np.float32), apart=2)
     np.testing.assert_allclose(distinct, [0, 0.4, 1, 0, 0.4], atol=1e-6)
-    np.testing.assert_allclose(dense_cells.distinctness(np.array([[a, b, c]], np.float32), apart=2), [1, 1, 1])
+    np.testing.assert_allclose(dense_cells.burstiness_weight(np.array([[a, b, c]], np.float32), apart=2), [1, 1, 1])
 
 
 def test_weight_follows_distinctness() -> None:
@@ -157,9 +157,9 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     assert found.zooms.tolist() == [1.25, 1.0]
     assert found.scales[0] == pytest.approx(1.25, abs=0.03)
     assert found.scales[1] == 1
-    unasked = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0, measured=False)
-    assert unasked.scales.tolist() == [1, 1]
-    assert unasked.scores.tolist() == found.scores.tolist()
+    unqueried = hough.agreement(pairs, np.ones(320, np.float32), (16, 20), 2, tolerance=0, measured=False)
+    assert unqueried.scales.tolist() == [1, 1]
+    assert unqueried.scores.tolist() == found.scores.tolist()
 
 
 @settings(deadline=None)  # a crowded machine is no failure

@@ -5,50 +5,50 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.records import Where
+from schemas.records import Position
 from worker.method.estimate import locate
 
 
 def test_agreeing_matches_are_averaged_by_weight_and_outliers_left_out() -> None:
-    fix = locate([Where(x=0, y=0), Where(x=10, y=0), Where(x=500, y=0)], [0.6, 0.3, 0.1])
+    fix = locate([Position(x=0, y=0), Position(x=10, y=0), Position(x=500, y=0)], [0.6, 0.3, 0.1])
     assert fix is not None
     assert fix.agreeing == (0, 1)
-    assert fix.where.x == pytest.approx(10 / 3)
+    assert fix.position.x == pytest.approx(10 / 3)
     assert fix.radius_m == pytest.approx(np.sqrt(2 / 3 * (10 / 3) ** 2 + 1 / 3 * (20 / 3) ** 2))
-    assert fix.where.z is None
+    assert fix.position.z is None
 
 
 def test_without_a_position_of_the_best_match_there_is_no_estimate() -> None:
-    assert locate([Where(heading=3.0), Where(x=1, y=2)], [0.9, 0.1]) is None
+    assert locate([Position(heading=3.0), Position(x=1, y=2)], [0.9, 0.1]) is None
     assert locate([], []) is None
 
 
 def test_metres_and_degrees_never_mix() -> None:
-    fix = locate([Where(lat=50.0, lon=14.0), Where(x=0, y=0)], [0.5, 0.5])
+    fix = locate([Position(lat=50.0, lon=14.0), Position(x=0, y=0)], [0.5, 0.5])
     assert fix is not None
     assert fix.agreeing == (0,)
     assert fix.radius_m == 0
 
 
 def test_the_antimeridian_is_no_obstacle() -> None:
-    fix = locate([Where(lat=0.0, lon=179.9999), Where(lat=0.0, lon=-179.9999)], [0.5, 0.5])
+    fix = locate([Position(lat=0.0, lon=179.9999), Position(lat=0.0, lon=-179.9999)], [0.5, 0.5])
     assert fix is not None
     assert fix.agreeing == (0, 1)
-    assert abs(fix.where.lon or 0) == pytest.approx(180, abs=1e-6)
+    assert abs(fix.position.lon or 0) == pytest.approx(180, abs=1e-6)
 
 
 def test_heights_are_averaged_when_all_are_known() -> None:
-    fix = locate([Where(x=0, y=0, z=2.0), Where(x=0, y=0, z=4.0)], [0.5, 0.5])
+    fix = locate([Position(x=0, y=0, z=2.0), Position(x=0, y=0, z=4.0)], [0.5, 0.5])
     assert fix is not None
-    assert fix.where.z == pytest.approx(3)
+    assert fix.position.z == pytest.approx(3)
 
 
 @given(st.floats(-89, 89), st.floats(-180, 180), st.floats(-10, 10), st.floats(-10, 10))
 def test_a_single_match_is_its_own_estimate(lat: float, lon: float, x: float, y: float) -> None:
-    fix = locate([Where(lat=lat, lon=lon)], [0.0])
+    fix = locate([Position(lat=lat, lon=lon)], [0.0])
     assert fix is not None
-    assert fix.where.lat == pytest.approx(lat)
-    assert ((fix.where.lon or 0.0) - lon + 180) % 360 - 180 == pytest.approx(0, abs=1e-9)
-    flat = locate([Where(x=x, y=y)], [1.0])
+    assert fix.position.lat == pytest.approx(lat)
+    assert ((fix.position.lon or 0.0) - lon + 180) % 360 - 180 == pytest.approx(0, abs=1e-9)
+    flat = locate([Position(x=x, y=y)], [1.0])
     assert flat is not None
-    assert (flat.where.x, flat.where.y) == pytest.approx((x, y))
+    assert (flat.position.x, flat.position.y) == pytest.approx((x, y))

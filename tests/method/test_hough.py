@@ -15,7 +15,7 @@ def largest_weight(
     distinct: np.ndarray,
     shape: tuple[int, int],
     tolerance: int,
-    stretch: tuple[float, float] = (1.0, 1.0),
+    cell_aspect: tuple[float, float] = (1.0, 1.0),
 ) -> float:
     """The heaviest window of the only candidate, displacement by displacement, as the equations have it."""
     reach, heaviest = [side // 2 for side in shape], 0.0
@@ -24,7 +24,7 @@ def largest_weight(
         ours, theirs = (
             np.stack(np.divmod(cell, shape[1]), axis=1) - centre for cell in (pairs.query_cell, pairs.candidate_cell)
         )
-        moved = np.rint(np.array(stretch) * theirs / np.sqrt(zoom) - ours * np.sqrt(zoom))
+        moved = np.rint(np.array(cell_aspect) * theirs / np.sqrt(zoom) - ours * np.sqrt(zoom))
         weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
         for down in range(-reach[0], reach[0] + 1):
             for across in range(-reach[1], reach[1] + 1):
@@ -37,10 +37,10 @@ def largest_weight(
     seed=st.integers(0, 2**32 - 1),
     shape=st.tuples(st.integers(1, 7), st.integers(1, 9)),
     tolerance=st.integers(0, 3),
-    stretches=st.lists(st.tuples(SIZES, SIZES), min_size=1, max_size=3),
+    cell_aspects=st.lists(st.tuples(SIZES, SIZES), min_size=1, max_size=3),
 )
 def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
-    seed: int, shape: tuple[int, int], tolerance: int, stretches: list[tuple[float, float]]
+    seed: int, shape: tuple[int, int], tolerance: int, cell_aspects: list[tuple[float, float]]
 ) -> None:
     """Several candidates whose cells have other sizes, of the same pairs."""
     rng = np.random.default_rng(seed)
@@ -55,23 +55,27 @@ def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
             candidate, np.tile(taken, candidates), np.tile(theirs, candidates), np.tile(cosine, candidates)
         )
 
-    some = len(stretches)
-    found = hough.agreement(of(some), distinct, shape, some, tolerance=tolerance, stretch=np.array(stretches))
+    some = len(cell_aspects)
+    found = hough.agreement(of(some), distinct, shape, some, tolerance=tolerance, cell_aspect=np.array(cell_aspects))
 
-    heaviest = [largest_weight(of(1), distinct, shape, tolerance, stretch) for stretch in stretches]
+    heaviest = [largest_weight(of(1), distinct, shape, tolerance, cell_aspect) for cell_aspect in cell_aspects]
     assert found.scores == pytest.approx(np.sqrt(np.minimum(1, heaviest / distinct.sum())), abs=1e-6)
     [plain] = hough.agreement(of(1), distinct, shape, 1, tolerance=tolerance).scores
-    assert all(score == plain for score, stretch in zip(found.scores, stretches, strict=True) if stretch == (1.0, 1.0))
+    assert all(
+        score == plain
+        for score, cell_aspect in zip(found.scores, cell_aspects, strict=True)
+        if cell_aspect == (1.0, 1.0)
+    )
 
 
 def test_cells_of_pictures_of_one_shape_are_equal_and_an_upright_one_has_narrow_and_high_ones() -> None:
     landscape, upright, square = (1.0, 0.75), (0.75, 1.0), (1.0, 1.0)
-    assert hough.stretches(landscape, [landscape, (1.0, 0.76), square]).tolist()[:2] == [[1.0, 1.0]] * 2
-    [[height, width]] = hough.stretches(landscape, [upright])
+    assert hough.cell_aspects(landscape, [landscape, (1.0, 0.76), square]).tolist()[:2] == [[1.0, 1.0]] * 2
+    [[height, width]] = hough.cell_aspects(landscape, [upright])
     assert height == pytest.approx(4 / 3, rel=0.05)
     assert width == pytest.approx(3 / 4, rel=0.05)
-    assert hough.stretches(upright, [landscape]) == pytest.approx(1 / np.array([[height, width]]))
-    assert hough.stretches(square, []).shape == (0, 2)
+    assert hough.cell_aspects(upright, [landscape]) == pytest.approx(1 / np.array([[height, width]]))
+    assert hough.cell_aspects(square, []).shape == (0, 2)
 
 
 @given(height=st.integers(3, 9), width=st.integers(3, 9))
@@ -85,7 +89,7 @@ def test_what_a_wider_picture_shows_moved_to_where_its_cells_say(height: int, wi
     theirs = (np.repeat(rows + shape[0] // 2, shape[1]) * shape[1] + np.tile(across, shape[0])).astype(np.intp)
     pairs = Correspondences(np.zeros(len(ours), np.intp), ours, theirs, np.ones(len(ours), np.float32))
     found = hough.agreement(
-        pairs, np.ones(len(ours), np.float32), shape, 1, tolerance=1, stretch=np.array([[1.0, 2.0]])
+        pairs, np.ones(len(ours), np.float32), shape, 1, tolerance=1, cell_aspect=np.array([[1.0, 2.0]])
     )
     assert found.scores[0] == pytest.approx(1.0)
     assert found.shifts.tolist() == [[0, 0]]
@@ -93,10 +97,10 @@ def test_what_a_wider_picture_shows_moved_to_where_its_cells_say(height: int, wi
 
 
 def test_a_map_of_many_shapes_needs_one_table_of_votes() -> None:
-    """A table for each shape was made anew in most questions, and took ten times as long as all the rest."""
+    """A table for each shape was made anew in most queries, and took ten times as long as all the rest."""
     nothing = np.zeros(0, np.intp)
     pairs = Correspondences(nothing, nothing, nothing, np.zeros(0, np.float32))
-    shapes = hough.stretches((1.0, 0.75), [(1.0, height / 50) for height in range(5, 51)])
+    shapes = hough.cell_aspects((1.0, 0.75), [(1.0, height / 50) for height in range(5, 51)])
     before = hough._slots.cache_info().misses
-    hough.agreement(pairs, np.ones(35, np.float32), (5, 7), len(shapes), stretch=shapes)
+    hough.agreement(pairs, np.ones(35, np.float32), (5, 7), len(shapes), cell_aspect=shapes)
     assert hough._slots.cache_info().misses <= before + 1

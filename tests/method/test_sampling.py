@@ -37,7 +37,7 @@ def test_without_a_number_every_static_cell_is_taken() -> None:
 def test_every_cell_is_as_likely_as_any_other() -> None:
     static = np.ones((4, 4), np.bool_)
     counts = np.zeros(16)
-    for picture in range(2000):
-        counts[sampling.draw(static, 4, sampling.generator(0, f"{picture:064x}"))] += 1
+    for image in range(2000):
+        counts[sampling.draw(static, 4, sampling.generator(0, f"{image:064x}"))] += 1
     assert counts.min() > 400  # 500 expected, standard deviation 19
     assert counts.max() < 600

@@ -80,10 +80,10 @@ print(shares[0])
 def test_products_in_any_thread_take_that_thread_alone() -> None:
     """torch.set_num_threads(1) does not see to that: oneDNN asks OpenMP, whose setting is each thread's own."""
     environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
-    said = subprocess.run(
+    attributes = subprocess.run(
         [sys.executable, "-c", ALONE], env=environment, capture_output=True, text=True, check=True, timeout=120
     )
-    assert float(said.stdout) < 1.3
+    assert float(attributes.stdout) < 1.3
 
 
 def test_small_products_keep_to_one_thread_beside_the_encoder_in_onnx_runtime() -> None:

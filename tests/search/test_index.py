@@ -40,14 +40,14 @@ def nearest(index: Index, vector: np.ndarray, channel: str, count: int, selectio
 
 def test_each_channel_finds_its_nearest_and_the_union_has_all_distances() -> None:
     index, vectors = filled(50)
-    question = np.array([0.1, -0.2, 0.3, 0.5, -0.5], np.float32)
+    query = np.array([0.1, -0.2, 0.3, 0.5, -0.5], np.float32)
 
-    found = index.search(split(question), 4, EVERYTHING)
+    found = index.search(split(query), 4, EVERYTHING)
 
-    words = np.linalg.norm(vectors[:, :3] - question[:3], axis=1)
-    detail = np.linalg.norm(vectors[:, 3:] - question[3:], axis=1)
-    assert nearest(index, question, "words", 4) == (np.argsort(words)[:4] + 10).tolist()
-    assert nearest(index, question, "detail", 4) == (np.argsort(detail)[:4] + 10).tolist()
+    words = np.linalg.norm(vectors[:, :3] - query[:3], axis=1)
+    detail = np.linalg.norm(vectors[:, 3:] - query[3:], axis=1)
+    assert nearest(index, query, "words", 4) == (np.argsort(words)[:4] + 10).tolist()
+    assert nearest(index, query, "detail", 4) == (np.argsort(detail)[:4] + 10).tolist()
     np.testing.assert_allclose(found.distances["words"], words[found.seqs - 10], rtol=1e-5)
     np.testing.assert_allclose(found.distances["detail"], detail[found.seqs - 10], rtol=1e-5)
     assert found.searched == 50
@@ -119,13 +119,11 @@ class Following(RuleBasedStateMachine):
 
     @invariant()
     def same(self) -> None:
-        question = np.array([0.3, 0.1, -0.4, 0.2, 0.7], np.float32)
+        query = np.array([0.3, 0.1, -0.4, 0.2, 0.7], np.float32)
         assert len(self.index) == len(self.model)
         assert self.index.revision == self.revision
-        wanted = sorted(
-            self.model, key=lambda s: (round(float(np.linalg.norm(self.model[s][:3] - question[:3])), 6), s)
-        )
-        assert nearest(self.index, question, "words", 5) == wanted[:5]
+        wanted = sorted(self.model, key=lambda s: (round(float(np.linalg.norm(self.model[s][:3] - query[:3])), 6), s))
+        assert nearest(self.index, query, "words", 5) == wanted[:5]
 
 
 TestFollowing = Following.TestCase

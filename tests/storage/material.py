@@ -9,14 +9,14 @@ import numpy as np
 
 from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.errors import LeaseLost
-from schemas.image import PictureFacts
+from schemas.image import ImageFacts
 from schemas.ports import Store
 from schemas.recipe import Channel, Parameters, Recipe, Verification
-from schemas.records import Claim, Said, Submitted, ViewRecord
+from schemas.records import Claim, Submitted, ViewAttributes, ViewRecord
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 LEASE = timedelta(seconds=60)
-UNSAID = Said()
+NO_ATTRIBUTES = ViewAttributes()
 
 
 def recipe(preset: str = "default") -> Recipe:
@@ -36,14 +36,14 @@ def recipe(preset: str = "default") -> Recipe:
 RECIPE = recipe()
 
 
-def picture(name: str) -> bytes:
+def image(name: str) -> bytes:
     """Bytes that stand for a picture; a store does not look into them."""
     return f"picture {name}".encode()
 
 
-def facts(picture: bytes) -> PictureFacts:
+def facts(image: bytes) -> ImageFacts:
     """What a codec would find out."""
-    return PictureFacts(640, 480, len(picture), "png", hashlib.sha256(picture).hexdigest())
+    return ImageFacts(640, 480, len(image), "png", hashlib.sha256(image).hexdigest())
 
 
 def description(seed: int) -> Description:
@@ -76,15 +76,21 @@ def vector(view: ViewRecord, recipe_id: str) -> list[float]:
 
 def seed(view: ViewRecord, recipe_id: str) -> int:
     """Of the description of a view: the same picture and recipe give the same description."""
-    return int(view.picture.sha256[:6] + recipe_id[:6], 16)
+    return int(view.image.sha256[:6] + recipe_id[:6], 16)
 
 
 def enroll(
-    store: Store, name: str, *, map: str = "campus", said: Said = UNSAID, now: datetime = NOW, by: Recipe = RECIPE
+    store: Store,
+    name: str,
+    *,
+    map: str = "campus",
+    attributes: ViewAttributes = NO_ATTRIBUTES,
+    now: datetime = NOW,
+    by: Recipe = RECIPE,
 ) -> Submitted:
     """Enrol the picture of that name."""
-    body = picture(name)
-    return store.submit(map, body, facts(body), said, by, now)
+    body = image(name)
+    return store.submit(map, body, facts(body), attributes, by, now)
 
 
 def finish(store: Store, claim: Claim, now: datetime = NOW) -> int:

@@ -15,10 +15,10 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, DiskFull, NotFound
-from schemas.records import Filters, Said
+from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import sqlite_url
-from tests.storage.material import LEASE, NOW, Follower, describe_all, enroll, facts, picture
-from worker.storage.image_files import Pictures, sync_folder
+from tests.storage.material import LEASE, NOW, Follower, describe_all, enroll, facts, image
+from worker.storage.image_files import Images, sync_folder
 from worker.storage.store import SqlStore, open_store
 
 
@@ -45,9 +45,9 @@ def closed(store: SqlStore) -> Any:
 
 
 def test_a_picture_lies_in_two_levels_of_folders_under_its_digest(store: SqlStore, data: Path) -> None:
-    digest = enroll(store, "gate").view.picture.sha256
+    digest = enroll(store, "gate").view.image.sha256
     assert files(data) == [data / "pictures" / digest[:2] / digest[2:4] / digest]
-    assert files(data)[0].read_bytes() == picture("gate")
+    assert files(data)[0].read_bytes() == image("gate")
 
 
 def test_a_picture_is_durable_under_its_name_before_its_row_is_committed(
@@ -89,15 +89,15 @@ def test_a_row_that_fails_takes_its_file_with_it(
 
 def test_a_crash_between_file_and_row_leaves_a_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
     kept = enroll(store, "pond").view
-    orphan = Pictures(data / "pictures", owned=lambda digests: set(digests))
-    with pytest.raises(PowerCut), orphan.kept(facts(picture("gate")).sha256, picture("gate")):
+    orphan = Images(data / "pictures", owned=lambda digests: set(digests))
+    with pytest.raises(PowerCut), orphan.kept(facts(image("gate")).sha256, image("gate")):
         raise PowerCut
     assert len(files(data)) == 2
 
     store.recover(NOW)
 
-    assert [path.name for path in files(data)] == [kept.picture.sha256]
-    assert store.picture(kept.id) == picture("pond")
+    assert [path.name for path in files(data)] == [kept.image.sha256]
+    assert store.image(kept.id) == image("pond")
 
 
 def test_a_crash_while_writing_leaves_an_unfinished_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
@@ -153,31 +153,31 @@ def test_a_full_database_is_said_and_leaves_nothing_behind(store: SqlStore, data
 
     def fill() -> None:
         for number in range(100):
-            enroll(store, f"{number}", said=Said(metadata={"text": "long " * 2000}))
+            enroll(store, f"{number}", attributes=ViewAttributes(metadata={"text": "long " * 2000}))
 
     with pytest.raises(DiskFull):
         fill()
 
     views, _ = store.views("campus", Filters(), limit=200)
-    assert {path.name for path in files(data)} == {view.picture.sha256 for view in views}
+    assert {path.name for path in files(data)} == {view.image.sha256 for view in views}
     assert store.view(view.id).state == "ready"
     assert store.delete_view(view.id).views == 1
 
 
 def test_a_conflict_leaves_the_picture_of_the_view_that_is_there(store: SqlStore, data: Path) -> None:
-    view = enroll(store, "gate", said=Said("gate")).view
+    view = enroll(store, "gate", attributes=ViewAttributes("gate")).view
     with pytest.raises(Conflict):
-        enroll(store, "gate", said=Said("pond"))
-    assert store.picture(view.id) == picture("gate")
+        enroll(store, "gate", attributes=ViewAttributes("pond"))
+    assert store.image(view.id) == image("gate")
 
 
 def test_a_lost_file_is_healed_by_enrolling_its_picture_again(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate").view
     files(data)[0].unlink()
     with pytest.raises(NotFound, match="enrol the picture again"):
-        store.picture(view.id)
+        store.image(view.id)
     enroll(store, "gate")
-    assert store.picture(view.id) == picture("gate")
+    assert store.image(view.id) == image("gate")
 
 
 def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away(store: SqlStore, data: Path) -> None:
@@ -198,7 +198,7 @@ def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away
     try:
         for _ in range(25):
             view = enroll(store, "gate").view
-            assert store.picture(view.id) == picture("gate")
+            assert store.image(view.id) == image("gate")
             assert store.delete_view(view.id).views == 1
     finally:
         stop = True
@@ -238,8 +238,8 @@ def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(
     kept = {view.id for view in views}
     for number, view_id in enumerate(acknowledged[:-1]):  # what came after the last one was cut short
         assert (view_id in kept) == (number % 4 != 3)
-    assert {path.name for path in files(data)} == {view.picture.sha256 for view in views}
-    assert all(facts(store.picture(view.id)) == view.picture for view in views)
+    assert {path.name for path in files(data)} == {view.image.sha256 for view in views}
+    assert all(facts(store.image(view.id)) == view.image for view in views)
     describe_all(store, NOW + LEASE)
     assert Follower(store).catch_up().vectors.keys() == {view.seq for view in views}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import InvalidParameters
-from schemas.records import Filters, Said, Selection, Where
+from schemas.records import Filters, Position, Selection, ViewAttributes
 from tests.storage.material import NOW, RECIPE, enroll, ids
 from worker.storage.filtering import EARTH_RADIUS_M
 from worker.storage.store import SqlStore
@@ -29,7 +29,7 @@ def chosen(store: SqlStore, filters: Filters) -> set[int]:
     return seqs
 
 
-def haversine(a: Where, b: Where) -> float:
+def haversine(a: Position, b: Position) -> float:
     """Great-circle distance in metres, by the textbook."""
     assert a.lat is not None
     assert a.lon is not None
@@ -52,9 +52,9 @@ def test_no_filter_restricts_nothing(store: SqlStore) -> None:
 
 def test_near_in_metres_is_a_circle_with_its_edge(store: SqlStore) -> None:
     spots = [(0.0, 0.0), (3.0, 4.0), (3.1, 4.0), (-5.0, 0.0), (4.0, 4.0)]
-    seqs = [enroll(store, str(spot), said=Said(where=Where(*spot))).view.seq for spot in spots]
+    seqs = [enroll(store, str(spot), attributes=ViewAttributes(position=Position(*spot))).view.seq for spot in spots]
     enroll(store, "nowhere")
-    enroll(store, "on the globe", said=Said(where=Where(lat=0.0, lon=0.0)))
+    enroll(store, "on the globe", attributes=ViewAttributes(position=Position(lat=0.0, lon=0.0)))
     assert chosen(store, Filters(near=(0.0, 0.0, 5.0))) == {seqs[0], seqs[1], seqs[3]}
     assert chosen(store, Filters(near=(3.1, 4.0, 0.0))) == {seqs[2]}
 
@@ -64,19 +64,26 @@ def test_near_in_degrees_is_a_circle_on_the_globe_across_the_antimeridian_and_at
     spots = []
     for lat, lon in [(0, 180), (0, 0), (52, 13), (89.9, 0), (-90, 0), (-17, -179.9)]:
         for north, east in draw.normal(scale=(0.2, 3), size=(6, 2)).tolist():
-            spots.append(Where(lat=min(max(lat + north, -90), 90), lon=(lon + east + 180) % 360 - 180))
-    views = [enroll(store, str(number), said=Said(where=spot)).view for number, spot in enumerate(spots)]
-    enroll(store, "in metres", said=Said(where=Where(x=0.0, y=0.0)))
-    for centre in (Where(lat=0.0, lon=180.0), Where(lat=0.0, lon=-179.99), Where(lat=90.0, lon=77.0), spots[-1]):
+            spots.append(Position(lat=min(max(lat + north, -90), 90), lon=(lon + east + 180) % 360 - 180))
+    views = [
+        enroll(store, str(number), attributes=ViewAttributes(position=spot)).view for number, spot in enumerate(spots)
+    ]
+    enroll(store, "in metres", attributes=ViewAttributes(position=Position(x=0.0, y=0.0)))
+    for centre in (
+        Position(lat=0.0, lon=180.0),
+        Position(lat=0.0, lon=-179.99),
+        Position(lat=90.0, lon=77.0),
+        spots[-1],
+    ):
         assert centre.lat is not None
         assert centre.lon is not None
         for radius in (0.0, 30_000.0, 200_000.0, 5_000_000.0, 30_000_000.0):
-            near = {view.seq for view in views if haversine(view.said.where, centre) <= radius}
+            near = {view.seq for view in views if haversine(view.attributes.position, centre) <= radius}
             assert chosen(store, Filters(near=(centre.lat, centre.lon, radius), geographic=True)) == near
 
 
 def test_the_whole_globe_is_near_enough_for_its_other_side(store: SqlStore) -> None:
-    view = enroll(store, "antipode", said=Said(where=Where(lat=-33.3, lon=-168.7))).view
+    view = enroll(store, "antipode", attributes=ViewAttributes(position=Position(lat=-33.3, lon=-168.7))).view
     enroll(store, "nowhere")
     half = math.pi * EARTH_RADIUS_M
     assert chosen(store, Filters(near=(33.3, 11.3, half), geographic=True)) == {view.seq}
@@ -84,16 +91,16 @@ def test_the_whole_globe_is_near_enough_for_its_other_side(store: SqlStore) -> N
 
 
 def test_near_in_degrees_is_exact_to_a_millimetre(store: SqlStore) -> None:
-    here = Where(lat=48.137, lon=11.575)
-    view = enroll(store, "gate", said=Said(where=here)).view
-    centre = Where(lat=48.1375, lon=11.5757)
+    here = Position(lat=48.137, lon=11.575)
+    view = enroll(store, "gate", attributes=ViewAttributes(position=here)).view
+    centre = Position(lat=48.1375, lon=11.5757)
     distance = haversine(here, centre)
     for radius, found in ((distance - 0.001, set()), (distance + 0.001, {view.seq})):
         assert chosen(store, Filters(near=(48.1375, 11.5757, radius), geographic=True)) == found
 
 
 def test_after_and_before_include_their_bounds_and_leave_out_what_has_no_time(store: SqlStore) -> None:
-    seqs = [enroll(store, f"{n}", said=Said(captured_at=NOW + n * MINUTE)).view.seq for n in range(4)]
+    seqs = [enroll(store, f"{n}", attributes=ViewAttributes(captured_at=NOW + n * MINUTE)).view.seq for n in range(4)]
     enroll(store, "some time")
     assert chosen(store, Filters(after=NOW + MINUTE)) == set(seqs[1:])
     assert chosen(store, Filters(before=NOW + MINUTE)) == set(seqs[:2])
@@ -102,8 +109,8 @@ def test_after_and_before_include_their_bounds_and_leave_out_what_has_no_time(st
 
 def test_metadata_are_compared_as_the_text_of_their_json(store: SqlStore) -> None:
     values = {"floor": 2, "name": "2", "dusk": True, "none": None, "deep": {"b": [1], "a": "é"}, "ä": "ö"}
-    view = enroll(store, "gate", said=Said(metadata=values)).view
-    enroll(store, "pond", said=Said(metadata={"floor": 20}))
+    view = enroll(store, "gate", attributes=ViewAttributes(metadata=values)).view
+    enroll(store, "pond", attributes=ViewAttributes(metadata={"floor": 20}))
     for key, text in (
         ("floor", "2"),
         ("name", "2"),
@@ -139,8 +146,10 @@ def test_nothing_is_the_newest_of_an_empty_map(store: SqlStore) -> None:
 def test_filters_add_up(store: SqlStore) -> None:
     seqs, views = [], []
     for n in range(6):
-        said = Said("gate" if n < 4 else "pond", Where(x=float(n), y=0.0), NOW + n * MINUTE, {"odd": n % 2 == 1})
-        views.append(enroll(store, f"{n}", said=said).view)
+        attributes = ViewAttributes(
+            "gate" if n < 4 else "pond", Position(x=float(n), y=0.0), NOW + n * MINUTE, {"odd": n % 2 == 1}
+        )
+        views.append(enroll(store, f"{n}", attributes=attributes).view)
         seqs.append(views[-1].seq)
     assert chosen(store, Filters(place="gate", exclude=(views[0].id, "unknown"))) == set(seqs[1:4])
     everything = Filters(
@@ -195,17 +204,17 @@ def test_a_cursor_is_good_for_its_own_order_only(store: SqlStore) -> None:
 
 
 def test_a_place_lies_in_the_middle_of_its_views(store: SqlStore) -> None:
-    for number, (place, where) in enumerate(
+    for number, (place, position) in enumerate(
         [
-            ("date line", Where(lat=10.0, lon=179.0, alt=2.0)),
-            ("date line", Where(lat=10.0, lon=-179.0, alt=4.0)),
-            ("gate", Where(x=1.0, y=2.0, z=3.0)),
-            ("gate", Where(x=3.0, y=2.0, z=3.0, heading=4.0)),
-            ("gate", Where()),
-            ("unseen", Where()),
+            ("date line", Position(lat=10.0, lon=179.0, alt=2.0)),
+            ("date line", Position(lat=10.0, lon=-179.0, alt=4.0)),
+            ("gate", Position(x=1.0, y=2.0, z=3.0)),
+            ("gate", Position(x=3.0, y=2.0, z=3.0, heading=4.0)),
+            ("gate", Position()),
+            ("unseen", Position()),
         ]
     ):
-        enroll(store, f"{number}", said=Said(place, where), now=NOW + number * MINUTE)
+        enroll(store, f"{number}", attributes=ViewAttributes(place, position), now=NOW + number * MINUTE)
     enroll(store, "no place")
 
     (line, gate, unseen), end = store.places("campus", None, 10)
@@ -216,18 +225,18 @@ def test_a_place_lies_in_the_middle_of_its_views(store: SqlStore) -> None:
         ("campus", "gate", 3),
         ("campus", "unseen", 1),
     )
-    assert gate[3] == Where(x=2.0, y=2.0, z=3.0)
+    assert gate[3] == Position(x=2.0, y=2.0, z=3.0)
     assert line[3].lat == pytest.approx(10, abs=0.01)
     assert abs(line[3].lon or 0) == pytest.approx(180)
     assert line[3].alt == 3
-    assert unseen[3] == Where()
+    assert unseen[3] == Position()
     assert gate[4] == NOW + 4 * MINUTE
 
 
 def test_places_are_paged_by_map_and_name(store: SqlStore) -> None:
     for map_name in ("a", "b"):
         for place in ("B", "a", "b"):
-            enroll(store, f"{map_name} {place}", map=map_name, said=Said(place))
+            enroll(store, f"{map_name} {place}", map=map_name, attributes=ViewAttributes(place))
     seen: list[tuple[str, str]] = []
     cursor = None
     while True:

@@ -10,7 +10,7 @@ import pytest
 
 from schemas.errors import Conflict, KeyReused, LeaseLost, NotFound
 from schemas.ports import Store
-from schemas.records import Filters, Replay, Said, Where
+from schemas.records import Filters, Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
 from tests.storage.material import (
     LEASE,
@@ -22,7 +22,7 @@ from tests.storage.material import (
     enroll,
     facts,
     finish,
-    picture,
+    image,
     recipe,
     seed,
     vector,
@@ -75,9 +75,9 @@ def test_what_is_not_there_is_said_to_be_not_there(store: SqlStore) -> None:
         lambda: store.delete_views("moon", nothing),
         lambda: store.switch_recipe("moon", RECIPE, NOW),
         lambda: store.view("moon"),
-        lambda: store.patch("moon", Said()),
+        lambda: store.patch("moon", ViewAttributes()),
         lambda: store.delete_view("moon"),
-        lambda: store.picture("moon"),
+        lambda: store.image("moon"),
         lambda: store.job("moon"),
         lambda: store.cancel("moon", NOW),
         lambda: store.vocabulary("moon"),
@@ -88,10 +88,10 @@ def test_what_is_not_there_is_said_to_be_not_there(store: SqlStore) -> None:
 
 def test_counts_are_those_of_the_views(store: SqlStore) -> None:
     assert store.put_map("campus", RECIPE, NOW)[1]
-    assert store.counts("campus").lowest == Where()
-    enroll(store, "gate", said=Said("gate", Where(x=1.0, y=5.0)))
-    enroll(store, "gate at dusk", said=Said("gate", Where(x=-1.0, y=7.0, heading=90.0)))
-    enroll(store, "pond", said=Said("pond"))
+    assert store.counts("campus").lowest == Position()
+    enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=5.0)))
+    enroll(store, "gate at dusk", attributes=ViewAttributes("gate", Position(x=-1.0, y=7.0, heading=90.0)))
+    enroll(store, "pond", attributes=ViewAttributes("pond"))
     [first, _, last] = store.claim("worker", 3, LEASE, NOW)
     finish(store, first)
     store.fail(last, "nothing-static", "all is water", NOW)
@@ -100,8 +100,8 @@ def test_counts_are_those_of_the_views(store: SqlStore) -> None:
 
     assert counts.views == {"pending": 1, "ready": 1, "failed": 1}
     assert counts.places == 2
-    assert counts.picture_bytes == sum(len(picture(name)) for name in ("gate", "gate at dusk", "pond"))
-    assert (counts.lowest, counts.highest) == (Where(x=-1.0, y=5.0), Where(x=1.0, y=7.0))
+    assert counts.image_bytes == sum(len(image(name)) for name in ("gate", "gate at dusk", "pond"))
+    assert (counts.lowest, counts.highest) == (Position(x=-1.0, y=5.0), Position(x=1.0, y=7.0))
 
 
 def test_a_map_made_anew_under_an_old_name_has_nothing_of_the_old_one(store: SqlStore) -> None:
@@ -109,7 +109,7 @@ def test_a_map_made_anew_under_an_old_name_has_nothing_of_the_old_one(store: Sql
     describe_all(store)
     old = Follower(store).catch_up()
     removal = store.delete_map("campus")
-    assert (removal.views, removal.pictures, removal.revision) == (1, 1, None)
+    assert (removal.views, removal.images, removal.revision) == (1, 1, None)
     enroll(store, "pond")
     assert store.revision("campus") > old.revision
     assert store.since("campus", old.revision).seqs.tolist() == []
@@ -122,16 +122,18 @@ def test_a_map_made_anew_under_an_old_name_has_nothing_of_the_old_one(store: Sql
 
 def test_what_was_enrolled_is_there_after_a_restart_byte_for_byte(reopen: Open) -> None:
     store = reopen()
-    said = Said("gate", Where(lat=48.1, lon=11.5, alt=500.0, heading=0.0), NOW, {"floor": 2, "tags": ["north", None]})
-    submitted = enroll(store, "gate", said=said)
+    attributes = ViewAttributes(
+        "gate", Position(lat=48.1, lon=11.5, alt=500.0, heading=0.0), NOW, {"floor": 2, "tags": ["north", None]}
+    )
+    submitted = enroll(store, "gate", attributes=attributes)
     store.close()
 
     view = reopen().view(submitted.view.id)
 
     assert view == submitted.view
-    assert view.said == said
+    assert view.attributes == attributes
     assert (view.state, view.failure, view.description) == ("pending", None, None)
-    assert reopen().picture(view.id) == picture("gate")
+    assert reopen().image(view.id) == image("gate")
 
 
 def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlStore) -> None:
@@ -189,10 +191,10 @@ def test_a_recipe_without_verification_has_no_keypoints(store: SqlStore) -> None
 
 
 def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> None:
-    said = Said("gate", Where(x=1.0, y=2.0), metadata={"floor": 2, "dusk": True})
-    first = enroll(store, "gate", said=said)
-    for again in (Said(), Said("gate"), Said(metadata={"floor": 2}), said):
-        second = enroll(store, "gate", said=again)
+    attributes = ViewAttributes("gate", Position(x=1.0, y=2.0), metadata={"floor": 2, "dusk": True})
+    first = enroll(store, "gate", attributes=attributes)
+    for again in (ViewAttributes(), ViewAttributes("gate"), ViewAttributes(metadata={"floor": 2}), attributes):
+        second = enroll(store, "gate", attributes=again)
         assert (second.created, second.view, second.job_id) == (False, first.view, first.job_id)
     describe_all(store)
     assert enroll(store, "gate").job_id is None
@@ -200,10 +202,10 @@ def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> No
 
 
 def test_the_same_picture_with_something_else_said_is_a_conflict_that_names_it(store: SqlStore) -> None:
-    enroll(store, "gate", said=Said("gate", Where(x=1.0, y=2.0), metadata={"floor": 1}))
-    anew = Said("gate", Where(x=1.0, y=3.0), NOW, {"floor": True})
+    enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=2.0), metadata={"floor": 1}))
+    anew = ViewAttributes("gate", Position(x=1.0, y=3.0), NOW, {"floor": True})
     with pytest.raises(Conflict, match=r"another y, captured_at, metadata\.floor; PATCH"):
-        enroll(store, "gate", said=anew)
+        enroll(store, "gate", attributes=anew)
 
 
 def test_a_failed_picture_that_is_sent_again_is_tried_again(store: SqlStore) -> None:
@@ -226,34 +228,34 @@ def test_a_failed_picture_that_is_sent_again_is_tried_again(store: SqlStore) -> 
 
 
 def test_numbers_of_numpy_are_kept_as_numbers(store: SqlStore) -> None:
-    where = Where(x=np.float32(0.5), y=np.float64(2))  # type: ignore[arg-type]
-    view = enroll(store, "gate", said=Said(where=where)).view
-    assert store.view(view.id).said.where == Where(x=0.5, y=2.0)
+    position = Position(x=np.float32(0.5), y=np.float64(2))  # type: ignore[arg-type]
+    view = enroll(store, "gate", attributes=ViewAttributes(position=position)).view
+    assert store.view(view.id).attributes.position == Position(x=0.5, y=2.0)
     assert store.select("campus", Filters(near=(0.5, 2.0, 0.0))).only.tolist() == [view.seq]  # type: ignore[union-attr]
 
 
 def test_times_are_moments_whatever_their_zone(store: SqlStore) -> None:
     tokyo = timezone(timedelta(hours=9))
-    view = enroll(store, "gate", said=Said(captured_at=datetime(2026, 3, 1, 9, tzinfo=tokyo))).view
-    captured = store.view(view.id).said.captured_at
+    view = enroll(store, "gate", attributes=ViewAttributes(captured_at=datetime(2026, 3, 1, 9, tzinfo=tokyo))).view
+    captured = store.view(view.id).attributes.captured_at
     assert captured == datetime(2026, 3, 1, 0, tzinfo=UTC)
     assert captured.tzinfo is UTC
     with pytest.raises(Exception, match="a time needs a zone"):
-        enroll(store, "pond", said=Said(captured_at=datetime(2026, 3, 1)))
+        enroll(store, "pond", attributes=ViewAttributes(captured_at=datetime(2026, 3, 1)))
 
 
 # views
 
 
 def test_a_correction_replaces_all_that_was_said(store: SqlStore) -> None:
-    view = enroll(store, "gate", said=Said("gate", Where(x=1.0, y=2.0), NOW, {"floor": 1})).view
+    view = enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=2.0), NOW, {"floor": 1})).view
     describe_all(store)
     before = store.revision("campus")
 
-    corrected = store.patch(view.id, Said("door", metadata={"floor": 2}))
+    corrected = store.patch(view.id, ViewAttributes("door", metadata={"floor": 2}))
 
-    assert corrected.said == Said("door", metadata={"floor": 2})
-    assert store.view(view.id).said == corrected.said
+    assert corrected.attributes == ViewAttributes("door", metadata={"floor": 2})
+    assert store.view(view.id).attributes == corrected.attributes
     assert store.revision("campus") > before
     for floor, found in (("1", []), ("2", [view.seq])):
         only = store.select("campus", Filters(metadata={"floor": floor})).only
@@ -263,10 +265,10 @@ def test_a_correction_replaces_all_that_was_said(store: SqlStore) -> None:
 
 
 def test_a_correction_that_changes_nothing_gives_no_revision(store: SqlStore) -> None:
-    said = Said("gate", Where(x=1.0, y=2.0), NOW, {"b": 1, "a": [1, 2]})
-    view = enroll(store, "gate", said=said).view
+    attributes = ViewAttributes("gate", Position(x=1.0, y=2.0), NOW, {"b": 1, "a": [1, 2]})
+    view = enroll(store, "gate", attributes=attributes).view
     before = store.revision("campus")
-    assert store.patch(view.id, said) == view
+    assert store.patch(view.id, attributes) == view
     assert store.revision("campus") == before
 
 
@@ -278,32 +280,32 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, dat
 
     removal = store.delete_view(view.id)
 
-    assert (removal.views, removal.pictures, removal.revision) == (1, 1, store.revision("campus"))
+    assert (removal.views, removal.images, removal.revision) == (1, 1, store.revision("campus"))
     assert follower.catch_up().vectors.keys() == Follower(store).catch_up().vectors.keys()
     assert view.seq not in follower.vectors
     assert store.views_at([view.seq]) == {}
     assert store.appearances([view.seq], RECIPE.id) == {}
     assert store.cells([view.seq], RECIPE.id) == {}
-    assert not list((data / "pictures").rglob(view.picture.sha256))
+    assert not list((data / "pictures").rglob(view.image.sha256))
     assert enroll(store, "gate").view.seq > view.seq + 1
 
 
 def test_a_picture_stays_while_a_view_of_another_map_shows_it(store: SqlStore) -> None:
     here = enroll(store, "gate", map="campus").view
     there = enroll(store, "gate", map="museum").view
-    assert store.delete_view(here.id).pictures == 0
-    assert store.picture(there.id) == picture("gate")
-    assert store.delete_map("museum").pictures == 1
+    assert store.delete_view(here.id).images == 0
+    assert store.image(there.id) == image("gate")
+    assert store.delete_map("museum").images == 1
 
 
 def test_views_are_deleted_by_filter(store: SqlStore) -> None:
     for number in range(6):
-        enroll(store, f"{number}", said=Said("gate" if number % 2 else "pond"))
+        enroll(store, f"{number}", attributes=ViewAttributes("gate" if number % 2 else "pond"))
     before = store.revision("campus")
     removal = store.delete_views("campus", Filters(place="gate", exclude_last=1))
-    assert (removal.views, removal.pictures) == (2, 2)
+    assert (removal.views, removal.images) == (2, 2)
     views, _ = store.views("campus", Filters())
-    assert [view.said.place for view in views] == ["pond", "pond", "pond", "gate"]
+    assert [view.attributes.place for view in views] == ["pond", "pond", "pond", "gate"]
     assert removal.revision == store.revision("campus") > before
     assert store.delete_views("campus", Filters(place="moon")).revision == removal.revision
 
@@ -323,7 +325,7 @@ def test_many_views_are_deleted_in_portions_that_let_others_write(
 def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    views = [enroll(store, f"{number}", said=Said("gate")).view for number in range(3)]
+    views = [enroll(store, f"{number}", attributes=ViewAttributes("gate")).view for number in range(3)]
     [claim, *_] = store.claim("worker", 1, LEASE, NOW)
 
     def cut(*_: object) -> None:
@@ -338,15 +340,15 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     assert store.views(None, Filters()) == ([], None)
     assert store.places(None, None, 5) == ([], None)
     assert store.claim("worker", 5, LEASE, NOW) == []
-    for ask in (store.view, store.picture, store.delete_view):
+    for ask in (store.view, store.image, store.delete_view):
         with pytest.raises(NotFound):
             ask(views[0].id)
     with pytest.raises(LeaseLost):
         finish(store, claim)
     anew = enroll(store, "0").view
     store.recover(NOW)
-    assert [path.name for path in (data / "pictures").glob("??/??/*")] == [anew.picture.sha256]
-    assert store.picture(anew.id) == picture("0")
+    assert [path.name for path in (data / "pictures").glob("??/??/*")] == [anew.image.sha256]
+    assert store.image(anew.id) == image("0")
 
 
 # repeated calls, vocabularies, care
@@ -390,5 +392,5 @@ def test_a_vocabulary_is_kept_under_its_digest(store: SqlStore) -> None:
 
 def test_a_picture_of_wrong_digest_is_refused(store: SqlStore) -> None:
     with pytest.raises(ValueError, match="SHA-256"):
-        store.submit("campus", b"one", facts(b"another"), Said(), RECIPE, NOW)
+        store.submit("campus", b"one", facts(b"another"), ViewAttributes(), RECIPE, NOW)
     assert store.maps() == []

@@ -22,14 +22,14 @@ from hypothesis.stateful import (
 
 from schemas.errors import Conflict, LeaseLost
 from schemas.recipe import Recipe
-from schemas.records import Claim, Filters, Said
+from schemas.records import Claim, Filters, ViewAttributes
 from tests.storage.databases import POSTGRES, data_folder, postgres_schema, sqlite_url
-from tests.storage.material import LEASE, NOW, Follower, enroll, finish, picture, recipe, vector
+from tests.storage.material import LEASE, NOW, Follower, enroll, finish, image, recipe, vector
 from worker.storage.store import open_store
 
 RECIPES = [recipe("default"), recipe("paper")]
 MAPS = st.sampled_from(["campus", "museum"])
-PICTURES = st.sampled_from(["gate", "pond", "stairs"])
+IMAGES = st.sampled_from(["gate", "pond", "stairs"])
 PLACES = st.sampled_from([None, "north", "south"])
 
 
@@ -110,15 +110,15 @@ class StoreMachine(RuleBasedStateMachine):
             for view in of.views.values():
                 yield of, view
 
-    @rule(name=MAPS, shown=PICTURES, place=PLACES)
+    @rule(name=MAPS, shown=IMAGES, place=PLACES)
     def enrol(self, name: str, shown: str, place: str | None) -> None:
         of = self.maps.setdefault(name, ModelMap(RECIPES[0].id))
         known = of.views.get(shown)
         if known is not None and place not in (None, known.place):
             with pytest.raises(Conflict):
-                enroll(self.store, shown, map=name, said=Said(place), now=self.now)
+                enroll(self.store, shown, map=name, attributes=ViewAttributes(place), now=self.now)
             return
-        submitted = enroll(self.store, shown, map=name, said=Said(place), now=self.now)
+        submitted = enroll(self.store, shown, map=name, attributes=ViewAttributes(place), now=self.now)
         assert submitted.created == (known is None)
         if known is None:
             known = of.views[shown] = ModelView(submitted.view.id, submitted.view.seq, place)
@@ -191,7 +191,7 @@ class StoreMachine(RuleBasedStateMachine):
         name, shown = data.draw(st.sampled_from([(n, p) for n, of in self.maps.items() for p in of.views]))
         view = self.maps[name].views.pop(shown)
         others = sum(shown in of.views for of in self.maps.values())
-        assert self.store.delete_view(view.id).pictures == (0 if others else 1)
+        assert self.store.delete_view(view.id).images == (0 if others else 1)
         self.maps[name].change_over_if_done()
 
     @precondition(lambda self: self.maps)
@@ -242,11 +242,11 @@ class StoreMachine(RuleBasedStateMachine):
             assert self.store.map(name).recipe.id == of.recipe
             views, _ = self.store.views(name, Filters())
             expected = sorted(of.views.values(), key=lambda view: view.seq)
-            assert [(v.id, v.said.place, v.state) for v in views] == [
+            assert [(v.id, v.attributes.place, v.state) for v in views] == [
                 (v.id, v.place, v.state(of.recipe)) for v in expected
             ]
             for shown, view in of.views.items():
-                assert self.store.picture(view.id) == picture(shown)
+                assert self.store.image(view.id) == image(shown)
         unfinished = [job for _, view in self.everything() for job in view.jobs]
         assert self.store.waiting(redescriptions=True) == len(unfinished)
         assert self.store.waiting() == sum(not job.background for job in unfinished)
@@ -254,7 +254,7 @@ class StoreMachine(RuleBasedStateMachine):
     @invariant()
     def no_picture_is_kept_without_a_view(self) -> None:
         files = {path.read_bytes() for path in (self.folder / "pictures").rglob("??/??/*")}
-        assert files == {picture(shown) for of in self.maps.values() for shown in of.views}
+        assert files == {image(shown) for of in self.maps.values() for shown in of.views}
 
 
 class PostgresMachine(StoreMachine):

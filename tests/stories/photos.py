@@ -2,7 +2,7 @@
 
 import io
 
-from PIL import Image
+from PIL import Image as PilImage
 
 from scenes.scene import Scene
 from schemas.image import Bytes2D
@@ -16,5 +16,5 @@ def photo(look: Scene) -> bytes:
 def jpeg(pixels: Bytes2D) -> bytes:
     """A JPEG of RGB pixels."""
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "JPEG", quality=92)
+    PilImage.fromarray(pixels).save(buffer, "JPEG", quality=92)
     return buffer.getvalue()

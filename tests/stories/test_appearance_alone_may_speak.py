@@ -30,12 +30,12 @@ def test_asking_without_it_changes_likenesses_and_never_raises_them(tmp_path: Pa
         }
 
     assert answers["default"][0]["view"]["place"] == answers["joined"][0]["view"]["place"] == NAMES[0]
-    likeness = {
+    similarity = {
         name: {match["view"]["place"]: match["dense"]["similarity"] for match in matches}
         for name, matches in answers.items()
     }
-    assert all(likeness["default"][name] >= likeness["joined"][name] for name in NAMES)
-    assert any(likeness["default"][name] > likeness["joined"][name] + 0.001 for name in NAMES)
+    assert all(similarity["default"][name] >= similarity["joined"][name] for name in NAMES)
+    assert any(similarity["default"][name] > similarity["joined"][name] + 0.001 for name in NAMES)
 
 
 def test_a_recipe_from_before_keeps_its_identity_and_one_channel_is_nothing_beside_itself() -> None:

@@ -22,7 +22,7 @@ SENDERS = 3
 PNG = {"content-type": "image/png"}
 
 
-def picture(number: int) -> bytes:
+def image(number: int) -> bytes:
     """A small picture that no other number has."""
     pixels = np.random.default_rng(number).integers(0, 255, (12, 16, 3), np.uint8)
     large = cv2.resize(pixels, (160, 120), interpolation=cv2.INTER_NEAREST)
@@ -43,7 +43,7 @@ class Ledger:
         with httpx.Client(base_url=url, timeout=30) as client:
             while not until.is_set():
                 with self.lock:
-                    data = picture(next(self.numbers))
+                    data = image(next(self.numbers))
                 try:
                     answer = client.post(
                         "/enroll",

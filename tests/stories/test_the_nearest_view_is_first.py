@@ -1,4 +1,4 @@
-"""Along a street several views show the same houses; the one taken nearest shows them as large as the question does."""
+"""Along a street several views show the same houses; the one taken nearest shows them as large as the query does."""
 
 from pathlib import Path
 

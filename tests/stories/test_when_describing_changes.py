@@ -10,7 +10,7 @@ import pytest
 from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
-from tests.pictures import drawn, encoded
+from tests.sample_images import drawn, encoded
 from worker.bootstrap import build
 from worker.description.describer import Describer
 
@@ -19,8 +19,8 @@ JPEG = {"content-type": "image/jpeg"}
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[CheckedClient]:
-    house = build(Settings(data=tmp_path, encoder="color", threads=1))
-    with CheckedClient(create_app(house)) as client:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    with CheckedClient(create_app(runtime)) as client:
         yield client
 
 

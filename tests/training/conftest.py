@@ -50,21 +50,21 @@ def data_folder(tmp_path: Path) -> Path:
         (street / "train" / part).mkdir(parents=True)
     (street / "classes.json").write_text(json.dumps({"0": ["sky"], "1": ["road", "street"], "2": ["lane marking"]}))
     for number in range(4):
-        picture = rng.integers(0, 120, (96, 128, 3), np.uint8)
-        picture[:48] += 120
+        image = rng.integers(0, 120, (96, 128, 3), np.uint8)
+        image[:48] += 120
         labels = np.zeros((96, 128), np.uint8)
         labels[48:] = 1
-        cv2.imwrite(str(street / "train" / "images" / f"{number}.jpg"), picture)
+        cv2.imwrite(str(street / "train" / "images" / f"{number}.jpg"), image)
         cv2.imwrite(str(street / "train" / "labels" / f"{number}.png"), labels)
     square = rng.integers(0, 255, (96, 128, 3), np.uint8)
     scenes = {
         "unlabelled/indoor/flat": [rng.integers(0, 255, (96, 128, 3), np.uint8) for _ in range(2)],
         "pairs/aligned/webcam/square": [square, square // 4],
     }
-    for name, pictures in scenes.items():
+    for name, images in scenes.items():
         (folder / name).mkdir(parents=True)
-        for number, picture in enumerate(pictures):
-            cv2.imwrite(str(folder / name / f"{number}.jpg"), picture)
+        for number, image in enumerate(images):
+            cv2.imwrite(str(folder / name / f"{number}.jpg"), image)
     return folder
 
 

@@ -32,7 +32,9 @@ def test_clear_labels_lie_where_the_picture_shows_them(data_folder: Path) -> Non
 
     seen = [batches[step] for step in range(4)]
     light = torch.cat([batch["clear_pictures"].float().mean(dim=1) for batch in seen])[:, 2::4, 2::4]
-    said = torch.cat([batch["clear_meanings"] for batch in seen])
+    attributes = torch.cat([batch["clear_meanings"] for batch in seen])
 
-    assert {-1, sky, road} >= set(said.flatten().tolist()) >= {sky, road}
-    assert float(light[said == sky].mean()) > float(light[said == road].mean()) + 30  # drawn brighter by 120
+    assert {-1, sky, road} >= set(attributes.flatten().tolist()) >= {sky, road}
+    assert (
+        float(light[attributes == sky].mean()) > float(light[attributes == road].mean()) + 30
+    )  # drawn brighter by 120

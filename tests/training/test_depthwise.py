@@ -55,9 +55,9 @@ def test_under_autocast_they_are_as_near_as_bfloat16_allows(kernel: int, dilatio
 def test_only_slow_convolutions_of_the_network_are_replaced_and_nothing_else_changes() -> None:
     torch.manual_seed(0)
     network = CompactNetwork().eval()
-    names, picture = list(network.state_dict()), torch.rand(1, 3, 64, 64)
+    names, image = list(network.state_dict()), torch.rand(1, 3, 64, 64)
     with torch.no_grad():
-        before = network(picture)
+        before = network(image)
 
     quicken(network)
 
@@ -65,5 +65,5 @@ def test_only_slow_convolutions_of_the_network_are_replaced_and_nothing_else_cha
     assert {name.split(".")[0] for name in quick} == {"deep", "context"}
     assert list(network.state_dict()) == names
     with torch.no_grad():
-        for one, other in zip(network(picture), before, strict=True):
+        for one, other in zip(network(image), before, strict=True):
             assert torch.allclose(one, other, atol=1e-6)

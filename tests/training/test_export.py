@@ -7,14 +7,14 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from schemas.image import Picture
+from schemas.image import Image
 from training.export import WORDS_TO_SHIP, export, network_of, reduced, shared_digest
-from training.export_fine import export_fine
-from training.fine_words import started_from
+from training.export_segmentation import export_segmentation
 from training.network import TrainedNetwork
-from worker.encoders.compact.encoder import READERS, CompactEncoder
+from training.segmentation import started_from
+from worker.encoders.compact.encoder import ENSEMBLE, CompactEncoder
 from worker.encoders.compact.network import CompactNetwork
-from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 
 WEIGHTS = Path(__file__).parents[2] / "worker" / "encoders" / "weights"
 
@@ -43,11 +43,11 @@ def test_the_reduced_network_keeps_every_cosine() -> None:
     state, basis = reduced(whole.state_dict())
     small = CompactNetwork(97).eval()
     small.load_state_dict(state)
-    picture = torch.rand(1, 3, 64, 64)
+    image = torch.rand(1, 3, 64, 64)
 
     with torch.inference_mode():
-        wide = whole(picture)[0][0].flatten(1).T
-        narrow = small(picture)[0][0].flatten(1).T
+        wide = whole(image)[0][0].flatten(1).T
+        narrow = small(image)[0][0].flatten(1).T
 
     assert torch.allclose(wide, narrow @ basis.T, atol=1e-5)
     assert torch.allclose(wide @ wide.T, narrow @ narrow.T, atol=1e-5)
@@ -59,11 +59,11 @@ def test_the_exported_file_answers_like_the_checkpoint_to_half_precision(data_fo
     export(checkpoint, data_folder, tmp_path / "weights")
     shipped = network_of(tmp_path / "weights" / "compact.safetensors")
     text = load_file(tmp_path / "weights" / "compact.safetensors")
-    picture = torch.rand(1, 3, 64, 64)
+    image = torch.rand(1, 3, 64, 64)
 
     with torch.inference_mode():
-        wide, detail = whole(picture)
-        narrow, same_detail = shipped(picture)
+        wide, detail = whole(image)
+        narrow, same_detail = shipped(image)
     again = torch.einsum("dc,nchw->ndhw", text["text.basis"].float(), narrow)
 
     assert float((again * wide).sum(dim=1).min()) > 0.999
@@ -97,15 +97,13 @@ def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_othe
     torch.save(saved | {"plan": {"shared": "0" * 64}}, tmp_path / "stranger.pt")
 
     with pytest.raises(ValueError, match="began with shallow layers of SHA-256 00000000"):
-        export_fine(tmp_path / "stranger.pt", tmp_path)
-    export_fine(tmp_path / "fine.pt", tmp_path)
+        export_segmentation(tmp_path / "stranger.pt", tmp_path)
+    export_segmentation(tmp_path / "fine.pt", tmp_path)
 
     described = json.loads((tmp_path / "compact.json").read_text())["fine"]
     assert described["training"]["steps"] == 3
     assert described["blended with another run"] == twin
-    answered = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(
-        Picture.of(np.zeros((64, 96, 3), np.uint8))
-    )
+    answered = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(Image.of(np.zeros((64, 96, 3), np.uint8)))
     assert answered.shape == (2 * 320 // 8, 480 // 4)
 
     def exported_again(changed: str) -> CompactEncoder:
@@ -115,26 +113,26 @@ def test_fine_words_are_added_to_the_weights_that_they_began_with_and_to_no_othe
         export(checkpoint, data_folder, tmp_path)
         return CompactEncoder(weights=tmp_path / "compact.safetensors")
 
-    picture = Picture.of(np.full((64, 96, 3), 90, np.uint8))
-    first_alone = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(picture)
-    torch.save(saved | {"average": SecondFineWords().state_dict()}, tmp_path / "second.pt")
-    export_fine(tmp_path / "second.pt", tmp_path)
-    export_fine(tmp_path / "second.pt", tmp_path, reader="third")
-    for stranger, place in (("second.pt", "fine"), ("fine.pt", "third")):
+    image = Image.of(np.full((64, 96, 3), 90, np.uint8))
+    first_alone = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(image)
+    torch.save(saved | {"average": IndependentSegmentationNetwork().state_dict()}, tmp_path / "second.pt")
+    export_segmentation(tmp_path / "second.pt", tmp_path)
+    export_segmentation(tmp_path / "second.pt", tmp_path, member="third")
+    for unknown_place, place in (("second.pt", "fine"), ("fine.pt", "third")):
         with pytest.raises(ValueError, match=f"it cannot be the reader {place}"):
-            export_fine(tmp_path / stranger, tmp_path, reader=place)
-    then = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(picture)
+            export_segmentation(tmp_path / unknown_place, tmp_path, member=place)
+    then = CompactEncoder(weights=tmp_path / "compact.safetensors").fine(image)
     assert not np.allclose(then.semantic, first_alone.semantic)
     deeper = exported_again("stride16.0.convolutions.0.convolution.weight")
-    assert np.array_equal(deeper.fine(picture).semantic, then.semantic)
+    assert np.array_equal(deeper.fine(image).semantic, then.semantic)
     exported_again("stride8.0.convolutions.0.convolution.weight")
-    assert json.loads((tmp_path / "compact.json").read_text()).keys().isdisjoint(READERS)
+    assert json.loads((tmp_path / "compact.json").read_text()).keys().isdisjoint(ENSEMBLE)
 
 
 class TestShippedWeights:
     def test_the_sums_are_right(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
-        files = [part[kind] for part in (described, *map(described.get, READERS)) for kind in ("weights", "graph")]
+        files = [part[kind] for part in (described, *map(described.get, ENSEMBLE)) for kind in ("weights", "graph")]
 
         assert len({file["file"] for file in files}) == 8
         for file in files:
@@ -144,7 +142,7 @@ class TestShippedWeights:
         described = json.loads((WEIGHTS / "compact.json").read_text())
 
         shared = shared_digest(load_file(WEIGHTS / "compact.safetensors"))
-        assert [described[reader]["training"]["plan"]["shared"] for reader in READERS] == [shared] * 3
+        assert [described[member]["training"]["plan"]["shared"] for member in ENSEMBLE] == [shared] * 3
 
     def test_every_word_has_a_row(self) -> None:
         described = json.loads((WEIGHTS / "compact.json").read_text())
@@ -156,9 +154,10 @@ class TestShippedWeights:
     def test_they_fit_the_network_and_weigh_little(self) -> None:
         network = network_of(WEIGHTS / "compact.safetensors")
 
-        fine = FineWords.loaded(load_file(WEIGHTS / "compact-fine.safetensors"))
+        fine = SegmentationNetwork.loaded(load_file(WEIGHTS / "compact-fine.safetensors"))
         others = [
-            SecondFineWords.loaded(load_file(WEIGHTS / f"compact-{reader}.safetensors")) for reader in READERS[1:]
+            IndependentSegmentationNetwork.loaded(load_file(WEIGHTS / f"compact-{member}.safetensors"))
+            for member in ENSEMBLE[1:]
         ]
 
         assert sum(tensor.numel() for part in (network, fine, *others) for tensor in part.parameters()) < 10_000_000

@@ -7,10 +7,10 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from training.export_onnx import write_fields_graph, write_fine_graph, write_second_graph
+from training.export_onnx import write_fields_graph, write_second_graph, write_segmentation_graph
 from worker.encoders.compact.network import CompactNetwork
 from worker.encoders.compact.onnx import OnnxEngine
-from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 from worker.encoders.compact.torch import TorchEngine
 
 
@@ -19,7 +19,7 @@ class Files(NamedTuple):
     fine: Path
     second: Path
     fields_graph: Path
-    fine_graph: Path
+    segmentation_graph: Path
     second_graph: Path
 
     @property
@@ -35,26 +35,32 @@ def halved(module: nn.Module) -> dict[str, Tensor]:
 def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("weights")
-    weights, fine_weights, second_weights = (folder / f"compact{part}.safetensors" for part in ("", "-fine", "-second"))
+    weights, segmentation_weights, second_weights = (
+        folder / f"compact{part}.safetensors" for part in ("", "-fine", "-second")
+    )
     save_file(halved(CompactNetwork()) | {"text.vectors": torch.zeros(2, 97).half()}, weights)
-    fine, second = FineWords(), SecondFineWords()
+    fine, second = SegmentationNetwork(), IndependentSegmentationNetwork()
     for sharpen in (fine.sharpen, second.fine.sharpen):
         for parameter in sharpen.out.parameters():
             torch.nn.init.normal_(parameter, std=0.2)  # otherwise it adds nothing
-    save_file(halved(fine), fine_weights)
+    save_file(halved(fine), segmentation_weights)
     save_file(halved(second), second_weights)
-    graphs = write_fields_graph(weights), write_fine_graph(weights, fine_weights), write_second_graph(second_weights)
-    return Files(weights, fine_weights, second_weights, *graphs)
+    graphs = (
+        write_fields_graph(weights),
+        write_segmentation_graph(weights, segmentation_weights),
+        write_second_graph(second_weights),
+    )
+    return Files(weights, segmentation_weights, second_weights, *graphs)
 
 
 @pytest.mark.parametrize(("height", "width"), [(96, 128), (32, 64), (288, 480)])
 def test_the_graphs_answer_like_the_networks_at_any_multiple_of_32(files: Files, height: int, width: int) -> None:
-    pictures = np.random.default_rng(0).integers(0, 256, (2, height, width, 3), np.uint8)
+    images = np.random.default_rng(0).integers(0, 256, (2, height, width, 3), np.uint8)
     in_torch = TorchEngine(files.weights.read_bytes(), [files.fine.read_bytes(), files.second.read_bytes()], "cpu")
-    in_onnx = OnnxEngine(files.fields_graph, [files.fine_graph, files.second_graph], threads=1)
+    in_onnx = OnnxEngine(files.fields_graph, [files.segmentation_graph, files.second_graph], threads=1)
 
-    expected = [*in_torch.fields(pictures), *(in_torch.fine_words(pictures, reader) for reader in (0, 1))]
-    answered = [*in_onnx.fields(pictures), *(in_onnx.fine_words(pictures, reader) for reader in (0, 1))]
+    expected = [*in_torch.fields(images), *(in_torch.segmentation(images, member) for member in (0, 1))]
+    answered = [*in_onnx.fields(images), *(in_onnx.segmentation(images, member) for member in (0, 1))]
 
     for one, other in zip(expected, answered, strict=True):
         assert one.shape == other.shape
@@ -72,7 +78,7 @@ def test_the_same_weights_give_the_same_graphs_to_the_byte(files: Files) -> None
 
     again = (
         write_fields_graph(files.weights),
-        write_fine_graph(files.weights, files.fine),
+        write_segmentation_graph(files.weights, files.fine),
         write_second_graph(files.second),
     )
 

@@ -7,15 +7,15 @@ import pytest
 
 from training import light
 
-Change = Callable[[light.Picture, np.random.Generator], light.Picture]
+Change = Callable[[light.Image, np.random.Generator], light.Image]
 
 
-def scene() -> light.Picture:
+def scene() -> light.Image:
     """Grass below, sky above, with a little texture."""
-    picture = np.empty((96, 128, 3), np.uint8)
-    picture[:48], picture[48:] = (150, 190, 240), (60, 120, 40)
-    picture += np.random.default_rng(0).integers(0, 8, picture.shape, np.uint8)
-    return picture
+    image = np.empty((96, 128, 3), np.uint8)
+    image[:48], image[48:] = (150, 190, 240), (60, 120, 40)
+    image += np.random.default_rng(0).integers(0, 8, image.shape, np.uint8)
+    return image
 
 
 @pytest.mark.parametrize("change", [light.mild, light.strong])

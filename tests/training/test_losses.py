@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from training.losses import likeness_loss, matched_cells, two_view_loss
+from training.losses import matched_cells, similarity_loss, two_view_loss
 from training.word_loss import WordLoss
 
 
@@ -146,17 +146,17 @@ def test_neighbouring_cells_are_not_held_against_each_other() -> None:
     same = torch.ones(1, 2, 4) / 2
 
     neighbours, _ = two_view_loss(same, same, torch.tensor([[0, 1]]), columns=32, temperature=0.07, margin=2)
-    strangers, _ = two_view_loss(same, same, torch.tensor([[0, 9]]), columns=32, temperature=0.07, margin=2)
+    unknown_places, _ = two_view_loss(same, same, torch.tensor([[0, 9]]), columns=32, temperature=0.07, margin=2)
 
     assert float(neighbours) == pytest.approx(0, abs=1e-6)
-    assert float(strangers) == pytest.approx(math.log(2), rel=1e-5)
+    assert float(unknown_places) == pytest.approx(math.log(2), rel=1e-5)
 
 
 def test_a_network_as_alike_as_its_teacher_pays_nothing() -> None:
     here, there = torch.eye(4).view(1, 4, 4), torch.eye(4).flip(0).view(1, 4, 4)
 
-    assert float(likeness_loss(here, there, here, there)) == 0
-    assert float(likeness_loss(here, there, here, here)) > 0
+    assert float(similarity_loss(here, there, here, there)) == 0
+    assert float(similarity_loss(here, there, here, here)) > 0
 
 
 def test_matched_cells_are_read_where_the_views_show_them() -> None:

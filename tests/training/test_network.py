@@ -2,10 +2,10 @@ import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
 
-from training.fine_words import started_from
 from training.network import TrainedNetwork
+from training.segmentation import started_from
 from worker.encoders.compact.network import CompactNetwork
-from worker.encoders.compact.segmentation import FineWords
+from worker.encoders.compact.segmentation import SegmentationNetwork
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (72, 100), (33, 47)])
@@ -25,11 +25,11 @@ def test_any_size_gives_two_unit_length_fields_at_an_eighth(height: int, width: 
 def test_a_network_is_loaded_from_half_precision() -> None:
     network = CompactNetwork().eval()
     halved = {name: tensor.half() for name, tensor in network.state_dict().items()}
-    picture = torch.rand(1, 3, 64, 64)
+    image = torch.rand(1, 3, 64, 64)
 
     with torch.inference_mode():
-        near = CompactNetwork.loaded(halved)(picture)
-        exact = network(picture)
+        near = CompactNetwork.loaded(halved)(image)
+        exact = network(image)
 
     for one, other in zip(near, exact, strict=True):
         assert one.dtype == torch.float32
@@ -38,7 +38,7 @@ def test_a_network_is_loaded_from_half_precision() -> None:
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (72, 100), (33, 47)])
 def test_fine_words_have_unit_length_at_a_quarter(height: int, width: int) -> None:
-    network, fine = CompactNetwork().eval(), FineWords().eval()
+    network, fine = CompactNetwork().eval(), SegmentationNetwork().eval()
 
     with torch.inference_mode():
         words = fine(*network.levels(torch.rand(2, 3, height, width)))
@@ -51,11 +51,11 @@ def test_fine_words_have_unit_length_at_a_quarter(height: int, width: int) -> No
 def test_before_training_fine_words_are_the_words_field_enlarged() -> None:
     network = TrainedNetwork().eval()
     fine = started_from(network).eval()
-    pictures = torch.rand(1, 3, 64, 96)
+    images = torch.rand(1, 3, 64, 96)
 
     with torch.inference_mode():
-        joined = network.fused(*network.shallow(pictures))
+        joined = network.fused(*network.shallow(images))
         enlarged = F.interpolate(joined, scale_factor=2.0, mode="bilinear", align_corners=False)
 
-        assert torch.allclose(network.sharp(pictures), enlarged, atol=1e-6)
-        assert torch.allclose(fine(*network.levels(pictures)), F.normalize(network.words(enlarged), dim=1), atol=1e-6)
+        assert torch.allclose(network.sharp(images), enlarged, atol=1e-6)
+        assert torch.allclose(fine(*network.levels(images)), F.normalize(network.words(enlarged), dim=1), atol=1e-6)

@@ -10,10 +10,10 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
 from training import data, points
+from training.images import Image, read_labels, read_rgb
 from training.lexicon import STREET_WORDS, ClipWords, Lexicon
 from training.mix import Mix
 from training.opinions import OpinionLoss, opinion_loss_of
-from training.pictures import Picture, read_labels, read_rgb
 from training.teacher import OPINION_CELLS, Floats16, Teacher, label_name, opinion_name, write_labels, write_opinions
 
 ROAD, SKY = STREET_WORDS.index("road"), STREET_WORDS.index("sky")
@@ -37,13 +37,13 @@ def test_opinions_are_read_where_a_view_was_cut_from(data_folder: Path, tmp_path
     """Quarters labelled crosswise, and a teacher that says the same: a mirrored or shifted reading would differ."""
     labels = np.zeros((96, 128), np.uint8)
     labels[:48, :64] = labels[48:, 64:] = 1
-    said = np.zeros((19, *OPINION_CELLS), np.float16)
+    attributes = np.zeros((19, *OPINION_CELLS), np.float16)
     road = np.kron([[1, 0], [0, 1]], np.ones((20, 20)))
-    said[ROAD], said[SKY] = road, 1 - road
+    attributes[ROAD], attributes[SKY] = road, 1 - road
     found = data.sources(data_folder, None)
     for scene in found["camvid"].scenes:
         cv2.imwrite(str(scene[0].labels), labels)
-        np.save(tmp_path / opinion_name(scene[0].picture), said)
+        np.save(tmp_path / opinion_name(scene[0].image), attributes)
     lexicon = Lexicon(ClipWords(data_folder / data.CLIP_FILE), data.classes(data_folder))
     agrees = opinion_loss_of(lexicon, torch.zeros(len(lexicon.words), 97)).agrees
     mix = Mix(strong=0, mild=0, clear=6, clear_size=(64, 96), clear_stride=1)
@@ -103,8 +103,8 @@ class BrightIsSky(Teacher):
     def __init__(self) -> None:
         nn.Module.__init__(self)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        light = F.avg_pool2d(pictures.mean(dim=1, keepdim=True), 16)
+    def forward(self, images: Tensor) -> Tensor:
+        light = F.avg_pool2d(images.mean(dim=1, keepdim=True), 16)
         scores = torch.zeros(1, 19, *light.shape[2:])
         scores[:, SKY], scores[:, ROAD] = 20 * light[:, 0], 20 * (1 - light[:, 0])
         return scores
@@ -113,42 +113,42 @@ class BrightIsSky(Teacher):
 def test_a_teachers_opinions_are_probabilities_over_the_whole_picture_and_are_made_once(
     data_folder: Path, tmp_path: Path
 ) -> None:
-    pictures = data.training_pictures(data_folder / "segmentation", "camvid")
-    write_opinions(BrightIsSky(), pictures, tmp_path)
-    said = np.load(tmp_path / opinion_name(pictures[0])).astype(float)
+    images = data.training_images(data_folder / "segmentation", "camvid")
+    write_opinions(BrightIsSky(), images, tmp_path)
+    attributes = np.load(tmp_path / opinion_name(images[0])).astype(float)
 
-    assert read_rgb(pictures[0]).shape[:2] == (96, 128)
-    assert said.shape == (19, *OPINION_CELLS)
-    np.testing.assert_allclose(said.sum(axis=0), 1, atol=0.01)
-    assert (said[:, :18].argmax(axis=0) == SKY).all()
-    assert (said[:, 22:].argmax(axis=0) == ROAD).all()
-    stamp = (tmp_path / opinion_name(pictures[0])).stat().st_mtime_ns
-    write_opinions(BrightIsSky(), pictures, tmp_path)
-    assert (tmp_path / opinion_name(pictures[0])).stat().st_mtime_ns == stamp
+    assert read_rgb(images[0]).shape[:2] == (96, 128)
+    assert attributes.shape == (19, *OPINION_CELLS)
+    np.testing.assert_allclose(attributes.sum(axis=0), 1, atol=0.01)
+    assert (attributes[:, :18].argmax(axis=0) == SKY).all()
+    assert (attributes[:, 22:].argmax(axis=0) == ROAD).all()
+    stamp = (tmp_path / opinion_name(images[0])).stat().st_mtime_ns
+    write_opinions(BrightIsSky(), images, tmp_path)
+    assert (tmp_path / opinion_name(images[0])).stat().st_mtime_ns == stamp
 
 
 def test_a_teacher_that_is_stopped_leaves_no_half_written_opinions(data_folder: Path, tmp_path: Path) -> None:
     class Stopped(BrightIsSky):
-        def opinions(self, picture: Picture) -> Floats16:
+        def opinions(self, image: Image) -> Floats16:
             raise KeyboardInterrupt
 
-    pictures = data.training_pictures(data_folder / "segmentation", "camvid")
+    images = data.training_images(data_folder / "segmentation", "camvid")
     with pytest.raises(KeyboardInterrupt):
-        write_opinions(Stopped(), pictures, tmp_path)
-    (tmp_path / opinion_name(pictures[0])).with_suffix(".partial").write_bytes(b"half")  # killed while it was written
+        write_opinions(Stopped(), images, tmp_path)
+    (tmp_path / opinion_name(images[0])).with_suffix(".partial").write_bytes(b"half")  # killed while it was written
 
-    write_opinions(BrightIsSky(), pictures, tmp_path)
+    write_opinions(BrightIsSky(), images, tmp_path)
 
-    assert sorted(p.name for p in tmp_path.glob("camvid__*")) == sorted(map(opinion_name, pictures))
-    assert all(np.load(tmp_path / opinion_name(path)).shape == (19, *OPINION_CELLS) for path in pictures)
+    assert sorted(p.name for p in tmp_path.glob("camvid__*")) == sorted(map(opinion_name, images))
+    assert all(np.load(tmp_path / opinion_name(path)).shape == (19, *OPINION_CELLS) for path in images)
 
 
 def test_a_teachers_labels_are_the_words_it_is_sure_of(data_folder: Path, tmp_path: Path) -> None:
-    pictures = data.training_pictures(data_folder / "segmentation", "camvid")
+    images = data.training_images(data_folder / "segmentation", "camvid")
 
-    write_labels(BrightIsSky(), pictures, tmp_path)
+    write_labels(BrightIsSky(), images, tmp_path)
 
-    labels = read_labels(tmp_path / label_name(pictures[0]))
+    labels = read_labels(tmp_path / label_name(images[0]))
     assert labels.shape == (96, 128)
     assert set(np.unique(labels[:40])) <= {SKY, 255}
     assert set(np.unique(labels[56:])) <= {ROAD, 255}

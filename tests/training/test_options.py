@@ -13,12 +13,16 @@ FILES = ["--data", "d", "--trunk", "t.npz", "--pretrained", "p.npz", "--out", "o
     [(["--minutes", "1", "--clear", "0"], "--clear are at least 1"), ([], "say how long: --minutes or --steps")],
 )
 def test_a_run_that_could_teach_nothing_is_refused(
-    given: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    given: list[str],
+    attributes: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit):
         main([*FILES, *given])
-    assert said in capsys.readouterr().err
+    assert attributes in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

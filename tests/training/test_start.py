@@ -56,14 +56,14 @@ def test_a_second_reader_at_first_ranks_the_trunks_words_as_the_trunk_does(trunk
 
     second = second_started(trunk, vectors).eval()
 
-    picture = torch.rand(1, 3, 64, 96)
+    image = torch.rand(1, 3, 64, 96)
     with torch.inference_mode():
         shallow, fine = second.shallow, second.fine
-        deep = fine.context(fine.deep(fine.stride16(shallow.levels(picture)[2])))
+        deep = fine.context(fine.deep(fine.stride16(shallow.levels(image)[2])))
         scores = F.conv2d(deep, trunk["cls.weight"], trunk["cls.bias"])
         for size in ((8, 12), (16, 24)):
             scores = F.interpolate(scores, size=size, mode="bilinear", align_corners=False)
-        ranked = torch.einsum("nchw,kc->nkhw", second(picture), vectors)
+        ranked = torch.einsum("nchw,kc->nkhw", second(image), vectors)
     assert scores.min() > -20
     assert torch.equal(ranked.argmax(dim=1), scores.argmax(dim=1))
     order = scores[0, :, 5, 7].argsort()

@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.description import Appearance, Booleans, ContextGraph, Description, Floats, LocalFeatures, PixelField
 from schemas.errors import NothingStatic
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder
 from schemas.recipe import Recipe
 from worker.description.local_features import local_features
@@ -17,7 +17,7 @@ from worker.method.byte_vectors import Product, float_product, quantise
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Segmentation:
     """What a picture shows, cell by cell.
 
     Parameters
@@ -50,24 +50,26 @@ class Describer:
         self._text = encoder.text_vectors(recipe.labels)
         self._dynamic = np.isin(np.array(recipe.labels), np.array(recipe.dynamic))
 
-    def see(self, field: PixelField) -> Seen:
+    def see(self, field: PixelField) -> Segmentation:
         """Label map and static cells of a field."""
         parameters = self.recipe.parameters.dynamic
         scores = labels.scores(field.semantic, self._text)
         static = static_mask.static_cells(scores, self._dynamic, parameters.margin, parameters.most)
-        return Seen(labels.label_map(scores), static)
+        return Segmentation(labels.label_map(scores), static)
 
-    def graph(self, field: PixelField, seen: Seen) -> ContextGraph:
+    def graph(self, field: PixelField, segmentation: Segmentation) -> ContextGraph:
         """The context graph of a field."""
         least = self.recipe.parameters.graph.min_region_cells
-        return context_graph.build(seen.labels, seen.static, field.semantic, field.extent, components, least)
+        return context_graph.build(
+            segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
+        )
 
-    def keypoints(self, picture: Picture) -> LocalFeatures | None:
+    def keypoints(self, image: Image) -> LocalFeatures | None:
         """Local features for verification, if the recipe has one; they do not need the field."""
         verification = self.recipe.parameters.verification
-        return local_features(picture.pixels, verification.keypoints) if verification else None
+        return local_features(image.pixels, verification.keypoints) if verification else None
 
-    def describe(self, picture: Picture, field: PixelField, found: LocalFeatures | None) -> Description:
+    def describe(self, image: Image, field: PixelField, found: LocalFeatures | None) -> Description:
         """Everything the recipe wants to know about a picture, of which `found` is what `keypoints` found.
 
         Raises
@@ -76,17 +78,17 @@ class Describer:
             Every cell is dynamic.
         """
         parameters = self.recipe.parameters
-        seen = self.see(field)
-        if not seen.static.any():
-            shown = ", ".join(self.recipe.labels[i] for i in np.unique(seen.labels))
+        segmentation = self.see(field)
+        if not segmentation.static.any():
+            shown = ", ".join(self.recipe.labels[i] for i in np.unique(segmentation.labels))
             raise NothingStatic(f"every part of the picture is something that moves ({shown}); show more of the place")
-        random = sampling.generator(parameters.seed, picture.digest)
+        random = sampling.generator(parameters.seed, image.digest)
         vectors: dict[str, Floats] = {}
         parts: dict[str, Floats] = {}
         count = 0
         for name, channel in parameters.channels.items():
             layer = field.layers[channel.layer]
-            drawn = sampling.draw(seen.static, channel.descriptors, random)
+            drawn = sampling.draw(segmentation.static, channel.descriptors, random)
             count = max(count, len(drawn))
             descriptors = layer.reshape(-1, layer.shape[2])[drawn]
             learned = self.vocabulary.channels[name]
@@ -97,10 +99,10 @@ class Describer:
         cells = quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
         return Description(
             vectors=vectors,
-            appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, seen), field.extent),
+            appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, segmentation), field.extent),
             cells=cells,
             keypoints=found,
-            label_shares=labels.shares(seen.labels, len(self.recipe.labels)),
-            static_share=float(seen.static.mean()),
+            label_shares=labels.shares(segmentation.labels, len(self.recipe.labels)),
+            static_share=float(segmentation.static.mean()),
             descriptor_count=count,
         )

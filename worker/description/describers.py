@@ -1,4 +1,4 @@
-"""Describers by recipe: made once, shared by questions and enrolments."""
+"""Describers by recipe: made once, shared by queries and enrolments."""
 
 import threading
 from collections import OrderedDict

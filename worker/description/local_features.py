@@ -57,14 +57,14 @@ def root_descriptors(pixels: Bytes2D, keypoints: int) -> tuple[Floats, Floats]:
     descriptors : float32 of shape (n, 128)
         RootSIFT, unit length, not negative.
     """
-    picture = _evened(pixels)
+    image = _evened(pixels)
     sift = cv2.SIFT_create(nfeatures=max(1, keypoints), contrastThreshold=CONTRAST)
-    found, descriptors = sift.detectAndCompute(picture, None)
+    found, descriptors = sift.detectAndCompute(image, None)
     if descriptors is None or keypoints < 1:
         return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
     spots = np.array([(*key.pt, key.response, key.size, key.angle) for key in found], np.float32)
     order = np.lexsort((spots[:, 4], spots[:, 3], spots[:, 0], spots[:, 1], -spots[:, 2]))[:keypoints]
-    positions = ((spots[order, :2] + 0.5) / max(picture.shape)).astype(np.float32)
+    positions = ((spots[order, :2] + 0.5) / max(image.shape)).astype(np.float32)
     chosen = descriptors[order]
     root = np.sqrt(chosen / np.maximum(chosen.sum(axis=1, keepdims=True), 1e-6))
     return positions, root.astype(np.float32)

@@ -79,7 +79,7 @@ _DEFAULT = Parameters(
         columns=28,
         dimensions=32,
         shares={SEMANTIC: 0.35, "detail": 0.65},
-        closely=12,
+        full_resolution_top_k=12,
         alone={"detail": 6},
         scale_penalty=0.4,
     ),

@@ -1,4 +1,4 @@
-"""The one desk where pictures are encoded: questions first, enrolments when nobody asks."""
+"""The one desk where pictures are encoded: queries first, enrolments when nobody asks."""
 
 import logging
 import queue
@@ -12,20 +12,20 @@ from typing import Any, Generic, TypeVar
 
 from schemas.description import PixelField
 from schemas.errors import Busy, Unavailable
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.ports import Encoder
 
 T = TypeVar("T")
 Finish = Callable[..., T]
 """Of a picture and its field; and of what was made beside the network, where something was."""
 
-QUESTION, ENROLMENT, CLOSE = 0, 1, 2
+QUERY, ENROLMENT, CLOSE = 0, 1, 2
 
 log = logging.getLogger("revisit.desk")
 
 
 @dataclass(frozen=True)
-class Served(Generic[T]):
+class Timed(Generic[T]):
     """What came of a picture, and how long it took.
 
     Parameters
@@ -46,37 +46,37 @@ class Served(Generic[T]):
 class _Request:
     urgency: int
     number: int
-    picture: Picture = field(compare=False)
+    image: Image = field(compare=False)
     finish: Finish[Any] = field(compare=False)
-    future: "Future[Served[Any]]" = field(compare=False)
+    future: "Future[Timed[Any]]" = field(compare=False)
     since: float = field(compare=False)
     fine: bool = field(compare=False, default=False)
-    beside: Callable[[Picture], Any] | None = field(compare=False, default=None)
+    parallel: Callable[[Image], Any] | None = field(compare=False, default=None)
     made: "Future[Any] | None" = field(compare=False, default=None)
 
 
-class Desk:
+class Scheduler:
     """One thread that owns the encoder, and two for what can be done while it is busy.
 
-    What does not need the field (local features) is made beside the network: that of questions in a thread of their
+    What does not need the field (local features) is made beside the network: that of queries in a thread of their
     own, so that it waits for no enrolment. What is enrolled is described while the next picture is encoded.
 
-    A question waits for the batch under way and for other questions, never for queued enrolments. The thread that
+    A query waits for the batch under way and for other queries, never for queued enrolments. The thread that
     encodes it describes it too, so that it does not wait for the description of an enrolment either.
 
     Parameters
     ----------
     encoder : Encoder
     batch : int
-        Pictures encoded together. On a CPU one at a time is as quick, and keeps questions from waiting.
-    questions : int
-        Questions that may wait; more are refused with Busy.
+        Pictures encoded together. On a CPU one at a time is as quick, and keeps queries from waiting.
+    queries : int
+        Queries that may wait; more are refused with Busy.
     """
 
-    def __init__(self, encoder: Encoder, batch: int, questions: int) -> None:
+    def __init__(self, encoder: Encoder, batch: int, queries: int) -> None:
         self._encoder = encoder
         self._batch = batch
-        self._questions = questions
+        self._queries = queries
         self._queue: queue.PriorityQueue[_Request] = queue.PriorityQueue()
         self._numbers = count()
         self._lock = threading.Lock()
@@ -85,7 +85,7 @@ class Desk:
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="revisit-desk", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
-        self._beside_questions = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-beside-questions")
+        self._parallel_queries = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-beside-questions")
 
     @property
     def pace_s(self) -> float:
@@ -112,41 +112,41 @@ class Desk:
         if self._thread.is_alive():
             self._thread.join()
         self._describing.shutdown()
-        self._beside_questions.shutdown()
+        self._parallel_queries.shutdown()
 
-    def hand_in(
+    def submit(
         self,
-        picture: Picture,
+        image: Image,
         finish: Finish[T],
         *,
         urgent: bool,
         fine: bool = False,
-        beside: Callable[[Picture], Any] | None = None,
-    ) -> "Future[Served[T]]":
+        parallel: Callable[[Image], Any] | None = None,
+    ) -> "Future[Timed[T]]":
         """Have a picture encoded, and `finish` called with it and its field (in a thread of the desk).
 
-        With `fine` the field is that of `Encoder.fine`, which is for drawing. What `beside` makes of the picture, while
+        With `fine` the field is that of `Encoder.fine`, which is for drawing. What `parallel` makes of the picture, while
         the network works on it, is the third argument of `finish`.
 
         Raises
         ------
         Busy
-            Too many questions wait already; only for urgent ones.
+            Too many queries wait already; only for urgent ones.
         Unavailable
             The service is stopping.
         """
-        future: Future[Served[T]] = Future()
+        future: Future[Timed[T]] = Future()
         with self._lock:
             if self._closed:
                 raise Unavailable("the service is stopping", 5)
             if urgent:
-                if self._asked >= self._questions:
+                if self._asked >= self._queries:
                     raise Busy.queue(self._asked, self._pace_s, "questions")
                 self._asked += 1
                 future.add_done_callback(self._answered)
-            urgency = QUESTION if urgent else ENROLMENT
+            urgency = QUERY if urgent else ENROLMENT
             self._queue.put(
-                _Request(urgency, next(self._numbers), picture, finish, future, time.perf_counter(), fine, beside)
+                _Request(urgency, next(self._numbers), image, finish, future, time.perf_counter(), fine, parallel)
             )
         return future
 
@@ -173,25 +173,25 @@ class Desk:
 
     def _serve(self, batch: list[_Request]) -> None:
         began = time.perf_counter()
-        served = 0
+        timed = 0
         for request in batch:
-            if request.beside is not None and request.made is None:
-                thread = self._beside_questions if request.urgency == QUESTION else self._describing
-                request.made = thread.submit(request.beside, request.picture)
+            if request.parallel is not None and request.made is None:
+                thread = self._parallel_queries if request.urgency == QUERY else self._describing
+                request.made = thread.submit(request.parallel, request.image)
         try:
             fields = self._fields(batch)
             for request in batch:
                 encoding = time.perf_counter()
                 pixel_field = next(fields)
                 encoded = time.perf_counter()
-                served += 1
+                timed += 1
                 waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
-                if request.urgency == QUESTION:
+                if request.urgency == QUERY:
                     _finish(request, pixel_field, waited_ms, encode_ms)
                 else:
                     self._describing.submit(_finish, request, pixel_field, waited_ms, encode_ms)
         except Exception as error:
-            left = batch[served:]
+            left = batch[timed:]
             if len(left) > 1:  # one picture must not take others down with it
                 for request in left:
                     self._serve([request])
@@ -204,16 +204,16 @@ class Desk:
 
     def _fields(self, batch: list[_Request]) -> Iterator[PixelField]:
         for fine, alike in groupby(batch, key=lambda request: request.fine):
-            pictures = [request.picture for request in alike]
-            yield from map(self._encoder.fine, pictures) if fine else self._encoder.encode(pictures)
+            images = [request.image for request in alike]
+            yield from map(self._encoder.fine, images) if fine else self._encoder.encode(images)
 
 
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:
     began = time.perf_counter()
     try:
         made = () if request.made is None else (request.made.result(),)
-        value = request.finish(request.picture, pixel_field, *made)
+        value = request.finish(request.image, pixel_field, *made)
     except BaseException as error:  # belongs to the one who asked, not to the desk
         request.future.set_exception(error)
         return
-    request.future.set_result(Served(value, queue_ms, encode_ms, (time.perf_counter() - began) * 1000))
+    request.future.set_result(Timed(value, queue_ms, encode_ms, (time.perf_counter() - began) * 1000))

@@ -19,10 +19,10 @@ from worker.method.vocabulary import ChannelVocabulary, Projection
 SHIPPED = Path(__file__).parents[1] / "encoders" / "weights"
 """Folder of the general vocabularies, ``ENCODER-PRESET.vocabulary.safetensors``."""
 
-PER_PICTURE = 200
+PER_IMAGE = 200
 """Descriptors of a picture that take part in training, so that no picture counts more than another."""
 
-MOST_PICTURES = 1000
+MOST_IMAGES = 1000
 """Pictures that training looks at; more change nothing but the time it takes."""
 
 
@@ -134,22 +134,22 @@ def train(fields: Iterable[PixelField], static_cells: StaticCells, parameters: P
         Too few pictures for the number of words or dimensions; says which.
     """
     random = np.random.default_rng(seed)
-    pictures: dict[str, list[Floats]] = {name: [] for name in parameters.channels}
+    images: dict[str, list[Floats]] = {name: [] for name in parameters.channels}
     grids: dict[str, list[Floats]] = {name: [] for name in parameters.channels}
     for number, field in enumerate(fields):
-        if number == MOST_PICTURES:
+        if number == MOST_IMAGES:
             break
         static = static_cells(field)
         for name, channel in parameters.channels.items():
             layer = field.layers[channel.layer]
             drawn = sampling.draw(static, channel.descriptors, random)
-            pictures[name].append(layer.reshape(-1, layer.shape[2])[drawn].astype(np.float16))
+            images[name].append(layer.reshape(-1, layer.shape[2])[drawn].astype(np.float16))
             if parameters.dense is not None:
                 grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
                 grids[name].append(grid.reshape(-1, grid.shape[-1]))
     return Vocabulary(
         {
-            name: _train_channel(channel, pictures[name], grids[name], parameters, random)
+            name: _train_channel(channel, images[name], grids[name], parameters, random)
             for name, channel in parameters.channels.items()
         }
     )
@@ -157,19 +157,19 @@ def train(fields: Iterable[PixelField], static_cells: StaticCells, parameters: P
 
 def _train_channel(
     channel: Channel,
-    pictures: Sequence[Floats],
+    images: Sequence[Floats],
     grids: Sequence[Floats],
     parameters: Parameters,
     random: np.random.Generator,
 ) -> ChannelVocabulary:
-    sample = np.concatenate([p[random.permutation(len(p))[:PER_PICTURE]] for p in pictures]).astype(np.float32)
+    sample = np.concatenate([p[random.permutation(len(p))[:PER_IMAGE]] for p in images]).astype(np.float32)
     # Soft assignment compares cosines, so its words are kept on the sphere; counting the nearest is plain k-means.
     words = vocabulary.train_words(sample, channel.words, random, spherical=channel.assignments > 1)
     plain = ChannelVocabulary(words)
     projection = None
     if channel.dimensions is not None:
         full = channel.model_copy(update={"dimensions": None})
-        histograms = np.stack([vocabulary.vector(p.astype(np.float32), plain, full) for p in pictures])
+        histograms = np.stack([vocabulary.vector(p.astype(np.float32), plain, full) for p in images])
         projection = vocabulary.fit_projection(histograms, channel.dimensions)
     cells = None
     if parameters.dense is not None:

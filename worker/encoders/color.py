@@ -8,7 +8,7 @@ import numpy as np
 
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.records import Meaning
 from worker.method.unit_length import unit
 
@@ -49,27 +49,27 @@ class ColorEncoder:
         self.digest = hashlib.sha256(repr((sorted(WORDS.items()), CELL, LONGEST)).encode()).hexdigest()
         self.layers: Mapping[str, int] = {SEMANTIC: 8, "detail": 12}
 
-    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per picture; see `Encoder.encode`."""
-        return (self._encode(picture) for picture in pictures)
+        return (self._encode(image) for image in images)
 
-    def fine(self, picture: Picture) -> PixelField:
+    def fine(self, image: Image) -> PixelField:
         """See `Encoder.fine`: its fields have no finer grid."""
-        return self._encode(picture)
+        return self._encode(image)
 
-    def _encode(self, picture: Picture) -> PixelField:
-        width, height = picture.extent
+    def _encode(self, image: Image) -> PixelField:
+        width, height = image.extent
         columns, rows = (max(4, round(side * LONGEST / CELL)) for side in (width, height))
-        mean = cv2.resize(picture.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(
-            np.float32
-        ) / np.float32(255)
+        mean = cv2.resize(image.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32) / np.float32(
+            255
+        )
         words = unit(_spread(mean))
         across = np.gradient(mean, axis=1)
         down = np.gradient(mean, axis=0)
         detail = unit(np.concatenate([_spread(mean) * 0.5, across.mean(-1, keepdims=True) * 4,
                                        down.mean(-1, keepdims=True) * 4, np.abs(across).mean(-1, keepdims=True) * 4,
                                        np.abs(down).mean(-1, keepdims=True) * 4], axis=-1))  # fmt: skip
-        return PixelField({SEMANTIC: words, "detail": detail}, picture.extent)
+        return PixelField({SEMANTIC: words, "detail": detail}, image.extent)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""

@@ -1,4 +1,4 @@
-"""Bytes to pictures and back, within limits; the only module that decodes what strangers send.
+"""Bytes to pictures and back, within limits; the only module that decodes what unknown places send.
 
 The order matters: type by magic bytes, size from the header, completeness by structure, and only then the decoder.
 JPEG and PNG without peculiarities go through OpenCV, which is quicker; everything with alpha, a palette, CMYK or
@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import Image as PilImage
 
-from schemas.errors import BadPicture, BodyTooLarge
-from schemas.image import Bytes2D, Picture, PictureFacts
+from schemas.errors import BadImage, BodyTooLarge
+from schemas.image import Bytes2D, Image, ImageFacts
 from schemas.settings import MEGA, Settings
-from worker.images.sniffing import ACCEPTED, picture_type
+from worker.images.sniffing import ACCEPTED, image_type
 
 # `decode` compares the header's size with its own, lower limit; Pillow's would only add a warning.
-Image.MAX_IMAGE_PIXELS = None
+PilImage.MAX_IMAGE_PIXELS = None
 
 SHORTEST_SIDE = 32
 """Pixels; below that there is nothing to recognise."""
@@ -54,7 +54,7 @@ class Limits:
         return cls(round(settings.max_body_mb * MEGA), round(settings.max_megapixels * MEGA))
 
 
-def decode(data: bytes, limits: Limits) -> Picture:
+def decode(data: bytes, limits: Limits) -> Image:
     """Decode a picture: upright, RGB, eight bits.
 
     Orientation follows EXIF. Grey is repeated, alpha is laid over white, sixteen bits keep their upper eight, CMYK is
@@ -62,24 +62,24 @@ def decode(data: bytes, limits: Limits) -> Picture:
 
     Raises
     ------
-    BadPicture
+    BadImage
         ``not-a-picture``, ``undecodable-picture``, ``picture-too-large`` or ``picture-too-small``.
     BodyTooLarge
     """
     header = _Header.read(data, limits)
     pixels = _with_opencv(data, header) if header.plain else _with_pillow(data, header)
-    return Picture(pixels, hashlib.sha256(data).hexdigest(), header.format, len(data))
+    return Image(pixels, hashlib.sha256(data).hexdigest(), header.format, len(data))
 
 
-def probe(data: bytes, limits: Limits) -> PictureFacts:
+def probe(data: bytes, limits: Limits) -> ImageFacts:
     """All that can be said of a picture without decoding it; raises as `decode`, but overlooks damaged pixels."""
     header = _Header.read(data, limits)
-    return PictureFacts(header.width, header.height, len(data), header.format, hashlib.sha256(data).hexdigest())
+    return ImageFacts(header.width, header.height, len(data), header.format, hashlib.sha256(data).hexdigest())
 
 
-def facts(picture: Picture) -> PictureFacts:
+def facts(image: Image) -> ImageFacts:
     """What is kept of a decoded picture besides its bytes."""
-    return PictureFacts(picture.width, picture.height, picture.byte_count, picture.format, picture.digest)
+    return ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
 
 
 def thumbnail(data: bytes, longest: int) -> bytes:
@@ -87,27 +87,27 @@ def thumbnail(data: bytes, longest: int) -> bytes:
 
     It carries no EXIF: where a photo was taken is not told by its thumbnail.
     """
-    with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
+    with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
         # A JPEG can be decoded straight to a fraction of its size, which saves most of the time.
-        image.draft("RGB", (2 * longest, 2 * longest))
-        orientation = _orientation(image, data)
-        small = _rgb(image)
-    small.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+        pil_image.draft("RGB", (2 * longest, 2 * longest))
+        orientation = _orientation(pil_image, data)
+        small = _rgb(pil_image)
+    small.thumbnail((longest, longest), PilImage.Resampling.LANCZOS)
     out = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(_turned(np.asarray(small), orientation))).save(
+    PilImage.fromarray(np.ascontiguousarray(_turned(np.asarray(small), orientation))).save(
         out, "JPEG", quality=_THUMBNAIL_QUALITY
     )
     return out.getvalue()
 
 
-def shrink(picture: Picture, longest: int = 640) -> Picture:
+def shrink(image: Image, longest: int = 640) -> Image:
     """The picture with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
-    scale = longest / max(picture.width, picture.height)
+    scale = longest / max(image.width, image.height)
     if scale >= 1:
-        return picture
-    size = (max(1, round(picture.width * scale)), max(1, round(picture.height * scale)))
-    pixels = cv2.resize(picture.pixels, size, interpolation=cv2.INTER_AREA)
-    return replace(picture, pixels=np.asarray(pixels, np.uint8))
+        return image
+    size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
+    pixels = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
+    return replace(image, pixels=np.asarray(pixels, np.uint8))
 
 
 _FORMATS = [name.upper() for name in ACCEPTED]
@@ -135,18 +135,18 @@ class _Header:
         """Check everything that needs no decoding; raises as `decode`."""
         if len(data) > limits.max_bytes:
             raise BodyTooLarge(f"the picture has {len(data):,} bytes; at most {limits.max_bytes:,} are taken")
-        kind = picture_type(data)
+        kind = image_type(data)
         try:
-            with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
-                stored = image.size
-                orientation = _orientation(image, data)
-                animated = kind == "webp" and getattr(image, "n_frames", 1) > 1
-                plain = kind in _QUICKER and image.mode in _PLAIN_MODES and "transparency" not in image.info
+            with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
+                stored = pil_image.size
+                orientation = _orientation(pil_image, data)
+                animated = kind == "webp" and getattr(pil_image, "n_frames", 1) > 1
+                plain = kind in _QUICKER and pil_image.mode in _PLAIN_MODES and "transparency" not in pil_image.info
         except Exception as error:
             # Pillow's parsers raise whatever their struct and zlib calls do; by now the type is known to be right.
             raise _undecodable(kind, f"its header cannot be read ({error})") from error
         if animated:
-            raise BadPicture("not-a-picture", "this is an animated WebP; send a single picture")
+            raise BadImage("not-a-picture", "this is an animated WebP; send a single picture")
         _check_size(*stored, limits)
         whole = _WHOLE.get(kind)
         if whole is not None and not whole(data):
@@ -156,31 +156,31 @@ class _Header:
 
 def _check_size(width: int, height: int, limits: Limits) -> None:
     if width * height > limits.max_pixels:
-        raise BadPicture(
+        raise BadImage(
             "picture-too-large",
             f"the picture is {width} x {height} = {width * height / MEGA:.1f} megapixels; "
             f"at most {limits.max_pixels / MEGA:g} are taken",
         )
     if min(width, height) < SHORTEST_SIDE:
-        raise BadPicture(
+        raise BadImage(
             "picture-too-small",
             f"the picture is {width} x {height} pixels; at least {SHORTEST_SIDE} x {SHORTEST_SIDE} are needed",
         )
 
 
-def _orientation(image: Image.Image, data: bytes) -> int:
+def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
     """EXIF orientation, 1 to 8; 1 when there is none, or none that can be read. Decodes no pixels."""
-    if image.format == "TIFF":
+    if pil_image.format == "TIFF":
         return 1  # Pillow turns these by itself
     try:
-        if image.format == "PNG":
+        if pil_image.format == "PNG":
             # Pillow's own reader of a PNG's EXIF decodes the picture, since the chunk may stand behind the pixels.
             for kind, content in _png_chunks(data):
                 if kind == b"eXIf":
-                    image.info["exif"] = b"Exif\x00\x00" + content
-            value = Image.Image.getexif(image).get(_ORIENTATION, 1)
+                    pil_image.info["exif"] = b"Exif\x00\x00" + content
+            value = PilImage.Image.getexif(pil_image).get(_ORIENTATION, 1)
         else:
-            value = image.getexif().get(_ORIENTATION, 1)
+            value = pil_image.getexif().get(_ORIENTATION, 1)
     except Exception:
         # Broken EXIF is common in real photos and no reason to refuse the pixels.
         return 1
@@ -218,29 +218,29 @@ def _turned(pixels: Bytes2D, orientation: int) -> Bytes2D:
 
 def _with_pillow(data: bytes, header: _Header) -> Bytes2D:
     try:
-        with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
-            image.load()
-            upright = _rgb(image)
-    except BadPicture:
+        with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
+            pil_image.load()
+            upright = _rgb(pil_image)
+    except BadImage:
         raise
     except Exception as error:
         raise _undecodable(header.format, f"it is damaged ({error})") from error
     return np.ascontiguousarray(_turned(np.asarray(upright), header.orientation))
 
 
-def _rgb(image: Image.Image) -> Image.Image:
+def _rgb(pil_image: PilImage.Image) -> PilImage.Image:
     """Eight-bit RGB of any mode that means brightness or colour."""
-    if image.mode.startswith("I;16"):
-        return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert("RGB")
-    if image.mode in ("I", "F"):
+    if pil_image.mode.startswith("I;16"):
+        return PilImage.fromarray((np.asarray(pil_image) >> 8).astype(np.uint8)).convert("RGB")
+    if pil_image.mode in ("I", "F"):
         # 32-bit numbers have no agreed white: showing them would be a guess.
-        raise BadPicture(
+        raise BadImage(
             "undecodable-picture", "its pixels are 32-bit numbers without a known range; convert it to 8 or 16 bits"
         )
-    if image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info:
-        alpha = image.convert("RGBA")
-        return Image.alpha_composite(Image.new("RGBA", alpha.size, "white"), alpha).convert("RGB")
-    return image.convert("RGB")
+    if pil_image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in pil_image.info:
+        alpha = pil_image.convert("RGBA")
+        return PilImage.alpha_composite(PilImage.new("RGBA", alpha.size, "white"), alpha).convert("RGB")
+    return pil_image.convert("RGB")
 
 
 # Marker other than a stuffed zero, a restart or a fill byte: the end of a run of entropy-coded data.
@@ -293,5 +293,5 @@ def _webp_is_whole(data: bytes) -> bool:
 _WHOLE = {"jpeg": _jpeg_is_whole, "png": _png_is_whole, "webp": _webp_is_whole}
 
 
-def _undecodable(kind: str, why: str) -> BadPicture:
-    return BadPicture("undecodable-picture", f"this {kind} picture cannot be decoded: {why}")
+def _undecodable(kind: str, why: str) -> BadImage:
+    return BadImage("undecodable-picture", f"this {kind} picture cannot be decoded: {why}")

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image as PilImage
 
 from schemas.description import Booleans, ContextGraph, Integers
 from worker.images.palette import Colour, colour
@@ -43,10 +43,10 @@ def segmentation_png(labels: Integers, size: tuple[int, int], words: Sequence[st
     bytes
         PNG of colour type 3 without transparency: the value of a pixel is its label.
     """
-    image = Image.fromarray(_stretched(labels, size), mode="P")
-    image.putpalette([part for word in words for part in colour(word)])
+    pil_image = PilImage.fromarray(_stretched(labels, size), mode="P")
+    pil_image.putpalette([part for word in words for part in colour(word)])
     buffer = io.BytesIO()
-    image.save(buffer, "PNG", compress_level=6)
+    pil_image.save(buffer, "PNG", compress_level=6)
     return buffer.getvalue()
 
 
@@ -77,23 +77,23 @@ def overlay_png(pixels: Pixels, labels: Integers, words: Sequence[str], static: 
 
 def graph_png(pixels: Pixels, graph: ContextGraph, words: Sequence[str], tau: float) -> bytes:
     """The photo with the context graph: discs grow with their region's share, edges join nodes at most `tau` apart."""
-    picture = _toned_down(pixels)
-    longer = max(picture.shape[:2])
-    unit = _unit(picture)
+    image = _toned_down(pixels)
+    longer = max(image.shape[:2])
+    unit = _unit(image)
     at = [_pixel(position, longer) for position in graph.positions]
     for i in range(len(graph)):
         for j in range(i):
             if np.linalg.norm(graph.positions[i] - graph.positions[j]) <= tau:
-                cv2.line(picture, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
+                cv2.line(image, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
     radii = [max(3 * unit, float(np.sqrt(share)) * 0.11 * longer) for share in graph.shares]
     for i in np.argsort(-graph.shares, kind="stable"):
         radius = round(radii[i])
-        cv2.circle(picture, at[i], radius, colour(words[graph.labels[i]]), -1, cv2.LINE_AA)
-        cv2.circle(picture, at[i], radius, PAPER, max(1, round(unit)), cv2.LINE_AA)
+        cv2.circle(image, at[i], radius, colour(words[graph.labels[i]]), -1, cv2.LINE_AA)
+        cv2.circle(image, at[i], radius, PAPER, max(1, round(unit)), cv2.LINE_AA)
     taken: list[tuple[int, int, int, int]] = []
     for i in np.argsort(-graph.shares, kind="stable"):  # large regions are named first; small ones where there is room
-        _name(picture, words[graph.labels[i]], (at[i][0], at[i][1] - round(radii[i] + 4 * unit)), unit, taken)
-    return _png(picture)
+        _name(image, words[graph.labels[i]], (at[i][0], at[i][1] - round(radii[i] + 4 * unit)), unit, taken)
+    return _png(image)
 
 
 def explanation_png(
@@ -103,7 +103,7 @@ def explanation_png(
     nodes: Sequence[tuple[str, Point, Point]],
     text: Sequence[str],
 ) -> bytes:
-    """Question and match side by side, with lines between what agrees.
+    """Query and match side by side, with lines between what agrees.
 
     Parameters
     ----------
@@ -160,28 +160,28 @@ def _toned_down(pixels: Pixels) -> Pixels:
     return np.asarray((pixels * np.float32(0.55) + grey * np.float32(0.25)), np.uint8)
 
 
-def _unit(picture: Pixels) -> float:
+def _unit(image: Pixels) -> float:
     """How large a thing of one pixel in a picture 640 wide needs to be in this one."""
-    return int(max(picture.shape[:2])) / 640
+    return int(max(image.shape[:2])) / 640
 
 
 def _pixel(position: Sequence[float] | npt.NDArray[Any], longer: int) -> tuple[int, int]:
     return round(float(position[0]) * longer), round(float(position[1]) * longer)
 
 
-def _name(picture: Pixels, word: str, at: tuple[int, int], unit: float, taken: list[tuple[int, int, int, int]]) -> None:
+def _name(image: Pixels, word: str, at: tuple[int, int], unit: float, taken: list[tuple[int, int, int, int]]) -> None:
     """Write a word centred over a point unless another stands there; `taken` are the boxes of words so far."""
     scale, thickness = 0.42 * unit, max(1, round(unit))
     (width, height), _ = cv2.getTextSize(word, FONT, scale, thickness)
     pad = max(2, round(3 * unit))
-    x = int(np.clip(at[0] - width // 2, pad, max(pad, picture.shape[1] - width - pad)))
-    y = int(np.clip(at[1], height + pad, max(height + pad, picture.shape[0] - pad)))
+    x = int(np.clip(at[0] - width // 2, pad, max(pad, image.shape[1] - width - pad)))
+    y = int(np.clip(at[1], height + pad, max(height + pad, image.shape[0] - pad)))
     box = (x - pad, y - height - pad, x + width + pad, y + pad)
     if any(box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken):
         return
     taken.append(box)
-    cv2.rectangle(picture, box[:2], box[2:], INK, -1)
-    cv2.putText(picture, word, (x, y), FONT, scale, _readable(colour(word)), thickness, cv2.LINE_AA)
+    cv2.rectangle(image, box[:2], box[2:], INK, -1)
+    cv2.putText(image, word, (x, y), FONT, scale, _readable(colour(word)), thickness, cv2.LINE_AA)
 
 
 def _readable(background: Colour) -> Colour:
@@ -190,9 +190,9 @@ def _readable(background: Colour) -> Colour:
     return red, green, blue
 
 
-def _with_key(picture: Pixels, labels: Integers, words: Sequence[str], static: Booleans) -> Pixels:
+def _with_key(image: Pixels, labels: Integers, words: Sequence[str], static: Booleans) -> Pixels:
     """The picture with a key of its labels below, most frequent first."""
-    unit = _unit(picture)
+    unit = _unit(image)
     line, size = max(12, round(20 * unit)), max(8, round(12 * unit))
     scale, thickness = 0.45 * unit, max(1, round(unit))
     counts = np.bincount(labels.ravel().astype(np.intp), minlength=len(words))
@@ -203,7 +203,7 @@ def _with_key(picture: Pixels, labels: Integers, words: Sequence[str], static: B
             moves = static[of_label].mean() < 0.5
             name = f"{words[index]} {100 * counts[index] / labels.size:.0f}%" + (" (moves)" if moves else "")
             entries.append((name, (190, 190, 190) if moves else colour(words[index])))
-    width = picture.shape[1]
+    width = image.shape[1]
     places, x, y = [], line // 3, 0
     for name, _ in entries:
         needed = size + 2 * line // 3 + int(cv2.getTextSize(name, FONT, scale, thickness)[0][0]) + line // 2
@@ -217,7 +217,7 @@ def _with_key(picture: Pixels, labels: Integers, words: Sequence[str], static: B
         cv2.rectangle(key, (x, top), (x + size, top + size), tint, -1)
         cv2.rectangle(key, (x, top), (x + size, top + size), INK, 1)
         cv2.putText(key, name, (x + size + line // 3, top + size), FONT, scale, INK, thickness, cv2.LINE_AA)
-    return np.vstack([picture, key])
+    return np.vstack([image, key])
 
 
 def _at_height(pixels: Pixels, height: int) -> Pixels:

@@ -1,11 +1,11 @@
 """What a file is, told by its first bytes: the name and the content type of an upload prove nothing."""
 
-from schemas.errors import BadPicture
+from schemas.errors import BadImage
 
 ACCEPTED = ("jpeg", "png", "webp", "bmp", "tiff")
 
 # Only what begins with one of these is ever handed to a decoder.
-_PICTURES = (
+_IMAGES = (
     (b"\xff\xd8\xff", "jpeg"),
     (b"\x89PNG\r\n\x1a\n", "png"),
     (b"BM", "bmp"),
@@ -57,20 +57,20 @@ _BRANDS = {
 }
 
 
-def picture_type(data: bytes) -> str:
+def image_type(data: bytes) -> str:
     """``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
 
     Raises
     ------
-    BadPicture
+    BadImage
         ``not-a-picture``, saying what it seems to be instead.
     """
-    for magic, name in _PICTURES:
+    for magic, name in _IMAGES:
         if data.startswith(magic):
             return name
     if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
         return "webp"
-    raise BadPicture(
+    raise BadImage(
         "not-a-picture",
         f"this seems to be {_guess(data)}; send a picture as {', '.join(ACCEPTED[:-1])} or {ACCEPTED[-1]}",
     )

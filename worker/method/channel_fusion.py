@@ -1,7 +1,7 @@
 """The same dense cells read in more than one way: all channels joined, or one of them alone.
 
 Joined cells find a place again by night and in snow, because the words in them stay the same. Where the light is the
-same the words only blur what the appearance alone would tell apart. Which of both a question needs shows in the
+same the words only blur what the appearance alone would tell apart. Which of both a query needs shows in the
 candidates: a view of the right place stands out in one reading more than in the other.
 """
 
@@ -19,7 +19,7 @@ HIGH = 0.85
 places, and below the other views of the right place, which are few."""
 
 LARGEST_RATE = 2.0
-"""Of an `exchange`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the question in one
+"""Of an `align_scale`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the query in one
 channel, as with a blank wall or thick fog, what little does would stand out without bound."""
 
 
@@ -63,7 +63,7 @@ def alone(
     channel: str,
     product: Product = float_product,
     *,
-    stretch: Doubles | None = None,
+    cell_aspect: Doubles | None = None,
 ) -> Floats:
     """How well the cells of one channel agree by themselves.
 
@@ -74,7 +74,7 @@ def alone(
     channels, channel
         As `part` takes them.
     product : Product
-    stretch : float64 of shape (candidates, 2), optional
+    cell_aspect : float64 of shape (candidates, 2), optional
         As in `worker.method.dense_cells.compare`.
 
     Returns
@@ -83,11 +83,11 @@ def alone(
         0..1, as in `worker.method.hough.Agreement`.
     """
     ours, theirs = (part(cells, channels, channel) for cells in (query, candidates))
-    return dense_cells.compare(ours, theirs, product, length(ours), stretch=stretch, measured=False).scores
+    return dense_cells.compare(ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False).scores
 
 
-def exchange(joined: Floats, alone: Floats, high: float = HIGH) -> float:
-    """What a likeness in one reading is multiplied by to be held against one in another.
+def align_scale(joined: Floats, alone: Floats, high: float = HIGH) -> float:
+    """What a similarity in one reading is multiplied by to be held against one in another.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def exchange(joined: Floats, alone: Floats, high: float = HIGH) -> float:
     return min(usual / other, LARGEST_RATE) if other > 0 else 0.0
 
 
-def stronger(joined: Floats, alone: Floats, rate: float) -> Floats:
-    """For each candidate the likeness in whichever reading has it stand out more.
+def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
+    """For each candidate the similarity in whichever reading has it stand out more.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def stronger(joined: Floats, alone: Floats, rate: float) -> Floats:
     alone : float32 of shape (m,)
         Of the first m candidates, m at most n.
     rate : float
-        As `exchange` gives it.
+        As `align_scale` gives it.
 
     Returns
     -------

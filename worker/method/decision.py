@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from worker.description.vocabularies import SHIPPED
 from worker.method.calibration import Calibration, Logistic, Thresholds, Verdict
-from worker.search.searcher import Found
+from worker.search.searcher import ScoredView
 
 UNCALIBRATED = Calibration(
     ("score",),
@@ -40,7 +40,7 @@ class Decision:
     confidences: tuple[float, ...]
 
 
-def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
+def features(found: Sequence[ScoredView]) -> Mapping[str, npt.NDArray[np.float64]]:
     """What a calibration may read of each match, float64 (matches,) each.
 
     ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``standing``, by
@@ -53,7 +53,9 @@ def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
     read = {
         "score": scores,
         "lead": np.where(scores == best, best - second, scores - best),
-        "standing": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.typical for f in found]),
+        "standing": np.array(
+            [0.0 if f.dense is None else f.dense.similarity - f.dense.median_similarity for f in found]
+        ),
         "margin": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.high for f in found]),
         "inliers": np.log1p([0 if f.verified is None else f.verified.inliers for f in found]),
     }
@@ -62,12 +64,12 @@ def features(found: Sequence[Found]) -> Mapping[str, npt.NDArray[np.float64]]:
     return read
 
 
-def decide(found: Sequence[Found], calibration: Calibration) -> Decision:
+def decide(found: Sequence[ScoredView], calibration: Calibration) -> Decision:
     """Confidence of each match and the verdict on the answer.
 
     Parameters
     ----------
-    found : sequence of Found
+    found : sequence of ScoredView
         Best first.
     calibration : Calibration
     """

@@ -124,7 +124,7 @@ def halve(cells: Int8s | Floats) -> Floats:
     return unit(down[..., 0::2, :] + down[..., 1::2, :], ROUNDING)
 
 
-def distinctness(
+def burstiness_weight(
     cells: Int8s | Floats, apart: int = APART, product: Product = float_product, length: float = 1.0
 ) -> Floats:
     """How unlike the rest of its own picture each cell is.
@@ -211,7 +211,7 @@ def compare(
     product: Product = float_product,
     length: float = 1.0,
     *,
-    stretch: Doubles | None = None,
+    cell_aspect: Doubles | None = None,
     measured: bool = True,
 ) -> Agreement:
     """How well the cells of several candidates agree with those of a query.
@@ -223,8 +223,8 @@ def compare(
     product : Product
     length : float
         Of the vectors of both, where they are part of longer ones.
-    stretch : float64 of shape (candidates, 2), optional
-        Height and width of the candidates' cells, in those of the query (`worker.method.hough.stretches`); all 1 where
+    cell_aspect : float64 of shape (candidates, 2), optional
+        Height and width of the candidates' cells, in those of the query (`worker.method.hough.cell_aspects`); all 1 where
         the pictures have one shape.
     measured : bool
         Whether scales are asked for.
@@ -235,8 +235,8 @@ def compare(
         As `correspondences`.
     """
     pairs = correspondences(query, candidates, product, length)
-    distinct, shape = distinctness(query, product=product, length=length), (query.shape[0], query.shape[1])
-    return agreement(pairs, distinct, shape, len(candidates), stretch=stretch, measured=measured)
+    distinct, shape = burstiness_weight(query, product=product, length=length), (query.shape[0], query.shape[1])
+    return agreement(pairs, distinct, shape, len(candidates), cell_aspect=cell_aspect, measured=measured)
 
 
 def nearness(scales: Floats, penalty: float) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas.records import Where
+from schemas.records import Position
 
 EARTH_M = 6_371_008.8
 """Mean radius of the earth (IUGG), metres."""
@@ -21,7 +21,7 @@ class Fix:
 
     Parameters
     ----------
-    where : Where
+    position : Position
         Without heading.
     radius_m : float
         Root mean square distance of the agreeing views from it, weighted as they are; 0 for a single one.
@@ -29,17 +29,17 @@ class Fix:
         Which of the matches agreed.
     """
 
-    where: Where
+    position: Position
     radius_m: float
     agreeing: tuple[int, ...]
 
 
-def locate(positions: Sequence[Where], weights: Sequence[float]) -> Fix | None:
+def locate(positions: Sequence[Position], weights: Sequence[float]) -> Fix | None:
     """The weighted mean of the best match's position and those that agree with it.
 
     Parameters
     ----------
-    positions : sequence of Where
+    positions : sequence of Position
         Of the matches, best first.
     weights : sequence of float
         Of each match, at least 0.
@@ -66,28 +66,28 @@ def locate(positions: Sequence[Where], weights: Sequence[float]) -> Fix | None:
     return Fix(_place(mean, height, positions[0]), radius, tuple(chosen))
 
 
-def _is_known(where: Where) -> bool:
-    return where.x is not None or where.lat is not None
+def _is_known(position: Position) -> bool:
+    return position.x is not None or position.lat is not None
 
 
-def _metres(where: Where, origin: Where) -> tuple[float, float, float]:
+def _metres(position: Position, origin: Position) -> tuple[float, float, float]:
     """(east or x, north or y, up) from the origin's horizontal position; up is the height itself."""
-    if where.lat is not None and where.lon is not None and origin.lat is not None and origin.lon is not None:
-        east = (where.lon - origin.lon + 180) % 360 - 180
+    if position.lat is not None and position.lon is not None and origin.lat is not None and origin.lon is not None:
+        east = (position.lon - origin.lon + 180) % 360 - 180
         scale = np.cos(np.radians(origin.lat))
         return (
             float(np.radians(east) * EARTH_M * scale),
-            float(np.radians(where.lat - origin.lat) * EARTH_M),
-            where.alt or 0.0,
+            float(np.radians(position.lat - origin.lat) * EARTH_M),
+            position.alt or 0.0,
         )
-    return (where.x or 0.0) - (origin.x or 0.0), (where.y or 0.0) - (origin.y or 0.0), where.z or 0.0
+    return (position.x or 0.0) - (origin.x or 0.0), (position.y or 0.0) - (origin.y or 0.0), position.z or 0.0
 
 
-def _place(offset: npt.NDArray[np.float64], height: float | None, origin: Where) -> Where:
+def _place(offset: npt.NDArray[np.float64], height: float | None, origin: Position) -> Position:
     if origin.lat is None or origin.lon is None:
-        return Where(x=(origin.x or 0.0) + float(offset[0]), y=(origin.y or 0.0) + float(offset[1]), z=height)
+        return Position(x=(origin.x or 0.0) + float(offset[0]), y=(origin.y or 0.0) + float(offset[1]), z=height)
     lat = origin.lat + float(np.degrees(offset[1] / EARTH_M))
     # At a pole every longitude is the same point; the guard only keeps the division finite.
     scale = max(float(np.cos(np.radians(origin.lat))), 1e-9)
     lon = origin.lon + float(np.degrees(offset[0] / EARTH_M / scale))
-    return Where(lat=max(-90.0, min(90.0, lat)), lon=(lon + 180) % 360 - 180, alt=height)
+    return Position(lat=max(-90.0, min(90.0, lat)), lon=(lon + 180) % 360 - 180, alt=height)

@@ -24,7 +24,7 @@ LARGEST_SCALE = 2.0
 CERTAINTY = 250.0
 """Weight of the cells that agree, times their squared distance from their centre, at which a scale is believed half."""
 
-STRETCHES = 8
+ASPECT_STEPS = 8
 """How many stretches are told apart between one and twice it: pictures of nearly one shape are of one shape, and what
 others are off by is less than the tolerance."""
 
@@ -75,7 +75,7 @@ class Agreement:
     scales: Floats
 
 
-def stretches(query: tuple[float, float], candidates: Sequence[tuple[float, float]]) -> Doubles:
+def cell_aspects(query: tuple[float, float], candidates: Sequence[tuple[float, float]]) -> Doubles:
     """How large the cells of pictures of other shapes are, in those of the query.
 
     A grid has as many rows and columns whatever the picture's shape, so the cells of an upright picture are narrow and
@@ -89,10 +89,10 @@ def stretches(query: tuple[float, float], candidates: Sequence[tuple[float, floa
     Returns
     -------
     float64 of shape (candidates, 2)
-        Heights and widths, rounded to `STRETCHES` steps from one to twice it; 1 where the shapes are the same.
+        Heights and widths, rounded to `ASPECT_STEPS` steps from one to twice it; 1 where the shapes are the same.
     """
     ratios = np.array(candidates, np.float64).reshape(-1, 2)[:, ::-1] / np.array(query, np.float64)[::-1]
-    rounded: Doubles = np.exp2(np.rint(np.log2(ratios) * STRETCHES) / STRETCHES)
+    rounded: Doubles = np.exp2(np.rint(np.log2(ratios) * ASPECT_STEPS) / ASPECT_STEPS)
     return rounded
 
 
@@ -104,7 +104,7 @@ def agreement(
     zooms: Sequence[float] = ZOOMS,
     tolerance: int = TOLERANCE,
     *,
-    stretch: Doubles | None = None,
+    cell_aspect: Doubles | None = None,
     measured: bool = True,
 ) -> Agreement:
     """The largest weight of correspondences that agree on one displacement (a Hough transform).
@@ -122,8 +122,8 @@ def agreement(
         Greater than 0.
     tolerance : int
         In cells, at least 0.
-    stretch : float64 of shape (candidates, 2), optional
-        Height and width of each candidate's cells, in those of the query: see `stretches`. Without, all are 1.
+    cell_aspect : float64 of shape (candidates, 2), optional
+        Height and width of each candidate's cells, in those of the query: see `cell_aspects`. Without, all are 1.
     measured : bool
         Whether scales are asked for; without, they are all 1.
 
@@ -140,8 +140,8 @@ def agreement(
     without it the one with larger shares decides alone.
     """
     weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
-    stretch = np.ones((candidates, 2)) if stretch is None else stretch
-    slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, stretch)
+    cell_aspect = np.ones((candidates, 2)) if cell_aspect is None else cell_aspect
+    slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, cell_aspect)
     heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
     score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
     for zoom, height in enumerate(heights):
@@ -152,7 +152,7 @@ def agreement(
     candidate, weight = pairs.candidate[agree], weight[agree]
     ours = _centred(pairs.query_cell[agree], shape)
     down, across = _centred(pairs.candidate_cell[agree], shape)
-    theirs = down * stretch[candidate, 0], across * stretch[candidate, 1]
+    theirs = down * cell_aspect[candidate, 0], across * cell_aspect[candidate, 1]
     zoomed = np.array(zooms, np.float64)[chosen]
     moved = [
         np.bincount(candidate, weight * (there - here * zoomed[candidate]), candidates)
@@ -218,15 +218,15 @@ class _Slots:
 
 
 def _votes(
-    pairs: Correspondences, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, stretch: Doubles
+    pairs: Correspondences, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, cell_aspect: Doubles
 ) -> tuple[_Slots, Int32s]:
     """Slots, and which of them each pair votes for under each zoom: int32 (zooms, pairs)."""
     slots = _slots(shape, zooms, tolerance)
     voted = slots.of[:, pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell]
-    other = np.flatnonzero((stretch != 1).any(axis=1)[pairs.candidate])
+    other = np.flatnonzero((cell_aspect != 1).any(axis=1)[pairs.candidate])
     if len(other):
         down, across = _centred(pairs.candidate_cell[other], shape)
-        height, width = stretch[pairs.candidate[other]].T
+        height, width = cell_aspect[pairs.candidate[other]].T
         ours = _centred(pairs.query_cell[other], shape)
         voted[:, other] = _displaced(ours, (down * height, across * width), shape, zooms, tolerance)
     return slots, voted

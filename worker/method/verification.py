@@ -175,7 +175,7 @@ def gated_bonus(inliers: npt.ArrayLike) -> Floats:
     Parameters
     ----------
     inliers : array-like of int, shape (candidates,)
-        Of the candidates verified for one question.
+        Of the candidates verified for one query.
 
     Returns
     -------

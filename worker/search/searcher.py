@@ -24,7 +24,7 @@ ROUNDS = 5
 
 
 class RecipeChanged(Exception):
-    """The map changed over to another recipe: the question must be described by that one."""
+    """The map changed over to another recipe: the query must be described by that one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Dense:
     ----------
     similarity : float
         Of the cells at half size, in whichever reading the view stands out more, 0..1.
-    typical : float
-        Median similarity of all candidates that were compared: what a wrong one gets for this question.
+    median_similarity : float
+        Median similarity of all candidates that were compared: what a wrong one gets for this query.
     high : float
         What `HIGH` of them do not exceed: what the wrong ones get that look most like it, such as the few parks in a
         map of streets for the picture of another park.
@@ -47,7 +47,7 @@ class Dense:
     """
 
     similarity: float
-    typical: float
+    median_similarity: float
     high: float
     shift: tuple[int, int]
     scale: float | None
@@ -77,7 +77,7 @@ class GraphEvidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ScoredView:
     """One view that may show the place.
 
     Parameters
@@ -107,7 +107,7 @@ class Found:
 class Answer:
     """What a search found, best first, at one revision of the map and by one recipe."""
 
-    found: tuple[Found, ...]
+    found: tuple[ScoredView, ...]
     revision: int
     recipe: Recipe
     searched: int
@@ -183,7 +183,7 @@ class Searcher:
             searched = self._clock()
             evidence = self._compare(recipe, description, found, reranked)
             if evidence is not None:
-                evidence = self._look_closely(recipe, description, found, evidence)
+                evidence = self._compare_in_full(recipe, description, found, evidence)
             compared = self._clock()
             verified = None if evidence is None else self._verify(recipe, description, found, evidence)
             ranked = None if verified is None else self._best(recipe, found, verified, top)
@@ -224,15 +224,17 @@ class Searcher:
         appearances = [kept[int(seq)] for seq in found.seqs[rows]]
         if description.appearance.coarse.size:
             coarse, ours = np.stack([a.coarse for a in appearances]), description.appearance.coarse
-            stretch = hough.stretches(description.appearance.extent, [a.extent for a in appearances])
-            alike = dense_cells.compare(ours, coarse, self._product, stretch=stretch, measured=False)
+            cell_aspect = hough.cell_aspects(description.appearance.extent, [a.extent for a in appearances])
+            alike = dense_cells.compare(ours, coarse, self._product, cell_aspect=cell_aspect, measured=False)
             scores = alike.scores
             for channel in () if parameters.dense is None else parameters.dense.read_alone:
-                alone = channel_fusion.alone(ours, coarse, parameters.joined(), channel, self._product, stretch=stretch)
-                evidence.rates[channel] = channel_fusion.exchange(alike.scores, alone)
-                scores = channel_fusion.stronger(scores, alone, evidence.rates[channel])
+                alone = channel_fusion.alone(
+                    ours, coarse, parameters.joined(), channel, self._product, cell_aspect=cell_aspect
+                )
+                evidence.rates[channel] = channel_fusion.align_scale(alike.scores, alone)
+                scores = channel_fusion.max_fusion(scores, alone, evidence.rates[channel])
             evidence.put("dense", rows, scores)
-            evidence.shifts, evidence.stretch = alike.shifts * 2, stretch
+            evidence.shifts, evidence.cell_aspect = alike.shifts * 2, cell_aspect
         evidence.graphs = [a.graph for a in appearances]
         evidence.graph = context_graph.compare(
             description.appearance.graph, evidence.graphs, parameters.graph.cosine, parameters.graph.tau
@@ -240,27 +242,27 @@ class Searcher:
         evidence.put("graph", rows, evidence.graph.similarity)
         return evidence
 
-    def _look_closely(
+    def _compare_in_full(
         self, recipe: Recipe, description: Description, found: Candidates, evidence: "_Evidence"
     ) -> "_Evidence | None":
         """Full-size comparison of the dense cells of the best candidates so far."""
         dense = recipe.parameters.dense
-        if dense is None or dense.closely == 0 or evidence.shifts is None:
+        if dense is None or dense.full_resolution_top_k == 0 or evidence.shifts is None:
             return evidence
-        first = evidence.best(recipe, found, dense.closely)
+        first = evidence.best(recipe, found, dense.full_resolution_top_k)
         seqs = found.seqs[first].tolist()
         kept = self._store.cells(seqs, recipe.id)
         if len(kept) < len(first):
             return None
         cells = np.stack([kept[seq] for seq in seqs])
         places = [evidence.place[int(row)] for row in first]
-        stretch = evidence.stretch[places]
-        alike = dense_cells.compare(description.cells, cells, self._product, stretch=stretch)
+        cell_aspect = evidence.cell_aspect[places]
+        alike = dense_cells.compare(description.cells, cells, self._product, cell_aspect=cell_aspect)
         scores = alike.scores
-        for channel, closely in dense.read_alone.items():
-            some = (cells[:closely], recipe.parameters.joined(), channel, self._product)
-            alone = channel_fusion.alone(description.cells, *some, stretch=stretch[:closely])
-            scores = channel_fusion.stronger(scores, alone, evidence.rates[channel])
+        for channel, full_resolution_top_k in dense.read_alone.items():
+            some = (cells[:full_resolution_top_k], recipe.parameters.joined(), channel, self._product)
+            alone = channel_fusion.alone(description.cells, *some, cell_aspect=cell_aspect[:full_resolution_top_k])
+            scores = channel_fusion.max_fusion(scores, alone, evidence.rates[channel])
         evidence.put("close", first, scores * dense_cells.nearness(alike.scales, dense.scale_penalty))
         evidence.shifts[places] = alike.shifts
         evidence.scales = dict(zip(first.tolist(), alike.scales.tolist(), strict=True))
@@ -283,7 +285,9 @@ class Searcher:
         evidence.put("verification", np.array(first, np.intp), bonus)
         return evidence
 
-    def _best(self, recipe: Recipe, found: Candidates, evidence: "_Evidence", top: int) -> tuple[Found, ...] | None:
+    def _best(
+        self, recipe: Recipe, found: Candidates, evidence: "_Evidence", top: int
+    ) -> tuple[ScoredView, ...] | None:
         """The first `top` candidates with their evidence; those that were re-ranked come first."""
         score, parts = score_fusion.score(evidence.terms, recipe.parameters, evidence.rows)
         order = score_fusion.order(score, evidence.distance(found), evidence.rows)[:top]
@@ -291,7 +295,7 @@ class Searcher:
         if len(views) < len(order):
             return None
         return tuple(
-            Found(
+            ScoredView(
                 view=views[int(found.seqs[row])],
                 score=float(score[row]),
                 parts={name: float(part[row]) for name, part in parts.items()},
@@ -306,7 +310,7 @@ class Searcher:
 
 
 class _Evidence:
-    """What is known about the candidates of one question.
+    """What is known about the candidates of one query.
 
     Parameters
     ----------
@@ -321,7 +325,7 @@ class _Evidence:
         self.rows = rows
         self.place = {int(row): place for place, row in enumerate(rows)}
         self.shifts: npt.NDArray[np.intp] | None = None
-        self.stretch: npt.NDArray[np.float64] = np.ones((len(rows), 2))
+        self.cell_aspect: npt.NDArray[np.float64] = np.ones((len(rows), 2))
         self.scales: dict[int, float] = {}
         self.rates: dict[str, float] = {}
         self.graphs: list[ContextGraph] = []
@@ -349,8 +353,8 @@ class _Evidence:
         if row not in self.place or self.shifts is None:
             return None
         down, across = self.shifts[self.place[row]].tolist()
-        typical, high = np.quantile(self.terms["dense"][self.rows], (0.5, HIGH)).tolist()
-        return Dense(float(self.terms["dense"][row]), typical, high, (down, across), self.scales.get(row))
+        median_similarity, high = np.quantile(self.terms["dense"][self.rows], (0.5, HIGH)).tolist()
+        return Dense(float(self.terms["dense"][row]), median_similarity, high, (down, across), self.scales.get(row))
 
     def graph_of(self, row: int) -> GraphEvidence | None:
         """The comparison of one candidate's graph, if it was made."""

@@ -8,9 +8,9 @@ import sqlalchemy as sa
 from uuid6 import uuid7
 
 from schemas.errors import Conflict, NotFound
-from schemas.image import PictureFacts
+from schemas.image import ImageFacts
 from schemas.recipe import Recipe
-from schemas.records import Said, Submitted
+from schemas.records import Submitted, ViewAttributes
 from worker.storage import switching
 from worker.storage.filtering import metadata_pairs
 from worker.storage.maps import make_map
@@ -18,25 +18,25 @@ from worker.storage.part import Part
 from worker.storage.rows import (
     COORDINATES,
     as_json,
+    attribute_columns,
+    attributes_of,
     find_map,
     find_view,
     inserting,
-    said_columns,
-    said_of,
     view_record,
     view_rows,
 )
 from worker.storage.tables import METADATA_PAIRS, VIEWS
 
 
-def contradictions(kept: Said, anew: Said) -> list[str]:
+def contradictions(kept: ViewAttributes, anew: ViewAttributes) -> list[str]:
     """Names of the fields that are said anew and differ from what was said before."""
     differing = []
     if anew.place is not None and anew.place != kept.place:
         differing.append("place")
     for coordinate in COORDINATES:
-        value = getattr(anew.where, coordinate)
-        if value is not None and value != getattr(kept.where, coordinate):
+        value = getattr(anew.position, coordinate)
+        if value is not None and value != getattr(kept.position, coordinate):
             differing.append(coordinate)
     if anew.captured_at is not None and anew.captured_at != kept.captured_at:
         differing.append("captured_at")
@@ -47,16 +47,16 @@ def contradictions(kept: Said, anew: Said) -> list[str]:
     return differing
 
 
-def keep_pairs(connection: sa.Connection, seq: int, said: Said) -> None:
+def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) -> None:
     """Make a view known by its metadata, in place of what it was known by."""
     connection.execute(sa.delete(METADATA_PAIRS).where(METADATA_PAIRS.c.seq == seq))
-    pairs = [{"pair": pair, "seq": seq} for pair in metadata_pairs(said.metadata)]
+    pairs = [{"pair": pair, "seq": seq} for pair in metadata_pairs(attributes.metadata)]
     if pairs:
         connection.execute(sa.insert(METADATA_PAIRS), pairs)
 
 
 @cache
-def _same_picture() -> sa.Select[Any]:
+def _same_image() -> sa.Select[Any]:
     """The view of a map that has a picture already."""
     return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), VIEWS.c.sha256 == sa.bindparam("sha256"))
 
@@ -65,22 +65,22 @@ class Enrolment(Part):
     """The promise of `schemas.ports.Store` about enrolment."""
 
     def submit(
-        self, name: str, picture: bytes, facts: PictureFacts, said: Said, recipe: Recipe, now: datetime
+        self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: Recipe, now: datetime
     ) -> Submitted:
         """Keep a picture and queue its description; see `Store.submit`."""
-        with self._pictures.kept(facts.sha256, picture), self._database.writing() as connection:
+        with self._images.kept(facts.sha256, image), self._database.writing() as connection:
             try:
                 row = find_map(connection, name)
             except NotFound:
                 make_map(connection, name, recipe, now)
                 row = find_map(connection, name)
-            view = connection.execute(_same_picture(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
+            view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
-                return self._enrol(connection, row, facts, said, now)
-            return self._enrol_again(connection, row, view, said, now)
+                return self._enrol(connection, row, facts, attributes, now)
+            return self._enrol_again(connection, row, view, attributes, now)
 
     def _enrol(
-        self, connection: sa.Connection, row: sa.Row[Any], facts: PictureFacts, said: Said, now: datetime
+        self, connection: sa.Connection, row: sa.Row[Any], facts: ImageFacts, attributes: ViewAttributes, now: datetime
     ) -> Submitted:
         view_id = str(uuid7())
         connection.execute(
@@ -95,18 +95,18 @@ class Enrolment(Part):
                 "byte_count": int(facts.byte_count),
                 "format": facts.format,
                 "state": "pending",
-                **said_columns(said),
+                **attribute_columns(attributes),
             },
         )
         view = view_record(find_view(connection, view_id))
-        keep_pairs(connection, view.seq, said)
+        keep_pairs(connection, view.seq, attributes)
         job = self._queue(connection, row, view.seq, now)
         return Submitted(view, job, created=True, revision=row.revision)
 
     def _enrol_again(
-        self, connection: sa.Connection, row: sa.Row[Any], view: sa.Row[Any], said: Said, now: datetime
+        self, connection: sa.Connection, row: sa.Row[Any], view: sa.Row[Any], attributes: ViewAttributes, now: datetime
     ) -> Submitted:
-        differing = contradictions(said_of(view), said)
+        differing = contradictions(attributes_of(view), attributes)
         if differing:
             raise Conflict(
                 f"this picture is in the map {row.name!r} already, as {view.id}, with another "

@@ -22,7 +22,7 @@ from worker.storage.tables import METADATA_PAIRS, VIEWS
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of WGS 84, (2a + b) / 3."""
 
-Condition = sa.ColumnElement[bool]
+Lifecycle = sa.ColumnElement[bool]
 
 
 def metadata_pair(key: str, text: str) -> str:
@@ -42,9 +42,9 @@ def _text(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
-def allowing(filters: Filters) -> list[Condition]:
+def allowing(filters: Filters) -> list[Lifecycle]:
     """Conditions on `views` that only some views fulfil: all but the exclusions."""
-    conditions: list[Condition] = []
+    conditions: list[Lifecycle] = []
     if filters.near is not None:
         conditions += (_near_degrees if filters.geographic else _near_metres)(*map(float, filters.near))
     if filters.after is not None:
@@ -59,7 +59,7 @@ def allowing(filters: Filters) -> list[Condition]:
     return conditions
 
 
-def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Condition]:
+def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Lifecycle]:
     """Conditions on `views`, each fulfilled by views that the filters leave out.
 
     Parameters
@@ -69,8 +69,8 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
     map_id : int or None
         Map whose newest views `exclude_last` is about; None for the newest of all maps.
     """
-    conditions: list[Condition] = []
-    scope: list[Condition] = [] if map_id is None else [VIEWS.c.map_id == map_id]
+    conditions: list[Lifecycle] = []
+    scope: list[Lifecycle] = [] if map_id is None else [VIEWS.c.map_id == map_id]
     last = filters.exclude_last
     if isinstance(last, timedelta):
         newest = connection.scalar(sa.select(sa.func.max(VIEWS.c.enrolled_at, type_=UtcDateTime())).where(*scope))
@@ -85,16 +85,16 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
     return conditions
 
 
-def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Condition]:
+def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Lifecycle]:
     """Conditions on `views` that together are fulfilled by those that the filters are about."""
     return allowing(filters) + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
 
 
-def _near_metres(x: float, y: float, radius: float) -> list[Condition]:
+def _near_metres(x: float, y: float, radius: float) -> list[Lifecycle]:
     return _near((VIEWS.c.x, VIEWS.c.y), (x, y), radius, slack=1e-6)
 
 
-def _near_degrees(lat: float, lon: float, radius: float) -> list[Condition]:
+def _near_degrees(lat: float, lon: float, radius: float) -> list[Lifecycle]:
     half_angle = radius / (2 * EARTH_RADIUS_M)
     if half_angle >= math.pi / 2:  # the whole globe, and no rounding at the antipode
         return [VIEWS.c.globe_z.is_not(None)]
@@ -104,7 +104,7 @@ def _near_degrees(lat: float, lon: float, radius: float) -> list[Condition]:
     return _near((VIEWS.c.globe_z, VIEWS.c.globe_x, VIEWS.c.globe_y), (z, x, y), chord, slack=1e-12)
 
 
-def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: float, slack: float) -> list[Condition]:
+def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: float, slack: float) -> list[Lifecycle]:
     """A box, a little too large so that rounding loses nothing, and then the distance itself."""
     reach = radius * (1 + 1e-9) + slack
     box = [column.between(at - reach, at + reach) for column, at in zip(columns, centre, strict=True)]

@@ -35,7 +35,7 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-class Pictures:
+class Images:
     """The folder of pictures.
 
     Parameters
@@ -52,7 +52,7 @@ class Pictures:
         folder.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
-    def kept(self, digest: str, picture: bytes) -> Iterator[None]:
+    def kept(self, digest: str, image: bytes) -> Iterator[None]:
         """Keep a picture durably for a block that commits a row with its digest.
 
         When the block raises, the file goes again unless a view needs it.
@@ -63,10 +63,10 @@ class Pictures:
             The digest is not that of the picture.
         DiskFull
         """
-        if hashlib.sha256(picture).hexdigest() != digest:
+        if hashlib.sha256(image).hexdigest() != digest:
             raise ValueError(f"{digest} is not the SHA-256 of the picture")
         with self._locked(digest[:2]):
-            written = self._write(digest, picture)
+            written = self._write(digest, image)
             try:
                 yield
             except BaseException:
@@ -110,18 +110,18 @@ class Pictures:
         with held(self._folder / first / ".lock"):
             yield
 
-    def _write(self, digest: str, picture: bytes) -> bool:
+    def _write(self, digest: str, image: bytes) -> bool:
         """Write a picture unless it is there; returns whether it was written."""
         path = self._path(digest)
         # A file gets its name after its bytes are durable, so one of the right length is whole.
-        if path.is_file() and path.stat().st_size == len(picture):
+        if path.is_file() and path.stat().st_size == len(image):
             self._sync_name(path)  # whoever wrote it may have died before this
             return False
         unfinished = path.parent.parent / f"{UNFINISHED}{uuid.uuid4().hex}"
         try:
             path.parent.mkdir(exist_ok=True)
             with unfinished.open("xb") as file:
-                file.write(picture)
+                file.write(image)
                 file.flush()
                 os.fsync(file.fileno())
             unfinished.rename(path)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from schemas.records import Filters, Selection, Sequence64, Where
+from schemas.records import Filters, Position, Selection, Sequence64
 from worker.storage.filtering import allowing, excluding
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
@@ -38,7 +38,7 @@ class Listings(Part):
 
     def places(
         self, name: str | None, cursor: str | None, limit: int
-    ) -> tuple[list[tuple[str, str, int, Where, datetime]], str | None]:
+    ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
         """A page of places, by map and name; see `Store.places`."""
         means = [sa.func.avg(VIEWS.c[column]).label(column) for column in MEANS]
         page = (
@@ -67,15 +67,15 @@ class Listings(Part):
         return [(row.map, row.place, row.views, _mean_position(row), row.last) for row in rows[:limit]], following
 
 
-def _mean_position(row: sa.Row[Any]) -> Where:
+def _mean_position(row: sa.Row[Any]) -> Position:
     """The middle of a place; in metres where views are given in both frames."""
     if row.x is not None:
-        return Where(x=row.x, y=row.y, z=row.z)
+        return Position(x=row.x, y=row.y, z=row.z)
     # The middle of points on the sphere, because the mean of 179 and -179 degrees is not 0.
     if row.globe_x is None or math.hypot(row.globe_x, row.globe_y, row.globe_z) < 1e-9:
-        return Where()
+        return Position()
     lat = math.degrees(math.atan2(row.globe_z, math.hypot(row.globe_x, row.globe_y)))
-    return Where(lat=lat, lon=math.degrees(math.atan2(row.globe_y, row.globe_x)), alt=row.alt)
+    return Position(lat=lat, lon=math.degrees(math.atan2(row.globe_y, row.globe_x)), alt=row.alt)
 
 
 def _ascending(seqs: Iterable[int]) -> Sequence64:

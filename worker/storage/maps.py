@@ -6,7 +6,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict, NotFound
 from schemas.recipe import Recipe
-from schemas.records import MapCounts, MapRecord, ViewState, Where
+from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
 from worker.storage.part import Part
 from worker.storage.rows import COORDINATES, find_map, find_recipe, keep_recipe, map_record
@@ -69,9 +69,9 @@ class Maps(Part):
         return MapCounts(
             views={state: row[state] for state in STATES},
             places=places,
-            picture_bytes=int(row["picture_bytes"]),
-            lowest=Where(**{axis: row[f"lowest_{axis}"] for axis in axes}),
-            highest=Where(**{axis: row[f"highest_{axis}"] for axis in axes}),
+            image_bytes=int(row["picture_bytes"]),
+            lowest=Position(**{axis: row[f"lowest_{axis}"] for axis in axes}),
+            highest=Position(**{axis: row[f"highest_{axis}"] for axis in axes}),
         )
 
     def put_map(self, name: str, recipe: Recipe, now: datetime) -> tuple[MapRecord, bool]:

@@ -1,7 +1,7 @@
 """What the parts of the store have in common."""
 
 from worker.storage.database import Database
-from worker.storage.image_files import Pictures
+from worker.storage.image_files import Images
 
 
 class Part:
@@ -10,9 +10,9 @@ class Part:
     Parameters
     ----------
     database : Database
-    pictures : Pictures
+    images : Images
     """
 
-    def __init__(self, database: Database, pictures: Pictures) -> None:
+    def __init__(self, database: Database, images: Images) -> None:
         self._database = database
-        self._pictures = pictures
+        self._images = images

@@ -18,7 +18,7 @@ PORTION = 200
 
 class _Gone(NamedTuple):
     views: int
-    pictures: int
+    images: int
     revision: int
 
 
@@ -44,7 +44,7 @@ class Removals(Part):
         portions = [self._remove(row.id, seqs[start : start + PORTION]) for start in range(0, len(seqs), PORTION)]
         return Removal(
             views=sum(portion.views for portion in portions),
-            pictures=sum(portion.pictures for portion in portions),
+            images=sum(portion.images for portion in portions),
             revision=portions[-1].revision if portions else row.revision,
         )
 
@@ -67,7 +67,7 @@ class Removals(Part):
             self._clear(map_id)
 
     def _clear(self, map_id: int) -> Removal:
-        views = pictures = 0
+        views = images = 0
         some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
         while True:
             with self._database.reading() as connection:
@@ -75,10 +75,10 @@ class Removals(Part):
             if not seqs:
                 break
             portion = self._remove(map_id, seqs)
-            views, pictures = views + portion.views, pictures + portion.pictures
+            views, images = views + portion.views, images + portion.images
         with self._database.writing() as connection:
             connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id))
-        return Removal(views, pictures, revision=None)
+        return Removal(views, images, revision=None)
 
     def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
         """Delete views of a map, and then the pictures that no view needs any more."""
@@ -92,4 +92,4 @@ class Removals(Part):
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id)
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
-        return _Gone(len(rows), self._pictures.discard(row.sha256 for row in rows), int(revision))
+        return _Gone(len(rows), self._images.discard(row.sha256 for row in rows), int(revision))

@@ -9,9 +9,9 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.errors import NotFound
-from schemas.image import PictureFacts
+from schemas.image import ImageFacts
 from schemas.recipe import Recipe
-from schemas.records import DescriptionRecord, MapRecord, Said, ViewRecord, Where
+from schemas.records import DescriptionRecord, MapRecord, Position, ViewAttributes, ViewRecord
 from worker.storage.packing import unpack_floats
 from worker.storage.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
 
@@ -107,9 +107,9 @@ def view_record(row: sa.Row[Any]) -> ViewRecord:
         id=row.id,
         seq=row.seq,
         map=row.map,
-        said=said_of(row),
+        attributes=attributes_of(row),
         enrolled_at=row.enrolled_at,
-        picture=PictureFacts(row.width, row.height, row.byte_count, row.format, row.sha256),
+        image=ImageFacts(row.width, row.height, row.byte_count, row.format, row.sha256),
         state=row.state,
         failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
         description=description,
@@ -139,24 +139,24 @@ def _view_of_id() -> sa.Select[Any]:
 # what was said about a view
 
 
-def said_of(row: sa.Row[Any]) -> Said:
+def attributes_of(row: sa.Row[Any]) -> ViewAttributes:
     """What the user said, from the row of a view."""
-    where = Where(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
-    return Said(row.place, where, row.captured_at, json.loads(row.metadata))
+    position = Position(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
+    return ViewAttributes(row.place, position, row.captured_at, json.loads(row.metadata))
 
 
-def said_columns(said: Said) -> dict[str, Any]:
+def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:
     """What the user said, as columns of `views`."""
     # A numpy number would be stored as bytes by SQLite, without a word.
     columns: dict[str, Any] = {
-        name: None if (value := getattr(said.where, name)) is None else float(value) for name in COORDINATES
+        name: None if (value := getattr(attributes.position, name)) is None else float(value) for name in COORDINATES
     }
     lat, lon = columns["lat"], columns["lon"]
     globe = (None, None, None) if lat is None or lon is None else unit_vector(lat, lon)
     columns["globe_x"], columns["globe_y"], columns["globe_z"] = globe
-    columns["place"] = said.place
-    columns["captured_at"] = said.captured_at
-    columns["metadata"] = as_json(dict(said.metadata))
+    columns["place"] = attributes.place
+    columns["captured_at"] = attributes.captured_at
+    columns["metadata"] = as_json(dict(attributes.metadata))
     return columns
 
 

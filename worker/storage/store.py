@@ -11,7 +11,7 @@ from worker.storage.calls import Calls, Vocabularies
 from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
-from worker.storage.image_files import Pictures
+from worker.storage.image_files import Images
 from worker.storage.jobs import Jobs
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
@@ -31,13 +31,13 @@ class SqlStore(Maps, Enrolment, Jobs, Views, Removals, Listings, Descriptions, C
     database : Database
         With the tables that this version needs.
     data : Path
-        Folder whose ``pictures`` hold the originals.
+        Folder whose ``images`` hold the originals.
     share : FolderLock
         Keeps others from migrating the database; let go of by `close`.
     """
 
     def __init__(self, database: Database, data: Path, share: FolderLock) -> None:
-        super().__init__(database, Pictures(data / "pictures", self._owned))
+        super().__init__(database, Images(data / "pictures", self._owned))
         self._data = data
         self._share = share
 
@@ -58,7 +58,7 @@ class SqlStore(Maps, Enrolment, Jobs, Views, Removals, Listings, Descriptions, C
         with self._database.writing(in_turn=False) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now))
         self.clear_deleted_maps()
-        self._pictures.sweep()
+        self._images.sweep()
 
     def check(self) -> str:
         """``ok``, or what is wrong with the database or the folder."""

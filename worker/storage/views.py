@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import sqlalchemy as sa
 
 from schemas.errors import NotFound
-from schemas.records import Filters, Said, ViewRecord
+from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import clock
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
-from worker.storage.rows import batches, find_map, find_view, said_columns, view_record, view_rows, views_of
+from worker.storage.rows import attribute_columns, batches, find_map, find_view, view_record, view_rows, views_of
 from worker.storage.tables import VIEWS
 
 
@@ -59,23 +59,23 @@ class Views(Part):
         following = cursor_after(order, rows[limit - 1].seq) if len(rows) > limit else None
         return [view_record(row) for row in rows[:limit]], following
 
-    def patch(self, view_id: str, said: Said) -> ViewRecord:
+    def patch(self, view_id: str, attributes: ViewAttributes) -> ViewRecord:
         """Replace what was said about a view; raises NotFound."""
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
-            columns = said_columns(said)
+            columns = attribute_columns(attributes)
             if any(value != getattr(before, column) for column, value in columns.items()):
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**columns))
-                keep_pairs(connection, before.seq, said)
+                keep_pairs(connection, before.seq, attributes)
                 clock.tick(connection, before.map_id)
             return view_record(find_view(connection, view_id))
 
-    def picture(self, view_id: str) -> bytes:
+    def image(self, view_id: str) -> bytes:
         """The enrolled picture, byte for byte; raises NotFound."""
         with self._database.reading() as connection:
             digest = find_view(connection, view_id).sha256
         try:
-            return self._pictures.read(digest)
+            return self._images.read(digest)
         except FileNotFoundError:  # deleted between row and file
             hint = "the view was deleted, or its file was removed by hand: then enrol the picture again"
             raise NotFound("picture of view", view_id, hint) from None

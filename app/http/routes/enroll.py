@@ -10,7 +10,7 @@ from app.http.body import Sent, take
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import ENROLLED
 from app.http.idempotency import HEADER, fingerprint, key_of, once
-from app.http.openapi import asks_pictures, refusals
+from app.http.openapi import asks_images, refusals
 from app.http.parameters import EnrollParameters, read
 from app.http.problems import KINDS, URN, code_of
 from schemas.errors import Busy, InvalidParameters, RevisitError
@@ -33,7 +33,7 @@ _ANY = Enrolled | EnrolledMany
     "/enroll",
     status_code=201,
     response_model=_ANY,
-    openapi_extra=asks_pictures(EnrollParameters, several=True, headers=[_KEY]),
+    openapi_extra=asks_images(EnrollParameters, several=True, headers=[_KEY]),
     responses={
         200: {"model": _ANY, "description": "The map had these very bytes already.", "headers": _LOCATION},
         201: {
@@ -62,10 +62,10 @@ _ANY = Enrolled | EnrolledMany
 async def enroll(request: Request, recogniser: Recognises, curator: Curates, metrics: Measures) -> Response:
     """Enrol one picture, or several, in a map."""
     sent = await take(request)
-    asked = read(EnrollParameters, sent.parameters, sent.errors)
+    params = read(EnrollParameters, sent.parameters, sent.errors)
 
     async def work() -> Response:
-        outcomes = await recogniser.enroll(sent.pictures, asked.map, asked.said(), asked.wait)
+        outcomes = await recogniser.enroll(sent.images, params.map, params.attributes(), params.wait)
         for outcome in outcomes:
             if isinstance(outcome, Enrolled):
                 metrics.stages("enroll", outcome.timing_ms)
@@ -74,7 +74,7 @@ async def enroll(request: Request, recogniser: Recognises, curator: Curates, met
     key = key_of(request)
     if key is None:
         return await work()
-    print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.pictures], sent.parameters)
+    print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.images], sent.parameters)
     return await once(curator, request, key, print_, work)
 
 
@@ -90,7 +90,7 @@ def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
     if len(outcomes) > 1:
         body = EnrolledMany(
             views=views,
-            errors=[_refusal(index, sent.pictures[index][0], error) for index, error in refused],
+            errors=[_refusal(index, sent.images[index][0], error) for index, error in refused],
             revision=max(view.revision for view in views),
             timing_ms=_slowest(views),
         )

@@ -10,8 +10,8 @@ from fastapi.responses import HTMLResponse, JSONResponse, Response
 
 from app.console import pages
 from app.http.curate import Curator
-from app.http.dependencies import Conditions, Curates, Measures, no_parameters
-from app.http.lifecycle import Condition
+from app.http.dependencies import Curates, Lifecycles, Measures, no_parameters
+from app.http.lifecycle import Lifecycle
 from app.http.metrics import MEDIA_TYPE
 from app.http.middleware import STARTING_RETRY_S
 from app.http.openapi import answers_bytes, document, refusals
@@ -35,14 +35,14 @@ async def livez() -> Response:
     response_model=Readiness,
     responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(always_open=True)},
 )
-async def readyz(condition: Conditions) -> Response:
+async def readyz(lifecycle: Lifecycles) -> Response:
     """Can it enrol and answer at this moment? Lists what cannot, and why."""
-    if condition.draining or not condition.started:
-        state = "stopping" if condition.draining else "starting"
+    if lifecycle.draining or not lifecycle.started:
+        state = "stopping" if lifecycle.draining else "starting"
         readiness = Readiness(ready=False, checks={"service": state})
     else:
         try:
-            readiness = await asyncio.wait_for(condition.readiness(), PATIENCE_S)
+            readiness = await asyncio.wait_for(lifecycle.readiness(), PATIENCE_S)
         except TimeoutError:
             readiness = Readiness(ready=False, checks={"service": f"no answer within {PATIENCE_S * 1000:.0f} ms"})
     headers = {} if readiness.ready else {"Retry-After": str(STARTING_RETRY_S)}
@@ -54,18 +54,18 @@ async def readyz(condition: Conditions) -> Response:
     response_class=Response,
     responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(always_open=True)},
 )
-async def metrics(condition: Conditions, curator: Curates, measures: Measures) -> Response:
+async def metrics(lifecycle: Lifecycles, curator: Curates, measures: Measures) -> Response:
     """Counters, times and sizes."""
-    maps = await _maps(condition, curator)
+    maps = await _maps(lifecycle, curator)
     if maps is not None:
-        measures.state(await condition.queue_length(), maps.maps)
+        measures.state(await lifecycle.queue_length(), maps.maps)
     return Response(measures.text(), media_type=MEDIA_TYPE)
 
 
 @router.get("/version", response_model=Version, responses=refusals())
-async def version(condition: Conditions) -> Version:
+async def version(lifecycle: Lifecycles) -> Version:
     """What is running: version, encoder, weights, libraries."""
-    return await condition.version()
+    return await lifecycle.version()
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
@@ -75,14 +75,14 @@ async def docs(request: Request) -> Response:
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
-async def console(request: Request, condition: Conditions, curator: Curates) -> Response:
+async def console(request: Request, lifecycle: Lifecycles, curator: Curates) -> Response:
     """Where a person lands: what is there, and how to go on."""
-    return _page(pages.console(request.app.version, await _maps(condition, curator)))
+    return _page(pages.console(request.app.version, await _maps(lifecycle, curator)))
 
 
-async def _maps(condition: Condition, curator: Curator) -> Maps | None:
+async def _maps(lifecycle: Lifecycle, curator: Curator) -> Maps | None:
     """The maps if they can be had soon: numbers that are missing are better than a page that hangs."""
-    if not condition.started:
+    if not lifecycle.started:
         return None
     try:
         return await asyncio.wait_for(curator.maps(), PATIENCE_S)

@@ -84,7 +84,7 @@ async def delete_map(name: Name, curator: Curates) -> Deleted:
     responses={202: _STARTED, **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full")},
 )
 async def switch_recipe(name: Name, wanted: Wanted, curator: Curates) -> Response:
-    """Describe all views of a map anew; questions are answered by the old recipe until that is done."""
+    """Describe all views of a map anew; queries are answered by the old recipe until that is done."""
     return _started(await curator.switch_recipe(name, wanted))
 
 

@@ -13,6 +13,6 @@ router = APIRouter(tags=["maps"])
 
 
 @router.get("/places", response_model=Places, openapi_extra=asks(ListPlaces), responses=refusals("not-found"))
-async def list_places(asked: Annotated[ListPlaces, Depends(in_url(ListPlaces))], curator: Curates) -> Places:
+async def list_places(params: Annotated[ListPlaces, Depends(in_url(ListPlaces))], curator: Curates) -> Places:
     """A page of places, by map and name."""
-    return await curator.places(asked.map, asked.cursor, asked.limit)
+    return await curator.places(params.map, params.cursor, params.limit)

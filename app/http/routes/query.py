@@ -3,10 +3,10 @@
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from app.http.body import PICTURE_PART, take
+from app.http.body import IMAGE_PART, take
 from app.http.dependencies import Measures, Recognises
 from app.http.examples import QUERY_ANSWER
-from app.http.openapi import asks_pictures, refusals
+from app.http.openapi import asks_images, refusals
 from app.http.parameters import QueryParameters, read
 from schemas.errors import ParameterError
 from schemas.wire import QueryAnswer
@@ -17,7 +17,7 @@ router = APIRouter(tags=["enrol and ask"])
 @router.post(
     "/query",
     response_model=QueryAnswer,
-    openapi_extra=asks_pictures(QueryParameters, several=False),
+    openapi_extra=asks_images(QueryParameters, several=False),
     responses={
         200: {"content": {"application/json": {"example": QUERY_ANSWER}}},
         **refusals(
@@ -38,17 +38,17 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures) -> 
     """Which views of a map show the place of this picture?"""
     sent = await take(request)
     errors = list(sent.errors)
-    if len(sent.pictures) > 1:
-        errors.append(ParameterError(PICTURE_PART, f"{len(sent.pictures)} pictures; a question is about one"))
-    asked = read(QueryParameters, sent.parameters, errors)
+    if len(sent.images) > 1:
+        errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} pictures; a question is about one"))
+    params = read(QueryParameters, sent.parameters, errors)
     answer = await recogniser.query(
-        sent.pictures[0][1],
-        asked.map,
-        top=asked.top,
-        candidates=asked.candidates,
-        filters=asked.filters(),
-        explain=asked.explain,
-        drive=asked.drive,
+        sent.images[0][1],
+        params.map,
+        top=params.top,
+        candidates=params.candidates,
+        filters=params.filters(),
+        explain=params.explain,
+        drive=params.drive,
     )
     metrics.stages("query", answer.timing_ms)
     return Response(answer.model_dump_json(), media_type="application/json")

@@ -11,10 +11,10 @@ from app.http.dependencies import Curates, in_url, no_parameters
 from app.http.examples import PATCH, VIEW
 from app.http.merge_patch import merge
 from app.http.openapi import asks, refusals, takes_json
-from app.http.parameters import DeleteViews, ListViews, SaidDocument, validated
+from app.http.parameters import AttributesDocument, DeleteViews, ListViews, validated
 from app.http.values import METADATA_DEPTH, within_depth
 from schemas.errors import InvalidParameters, ParameterError
-from schemas.records import Said
+from schemas.records import ViewAttributes
 from schemas.wire import Deleted, Position, View, Views, rfc3339
 
 router = APIRouter(tags=["views"])
@@ -39,24 +39,24 @@ _FIELDS = ("place", "position", "captured_at", "metadata")
 
 
 @router.get("/views", response_model=Views, openapi_extra=asks(ListViews), responses=refusals("not-found"))
-async def list_views(asked: Annotated[ListViews, Depends(in_url(ListViews))], curator: Curates) -> Views:
+async def list_views(params: Annotated[ListViews, Depends(in_url(ListViews))], curator: Curates) -> Views:
     """A page of views, in the order of their enrolment."""
     return await curator.views(
-        asked.map,
-        asked.filters(),
-        state=asked.state,
-        newest_first=asked.sort.startswith("-"),
-        cursor=asked.cursor,
-        limit=asked.limit,
+        params.map,
+        params.filters(),
+        state=params.state,
+        newest_first=params.sort.startswith("-"),
+        cursor=params.cursor,
+        limit=params.limit,
     )
 
 
 @router.delete(
     "/views", response_model=Deleted, openapi_extra=asks(DeleteViews), responses=refusals("not-found", "conflict")
 )
-async def delete_views(asked: Annotated[DeleteViews, Depends(in_url(DeleteViews))], curator: Curates) -> Deleted:
+async def delete_views(params: Annotated[DeleteViews, Depends(in_url(DeleteViews))], curator: Curates) -> Deleted:
     """Delete the views of a map that fit the filters, or all of them with `all=true`."""
-    return await curator.delete_views(asked.map, asked.filters())
+    return await curator.delete_views(params.map, params.filters())
 
 
 @router.get(
@@ -82,7 +82,7 @@ async def patch_view(view_id: str, request: Request, curator: Curates) -> View:
     # Between reading what was said and writing it anew, no other patch may come: its change would be lost.
     lock: asyncio.Lock = request.app.state.patching
     async with lock:
-        return await curator.patch_view(view_id, _patched(await curator.said_of(view_id), patch))
+        return await curator.patch_view(view_id, _patched(await curator.attributes_of(view_id), patch))
 
 
 @router.delete(
@@ -93,16 +93,16 @@ async def delete_view(view_id: str, curator: Curates) -> Deleted:
     return await curator.delete_view(view_id)
 
 
-def _patched(said: Said, patch: dict[str, Any]) -> Said:
+def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttributes:
     """What is said after the patch; raises InvalidParameters."""
     unknown = [ParameterError(name, "cannot be changed") for name in patch if name not in _FIELDS]
     if not within_depth(patch, METADATA_DEPTH + 1):
         raise InvalidParameters.of("metadata", f"must not be nested deeper than {METADATA_DEPTH} levels")
     document: dict[str, Any] = {
-        "place": said.place,
-        "position": {name: value for name, value in asdict(said.where).items() if value is not None},
-        "captured_at": None if said.captured_at is None else rfc3339(said.captured_at),
-        "metadata": dict(said.metadata),
+        "place": attributes.place,
+        "position": {name: value for name, value in asdict(attributes.position).items() if value is not None},
+        "captured_at": None if attributes.captured_at is None else rfc3339(attributes.captured_at),
+        "metadata": dict(attributes.metadata),
     }
     merged = merge(document, patch)
     position = merged.pop("position", {})
@@ -113,7 +113,7 @@ def _patched(said: Said, patch: dict[str, Any]) -> Said:
     known = {name: value for name, value in merged.items() if name in _FIELDS and value is not None}
     located = {name: value for name, value in position.items() if name not in stray}
     try:
-        return validated(SaidDocument, {**known, **located}, unknown).said()
+        return validated(AttributesDocument, {**known, **located}, unknown).attributes()
     except InvalidParameters as error:
         raise InvalidParameters([_in_document(one) for one in error.errors]) from None
 

@@ -88,13 +88,13 @@ def attention(qkv: Tensor, heads: int, *, causal: bool) -> Tensor:
     return torch.cat(out, dim=1)
 
 
-def transformer(picture: Tensor, state: State, config: Config, slip: str) -> tuple[list[Tensor], int, int]:
+def transformer(image: Tensor, state: State, config: Config, slip: str) -> tuple[list[Tensor], int, int]:
     """(3, height, width) to taps of (1 + patches, width)."""
     p, model = config.patch, "pretrained.model"
-    rows, columns = picture.shape[1] // p, picture.shape[2] // p
+    rows, columns = image.shape[1] // p, image.shape[2] // p
     kernel = state[f"{model}.patch_embed.proj.weight"].flatten(1)
     patches = [
-        picture[:, r * p : (r + 1) * p, c * p : (c + 1) * p].flatten() for r in range(rows) for c in range(columns)
+        image[:, r * p : (r + 1) * p, c * p : (c + 1) * p].flatten() for r in range(rows) for c in range(columns)
     ]
     x = torch.stack(patches) @ kernel.T + state[f"{model}.patch_embed.proj.bias"]
     x = torch.cat([state[f"{model}.cls_token"][0], x])
@@ -173,9 +173,9 @@ def unit(x: Tensor, state: State, name: str, slip: str) -> Tensor:
     return x + normalised(convolved(y.clamp(min=0), state, f"{name}.conv2"), state, f"{name}.bn2", slip)
 
 
-def network(picture: Tensor, state: State, config: Config, slip: str = "") -> Tensor:
+def network(image: Tensor, state: State, config: Config, slip: str = "") -> Tensor:
     """(3, height, width) to embeddings at the head's resolution, (channels, height/2, width/2)."""
-    taps, rows, columns = transformer(picture, state, config, slip)
+    taps, rows, columns = transformer(image, state, config, slip)
     maps = [reassembled(tap, i, rows, columns, state, slip) for i, tap in enumerate(taps, start=1)]
     path = torch.zeros(())
     for index in (4, 3, 2, 1):
@@ -199,12 +199,12 @@ def network(picture: Tensor, state: State, config: Config, slip: str = "") -> Te
 
 def field(pixels: npt.NDArray[np.uint8], state: State, config: Config, slip: str = "") -> Tensor:
     """The window routine: (height, width, 3) to (channels, rows, columns)."""
-    picture = torch.from_numpy(pixels[:, :, ::-1].copy() if slip == "bgr" else pixels).double().permute(2, 0, 1)
-    picture = (picture / 255 - 0.5) / 0.5
+    image = torch.from_numpy(pixels[:, :, ::-1].copy() if slip == "bgr" else pixels).double().permute(2, 0, 1)
+    image = (image / 255 - 0.5) / 0.5
     height, width = pixels.shape[:2]
     longer = max(height, width)
     rows, columns = (int(side * config.base / longer + 0.5) for side in (height, width))
-    picture = scaled(picture, rows, columns, aligned=slip != "resize without aligned corners")
+    image = scaled(image, rows, columns, aligned=slip != "resize without aligned corners")
     crop, stride = config.crop, config.stride
     high, wide = max(rows, crop), max(columns, crop)
     starts = [
@@ -214,7 +214,7 @@ def field(pixels: npt.NDArray[np.uint8], state: State, config: Config, slip: str
     black = 0.0 if slip == "padding with 0" else -1.0
     far = (starts[0][-1] + crop, starts[1][-1] + crop)
     canvas = torch.full((3, *far), black, dtype=torch.float64)
-    canvas[:, :rows, :columns] = picture
+    canvas[:, :rows, :columns] = image
     total = torch.zeros(config.channels, *far, dtype=torch.float64)
     times = torch.zeros(far)
     for top in starts[0]:

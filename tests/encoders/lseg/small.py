@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from schemas.image import Picture
+from schemas.image import Image
 from worker.encoders.lseg.config import Config, ImageTower
 from worker.encoders.lseg.layout import Layout
 from worker.encoders.lseg.network import Network
@@ -85,15 +85,15 @@ def tokenizer() -> Tokenizer:
     return Tokenizer(MERGES, SMALL.context)
 
 
-def picture(height: int, width: int, seed: int = 0) -> Picture:
+def image(height: int, width: int, seed: int = 0) -> Image:
     """Noise over a gradient."""
     rng = np.random.default_rng(seed)
     slope = np.linspace(0, 150, width)[None, :, None] + np.array([0, 20, 60])
-    return Picture.of((slope + rng.integers(0, 40, (height, width, 3))).astype(np.uint8))
+    return Image.of((slope + rng.integers(0, 40, (height, width, 3))).astype(np.uint8))
 
 
-def save(tensors: dict[str, Tensor], path: Path, **beside: object) -> Path:
+def save(tensors: dict[str, Tensor], path: Path, **parallel: object) -> Path:
     """A checkpoint as Lightning writes it."""
     named = {f"net.{name}": tensor for name, tensor in tensors.items()}
-    torch.save({"epoch": 0, "pytorch-lightning_version": "1.4.9", "state_dict": named, **beside}, path)
+    torch.save({"epoch": 0, "pytorch-lightning_version": "1.4.9", "state_dict": named, **parallel}, path)
     return path

@@ -13,7 +13,7 @@ from schemas.records import Meaning
 from tests.encoders.lseg import small
 from worker.encoders.lseg.encoder import LsegEncoder, Mode
 
-PICTURES = [small.picture(40, 130, 1), small.picture(60, 80, 2), small.picture(75, 72, 3), small.picture(80, 60, 4)]
+IMAGES = [small.image(40, 130, 1), small.image(60, 80, 2), small.image(75, 72, 3), small.image(80, 60, 4)]
 
 
 def encoder(mode: Mode = "windows", batch: int = 0, dtype: torch.dtype | None = None) -> LsegEncoder:
@@ -28,17 +28,17 @@ def test_it_keeps_the_port() -> None:
 
 
 def test_fields_come_in_order_at_unit_length() -> None:
-    fields = list(encoder().encode(PICTURES))
+    fields = list(encoder().encode(IMAGES))
 
     assert [field.shape for field in fields] == [(32, 104), (78, 104), (104, 100), (104, 78)]
-    for field, picture in zip(fields, PICTURES, strict=True):
-        assert field.extent == picture.extent
+    for field, image in zip(fields, IMAGES, strict=True):
+        assert field.extent == image.extent
         assert field.semantic.dtype == np.float32
         np.testing.assert_allclose(np.linalg.norm(field.semantic, axis=-1), 1, atol=1e-6)
 
 
 def test_raw_vectors_carry_the_references_factor() -> None:
-    lengths = torch.linalg.vector_norm(next(encoder().raw(PICTURES)), dim=-1)
+    lengths = torch.linalg.vector_norm(next(encoder().raw(IMAGES)), dim=-1)
 
     assert lengths.max() < 14.30
     assert lengths[0, 0] == pytest.approx(14.289, abs=0.01)
@@ -49,20 +49,20 @@ def test_raw_vectors_carry_the_references_factor() -> None:
 def test_a_field_does_not_depend_on_what_came_with_it(mode: Mode, batch: int) -> None:
     one = encoder(mode, batch)
 
-    together = [field.semantic for field in one.encode(PICTURES)]
+    together = [field.semantic for field in one.encode(IMAGES)]
 
-    for picture, field in zip(PICTURES, together, strict=True):
-        assert np.array_equal(next(one.encode([picture])).semantic, field)
+    for image, field in zip(IMAGES, together, strict=True):
+        assert np.array_equal(next(one.encode([image])).semantic, field)
 
 
 @pytest.mark.parametrize("mode", ["windows", "single"])
 def test_batches_of_any_size_agree(mode: Mode) -> None:
-    for one, several in zip(encoder(mode, 1).encode(PICTURES), encoder(mode, 5).encode(PICTURES), strict=True):
+    for one, several in zip(encoder(mode, 1).encode(IMAGES), encoder(mode, 5).encode(IMAGES), strict=True):
         np.testing.assert_allclose(one.semantic, several.semantic, atol=1e-3)
 
 
 def test_a_single_pass_has_half_the_resolution_and_nearly_the_content() -> None:
-    windows, single = (next(encoder(mode).encode(PICTURES[1:])).semantic for mode in ("windows", "single"))
+    windows, single = (next(encoder(mode).encode(IMAGES[1:])).semantic for mode in ("windows", "single"))
 
     assert single.shape == (40, 56, 16)
     rows, columns = (np.linspace(0, n - 1, m).round().astype(int) for n, m in ((40, 78), (56, 104)))
@@ -80,7 +80,7 @@ def test_fields_are_made_when_they_are_asked_for() -> None:
     passes = []
     one = encoder()
     one._network.register_forward_hook(lambda *_: passes.append(1))
-    fields = one.encode(PICTURES)
+    fields = one.encode(IMAGES)
 
     assert passes == []
     next(fields)
@@ -88,7 +88,7 @@ def test_fields_are_made_when_they_are_asked_for() -> None:
 
 
 def test_a_field_that_was_dropped_takes_no_memory() -> None:
-    fields = encoder().encode(PICTURES)
+    fields = encoder().encode(IMAGES)
     first = next(fields)
     held = weakref.ref(first)
     data = weakref.ref(first.semantic)
@@ -100,7 +100,7 @@ def test_a_field_that_was_dropped_takes_no_memory() -> None:
 
 
 def test_lower_precision_gives_unit_float32_fields_near_the_exact_ones() -> None:
-    exact, low = (next(encoder(dtype=t).encode(PICTURES)).semantic for t in (torch.float32, torch.float16))
+    exact, low = (next(encoder(dtype=t).encode(IMAGES)).semantic for t in (torch.float32, torch.float16))
 
     assert low.dtype == np.float32
     assert (exact * low).sum(-1).min() > 0.999

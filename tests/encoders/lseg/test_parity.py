@@ -18,7 +18,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from schemas.image import Picture
+from schemas.image import Image
 from worker.encoders.lseg.encoder import LsegEncoder
 from worker.encoders.lseg.tokenizer import Tokenizer
 
@@ -132,13 +132,13 @@ class Run:
 @pytest.fixture(scope="module")
 def runs(encoder: LsegEncoder, expected: Expected, parity: Path) -> "functools._lru_cache_wrapper[Run]":
     """Each case is run once, whichever test asks first."""
-    draw = script(parity / "test_pictures.py").picture
+    draw = script(parity / "test_pictures.py").image
     words = torch.from_numpy(expected["text_features"][expected["label_word_index"]])
 
     @functools.cache
     def run(case: str) -> Run:
         trace = Trace(encoder)
-        raw = next(encoder.raw([Picture.of(draw(case))]))
+        raw = next(encoder.raw([Image.of(draw(case))]))
         trace.close()
         rows, columns = torch.from_numpy(expected[f"{case}_positions"].astype(np.int64)).T
         labels = torch.cat([(row @ words.T).argmax(-1)[None] for row in raw])

@@ -107,12 +107,12 @@ def weights() -> dict[str, Tensor]:
 
 def ours(weights: dict[str, Tensor], height: int, width: int) -> Tensor:
     encoder = LsegEncoder(small.network(weights), small.tokenizer(), "0" * 64)
-    return next(encoder.raw([small.picture(height, width)])).permute(2, 0, 1).double()
+    return next(encoder.raw([small.image(height, width)])).permute(2, 0, 1).double()
 
 
 def reference(weights: dict[str, Tensor], height: int, width: int, slip: str = "") -> Tensor:
     exact = {name: tensor.double() for name, tensor in weights.items()}
-    return naive.field(small.picture(height, width).pixels, exact, small.SMALL, slip)
+    return naive.field(small.image(height, width).pixels, exact, small.SMALL, slip)
 
 
 @pytest.mark.parametrize("size", [(40, 130), (60, 80), (75, 72)])

@@ -11,8 +11,8 @@ from lab.baselines.hog import Hog, gradients
 from lab.baselines.known import PLAIN, Needs, baselines
 from lab.baselines.orb_words import OrbWords
 from lab.baselines.random_order import RandomOrder
-from lab.baselines.tiny import TinyPicture, thumbnail
-from schemas.errors import BadPicture, InvalidParameters
+from lab.baselines.tiny import TinyImage, thumbnail
+from schemas.errors import BadImage, InvalidParameters
 
 
 def scene(path: Path, seed: int, light: float = 1.0) -> Path:
@@ -36,7 +36,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], list[P
     return noon, dusk
 
 
-@pytest.mark.parametrize("baseline", [TinyPicture(), Hog(), OrbWords(words=50)], ids=lambda b: str(b.name))
+@pytest.mark.parametrize("baseline", [TinyImage(), Hog(), OrbWords(words=50)], ids=lambda b: str(b.name))
 def test_places_are_known_again_at_dusk(places: tuple[list[Path], list[Path]], baseline: Baseline) -> None:
     noon, dusk = places
     distances = baseline.rank(noon, dusk, nothing)
@@ -57,7 +57,7 @@ def test_a_ranking_depends_on_the_seed_alone(places: tuple[list[Path], list[Path
 
 def test_one_query_does_not_change_the_answer_to_another(places: tuple[list[Path], list[Path]]) -> None:
     noon, dusk = places
-    for baseline in (TinyPicture(), Hog(), OrbWords(words=50)):
+    for baseline in (TinyImage(), Hog(), OrbWords(words=50)):
         alone = baseline.rank(noon, dusk[2:3], nothing)[0]
         assert alone == pytest.approx(baseline.rank(noon, dusk, nothing)[2], abs=1e-5)
 
@@ -75,9 +75,9 @@ def test_random_differs_by_seed() -> None:
 
 
 def test_hog_of_a_vertical_edge_by_hand() -> None:
-    picture = np.zeros((256, 256), np.uint8)
-    picture[:, 136:] = 200  # within a cell, in the middle of the picture
-    descriptor = gradients(picture).reshape(15, 15, 4, 9)
+    image = np.zeros((256, 256), np.uint8)
+    image[:, 136:] = 200  # within a cell, in the middle of the picture
+    descriptor = gradients(image).reshape(15, 15, 4, 9)
     # The gradient points along x: angle 0 lies between the last bin and the first, half in each.
     block = descriptor[7, 7]
     assert block[0, 0] == pytest.approx(block[0, 8])
@@ -97,5 +97,5 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     with pytest.raises(InvalidParameters, match="there are random, tiny"):
         baselines(["sift"], Needs())
     (tmp_path / "text.png").write_text("no picture")
-    with pytest.raises(BadPicture):
-        TinyPicture().rank([tmp_path / "text.png"], [], nothing)
+    with pytest.raises(BadImage):
+        TinyImage().rank([tmp_path / "text.png"], [], nothing)

@@ -9,7 +9,7 @@ import pytest
 from lab.baselines.baseline import nothing
 from lab.baselines.label_shares import LabelShares
 from schemas.description import Floats, PixelField
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.records import Meaning
 
 
@@ -19,13 +19,13 @@ class RowsOfLabels:
     name, digest = "rows", "0"
     layers: Mapping[str, int] = {"words": 3}
 
-    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
-        for picture in pictures:
-            sky, cars = (int(v) for v in picture.pixels[0, 0, :2])
+    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+        for image in images:
+            sky, cars = (int(v) for v in image.pixels[0, 0, :2])
             which = np.repeat([0, 1, 2], [sky, 10 - sky - cars, cars])
             yield PixelField({"words": np.eye(3, dtype=np.float32)[which][None]}, (1.0, 1.0))
 
-    def fine(self, picture: Picture) -> PixelField:
+    def fine(self, image: Image) -> PixelField:
         raise AssertionError("not asked here")
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
@@ -35,9 +35,9 @@ class RowsOfLabels:
         return [Meaning(w, (w,), True) for w in words]
 
 
-def decode(path: Path) -> Picture:
+def decode(path: Path) -> Image:
     sky, cars = (int(part) for part in path.stem.split("_"))
-    return Picture.of(np.full((1, 1, 3), (sky, cars, 0), np.uint8))
+    return Image.of(np.full((1, 1, 3), (sky, cars, 0), np.uint8))
 
 
 def test_shares_are_of_what_stays_and_cars_do_not_matter() -> None:

@@ -76,17 +76,17 @@ def test_odd_sizes_are_floored_and_vectors_have_length_one(tensors: "OrderedDict
     network = NetVlad(clusters=4).eval()
     network.load_state_dict(tensors)
     with torch.inference_mode():
-        picture = torch.rand(1, 3, 35, 67, generator=torch.Generator().manual_seed(0))
-        assert network.features(picture).shape == (1, 512, 2, 4)
-        assert torch.linalg.vector_norm(network(picture)).item() == pytest.approx(1, abs=1e-5)
+        image = torch.rand(1, 3, 35, 67, generator=torch.Generator().manual_seed(0))
+        assert network.features(image).shape == (1, 512, 2, 4)
+        assert torch.linalg.vector_norm(network(image)).item() == pytest.approx(1, abs=1e-5)
 
 
 def test_matrix_form_equals_the_sum_over_cells(tensors: "OrderedDict[str, torch.Tensor]") -> None:
     network = NetVlad(clusters=4).eval()
     network.load_state_dict(tensors)
     with torch.inference_mode():
-        picture = torch.rand(1, 3, 48, 48, generator=torch.Generator().manual_seed(1))
-        features = network.features(picture)
+        image = torch.rand(1, 3, 48, 48, generator=torch.Generator().manual_seed(1))
+        features = network.features(image)
         share = network.logits(features)[0].flatten(1).softmax(0).numpy()
         cells = features[0].flatten(1).numpy()
         cells = cells / np.linalg.norm(cells, axis=0)
@@ -97,7 +97,7 @@ def test_matrix_form_equals_the_sum_over_cells(tensors: "OrderedDict[str, torch.
                 rows[k] += share[k, x] * (cells[:, x] - centres[k])
         rows /= np.linalg.norm(rows, axis=1, keepdims=True)
         want = rows.ravel() / np.linalg.norm(rows)
-        assert network(picture)[0].numpy() == pytest.approx(want, abs=1e-6)
+        assert network(image)[0].numpy() == pytest.approx(want, abs=1e-6)
 
 
 def test_other_peoples_names_and_whitening(tensors: "OrderedDict[str, torch.Tensor]", tmp_path: Path) -> None:

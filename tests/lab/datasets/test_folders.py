@@ -8,14 +8,14 @@ import pytest
 from lab.datasets import aligned, folder, pairs
 from lab.datasets.dataset import Dataset, UnexpectedLayout
 from lab.datasets.hold_out import hold_out
-from tests.lab.datasets.drawn import picture
+from tests.lab.datasets.drawn import image
 
 HEAD = "query_folder,query_file,database_folder,database_file\n"
 
 
 def a_set_of_pairs(root: Path) -> Path:
     for name in ("q/1.jpg", "q/2.jpg", "q/10.jpg", "d/1.jpg", "d/2.jpg", "d/10.jpg", "e/1.jpg"):
-        picture(root / name)
+        image(root / name)
     (root / "ground_truth.csv").write_text(
         HEAD + "q,1.jpg,d,10.jpg\nq,1.jpg,d,2.jpg\nq,10.jpg,d,1.jpg\nq,2.jpg,e,1.jpg\n"
     )
@@ -59,8 +59,8 @@ def test_pairs_say_what_they_expect(tmp_path: Path) -> None:
 
 def test_aligned_counts_frames_in_natural_order(tmp_path: Path) -> None:
     for i in (1, 2, 9, 10, 11):
-        picture(tmp_path / "database" / f"img{i}.png")
-        picture(tmp_path / "query" / f"IMG{i}.png")
+        image(tmp_path / "database" / f"img{i}.png")
+        image(tmp_path / "query" / f"IMG{i}.png")
     [found] = aligned.read(tmp_path, tolerance=1)
     assert [p.name for p in found.database] == ["img1.png", "img2.png", "img9.png", "img10.png", "img11.png"]
     assert [p.tolist() for p in found.positives] == [[0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4]]
@@ -76,7 +76,7 @@ def test_aligned_counts_frames_in_natural_order(tmp_path: Path) -> None:
 def walk(root: Path, rows: str, head: str = "file,x,y,heading") -> Path:
     (root / "positions.csv").write_text(f"{head}\n{rows}\n")
     for row in rows.splitlines():
-        picture(root / row.split(",")[0])
+        image(root / row.split(",")[0])
     return root
 
 

@@ -8,7 +8,7 @@ import pytest
 from lab.datasets import kitti
 from lab.datasets.dataset import UnexpectedLayout
 from lab.metrics.chance import suspicions
-from tests.lab.datasets.drawn import picture
+from tests.lab.datasets.drawn import image
 
 
 def drive(root: Path, z: list[float], height: float = 0.0, below: str = "") -> Path:
@@ -17,7 +17,7 @@ def drive(root: Path, z: list[float], height: float = 0.0, below: str = "") -> P
     (root / below / "poses").mkdir(parents=True)
     (root / below / "poses" / "00.txt").write_text("\n".join(lines) + "\n")
     for i in range(len(z)):
-        picture(root / below / "sequences" / "00" / "image_2" / f"{i:06d}.png", i)
+        image(root / below / "sequences" / "00" / "image_2" / f"{i:06d}.png", i)
     return root
 
 

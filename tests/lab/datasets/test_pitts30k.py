@@ -7,7 +7,7 @@ import pytest
 from lab.datasets import pitts30k
 from lab.datasets.dataset import UnexpectedLayout
 from lab.datasets.matlab import NotMatlab, read_matlab
-from tests.lab.datasets.drawn import picture
+from tests.lab.datasets.drawn import image
 
 HERE = Path(__file__).parent
 DATABASE = ("000/a_pitch1_yaw1.jpg", "000/b.jpg", "001/c.jpg")
@@ -18,16 +18,16 @@ def netvlad_layout(root: Path, which: str) -> Path:
     (root / "datasets").mkdir()
     (root / "datasets" / "pitts30k_val.mat").write_bytes((HERE / f"pitts30k_{which}.mat").read_bytes())
     for name in DATABASE:
-        picture(root / name)
+        image(root / name)
     for name in QUERIES:
-        picture(root / "queries_real" / name)
+        image(root / "queries_real" / name)
     return root
 
 
 def named_layout(root: Path, count: int = 3) -> Path:
     for i in range(count):
-        picture(root / f"images/val/database/@0584{i}00.20@4477041.69@17@T@040@.jpg")
-        picture(root / f"images/val/queries/@0584{i}10.00@4477041.69@17@T@040@.jpg")
+        image(root / f"images/val/database/@0584{i}00.20@4477041.69@17@T@040@.jpg")
+        image(root / f"images/val/queries/@0584{i}10.00@4477041.69@17@T@040@.jpg")
     return root
 
 
@@ -78,7 +78,7 @@ def test_a_picture_of_the_structure_is_missing(tmp_path: Path) -> None:
 
 def test_a_name_without_position(tmp_path: Path) -> None:
     named_layout(tmp_path)
-    picture(tmp_path / "images/val/database/house.jpg")
+    image(tmp_path / "images/val/database/house.jpg")
     with pytest.raises(UnexpectedLayout, match=r"house\.jpg does not begin"):
         pitts30k.read(tmp_path)
 

@@ -14,7 +14,7 @@ from safetensors.numpy import load
 
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError, SetupError
-from schemas.image import Bytes2D, Picture
+from schemas.image import Bytes2D, Image
 from schemas.records import Meaning
 from worker.method.unit_length import unit
 
@@ -26,22 +26,22 @@ LONGEST = 480
 MULTIPLE = 32
 """Sides become multiples of the network's deepest stride, so that nothing is padded."""
 
-FINE_STRIDE = 4
-"""Pixels, along either side, for each cell of the fine words."""
+SEGMENTATION_STRIDE = 4
+"""Pixels, along either side, for each cell of the segmentation network."""
 
 DETAIL = "detail"
 
-READERS = ("fine", "second", "third")
-"""Who reads fine words: names in the JSON file, each with its weights and its graph. The later may be missing."""
+ENSEMBLE = ("fine", "second", "third")
+"""Who reads segmentation network: names in the JSON file, each with its weights and its graph. The later may be missing."""
 
 
 @dataclass(frozen=True)
-class Look:
-    """How a reader of fine words looks at a picture.
+class Augmentation:
+    """How a reader of segmentation network looks at a picture.
 
     Parameters
     ----------
-    reader : int
+    member : int
         Which of READERS.
     scale : float
         How much larger than LONGEST the picture is made.
@@ -51,31 +51,31 @@ class Look:
         How much it counts, for a look as sure as any other.
     """
 
-    reader: int
+    member: int
     scale: float
     mirrored: bool
     weight: float = 1.0
 
 
-FINE_LOOKS = (
-    *(Look(0, 0.75, True), Look(0, 1.25, False)),
-    *(Look(1, 1.25, False, 1.4), Look(1, 1.5, True, 1.4)),
-    *(Look(2, 1.25, False, 1.4), Look(2, 1.5, True, 1.4)),
+AUGMENTATIONS = (
+    *(Augmentation(0, 0.75, True), Augmentation(0, 1.25, False)),
+    *(Augmentation(1, 1.25, False, 1.4), Augmentation(1, 1.5, True, 1.4)),
+    *(Augmentation(2, 1.25, False, 1.4), Augmentation(2, 1.5, True, 1.4)),
 )
-"""The looks that fine words take at a picture."""
+"""The looks that segmentation network take at a picture."""
 
-SURENESS = 6
+CONFIDENCE_POWER = 6
 """Power of a look's sureness that it counts by besides: the later readers know streets better than rooms."""
 
 
 class Engine(Protocol):
     """Runs the network on pictures of one size, uint8 of shape (n, height, width, 3), sides multiples of MULTIPLE."""
 
-    def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
+    def fields(self, images: Bytes2D) -> tuple[Floats, Floats]:
         """Words and detail, float32 of shapes (n, height / 8, width / 8, channels), unit length."""
         ...
 
-    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
+    def segmentation(self, images: Bytes2D, member: int) -> Floats:
         """Words as one of READERS has them, float32 of shape (n, height / 4, width / 4, channels), unit length."""
         ...
 
@@ -89,7 +89,7 @@ class CompactEncoder:
         ``cpu``: ONNX Runtime; ``cuda``, ...: torch.
     weights : Path
         Beside it lie a JSON file of the same name with its SHA-256 and its words, and the files that this one names:
-        graphs, and the fine words. Without fine words the finest field is that of `encode`.
+        graphs, and the segmentation network. Without segmentation network the finest field is that of `encode`.
     threads : int
         Of ONNX Runtime; torch has a setting of its own for the whole process.
 
@@ -107,45 +107,45 @@ class CompactEncoder:
             raise SetupError(f"the encoder's file {described.name} is not in {weights.parent}")
         facts = json.loads(described.read_text())
         content = _verified(described, facts["weights"])
-        readers = [facts[reader] for reader in takewhile(facts.__contains__, READERS)]
-        fine = [_verified(described, reader["weights"]) for reader in readers]
+        members = [facts[member] for member in takewhile(facts.__contains__, ENSEMBLE)]
+        fine = [_verified(described, member["weights"]) for member in members]
         self.digest: str = facts["weights"]["sha256"]
         self._alone = device == "cpu"
-        self._engine = _on_cpu(facts, readers, described, threads) if self._alone else _on_gpu(content, fine, device)
-        self._readers = len(readers)
+        self._engine = _on_cpu(facts, members, described, threads) if self._alone else _on_gpu(content, fine, device)
+        self._members = len(members)
         self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._words = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
         self.layers: Mapping[str, int] = {layer: facts["channels"][layer] for layer in (SEMANTIC, DETAIL)}
 
-    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per picture; see `Encoder.encode`.
 
         On a CPU pictures go through one by one: that is as quick, and the arithmetic of a picture then cannot depend
         on its neighbours. On a GPU, runs of pictures of one size go together.
         """
         if self._alone:
-            for picture in pictures:
-                yield from self._encode([picture])
+            for image in images:
+                yield from self._encode([image])
         else:
-            for _, run in groupby(pictures, key=lambda p: network_size(p.width, p.height)):
+            for _, run in groupby(images, key=lambda p: network_size(p.width, p.height)):
                 yield from self._encode(list(run))
 
-    def _encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
-        fields = self._engine.fields(np.stack([resized(picture.pixels) for picture in pictures]))
-        for picture, words, detail in zip(pictures, *fields, strict=True):
-            yield PixelField({SEMANTIC: words, DETAIL: detail}, picture.extent)
+    def _encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+        fields = self._engine.fields(np.stack([resized(image.pixels) for image in images]))
+        for image, words, detail in zip(images, *fields, strict=True):
+            yield PixelField({SEMANTIC: words, DETAIL: detail}, image.extent)
 
-    def fine(self, picture: Picture) -> PixelField:
+    def fine(self, image: Image) -> PixelField:
         """Words alone, per 4 x 4 pixels: the mean of several looks at the picture; see `Encoder.fine`."""
-        if not self._readers:
-            return next(self._encode([picture]))
+        if not self._members:
+            return next(self._encode([image]))
 
-        def look(seen: Bytes2D, reader: int) -> Floats:
-            words: Floats = self._engine.fine_words(seen[None], reader)[0]
+        def look(seen: Bytes2D, member: int) -> Floats:
+            words: Floats = self._engine.segmentation(seen[None], member)[0]
             return words
 
-        words = looked_at(picture.pixels, look, self._vectors, self._readers)
-        return PixelField({SEMANTIC: words}, picture.extent)
+        words = segment_with_ensemble(image.pixels, look, self._vectors, self._members)
+        return PixelField({SEMANTIC: words}, image.extent)
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""
@@ -168,11 +168,11 @@ class CompactEncoder:
         return [Meaning(entry["word"], tuple(entry["clip"]), bool(entry["trained"])) for entry in entries]
 
 
-def looked_at(
+def segment_with_ensemble(
     pixels: Bytes2D,
     look: Callable[[Bytes2D, int], Floats],
     vectors: Floats,
-    readers: int = len(READERS),
+    members: int = len(ENSEMBLE),
     longest: float = LONGEST,
 ) -> Floats:
     """Give the mean of what is seen of a picture by FINE_LOOKS.
@@ -195,20 +195,20 @@ def looked_at(
     float32 of shape (rows, columns, channels)
         Unit length; a cell for every 4 x 4 pixels of the picture ``resized`` to `longest`.
     """
-    across, down = (side // FINE_STRIDE for side in network_size(pixels.shape[1], pixels.shape[0], longest))
+    across, down = (side // SEGMENTATION_STRIDE for side in network_size(pixels.shape[1], pixels.shape[0], longest))
     total = np.zeros(())
-    for how in FINE_LOOKS:
-        if how.reader >= readers:
+    for how in AUGMENTATIONS:
+        if how.member >= members:
             continue
         seen = resized(pixels, how.scale * longest)
-        words = look(np.ascontiguousarray(seen[:, ::-1]) if how.mirrored else seen, how.reader)
+        words = look(np.ascontiguousarray(seen[:, ::-1]) if how.mirrored else seen, how.member)
         words = cv2.resize(words, (across, down), interpolation=cv2.INTER_LINEAR)
-        count = how.weight * sureness(words, vectors) ** SURENESS
+        count = how.weight * confidence(words, vectors) ** CONFIDENCE_POWER
         total = total + count * (words[:, ::-1] if how.mirrored else words)
     return unit(total)
 
 
-def sureness(words: Floats, vectors: Floats) -> float:
+def confidence(words: Floats, vectors: Floats) -> float:
     """Say how near to some word the cells of a look are: the mean of their largest cosines, at least a hundredth.
 
     Parameters
@@ -235,12 +235,12 @@ def resized(pixels: Bytes2D, longest: float = LONGEST) -> Bytes2D:
     return np.asarray(cv2.resize(pixels, size, interpolation=how), np.uint8)
 
 
-def _on_cpu(facts: Mapping[str, Any], readers: Sequence[Mapping[str, Any]], described: Path, threads: int) -> Engine:
+def _on_cpu(facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], described: Path, threads: int) -> Engine:
     from worker.encoders.compact.onnx import OnnxEngine
 
     if "graph" not in facts:
         raise SetupError(f"{described.name} names no graph for ONNX Runtime; fetch the repository's own file again")
-    graphs = [facts["graph"], *(reader["graph"] for reader in readers)]
+    graphs = [facts["graph"], *(member["graph"] for member in members)]
     for graph in graphs:
         _verified(described, graph)
     fields, *fine = (described.with_name(graph["file"]) for graph in graphs)

@@ -20,7 +20,7 @@ What ships lies in ``weights/``, written by ``training/export.py``:
     The same network for ONNX Runtime, without weights: it reads them in that file. See ``training/export_onnx.py``.
 ``compact.json``
     SHA-256 of these files; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance;
-    and the files of the fine words, which ``worker/encoders/compact/segmentation.py`` describes.
+    and the files of the segmentation network, which ``worker/encoders/compact/segmentation.py`` describes.
 """
 
 from collections.abc import Mapping
@@ -107,12 +107,12 @@ class ShallowLayers(nn.Module):
         self.stride4 = nn.Sequential(fused(16, 128, 24, stride=2), *(fused(24, 96, 24) for _ in range(2)))
         self.stride8 = nn.Sequential(fused(24, 192, 40, stride=2), *(fused(40, 160, 40) for _ in range(3)))
 
-    def levels(self, pictures: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def levels(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Run the layers that everything else reads.
 
         Parameters
         ----------
-        pictures : float of shape (n, 3, height, width)
+        images : float of shape (n, 3, height, width)
             RGB in 0..1; any height and width from 32 on.
 
         Returns
@@ -120,7 +120,7 @@ class ShallowLayers(nn.Module):
         float of shapes (n, 16, height / 2, width / 2), (n, 24, height / 4, width / 4), (n, 40, height / 8, width / 8)
             The layers at strides 2, 4 and 8; sides rounded up.
         """
-        at2 = self.stride2(pictures * 2 - 1)
+        at2 = self.stride2(images * 2 - 1)
         at4 = self.stride4(at2)
         return at2, at4, self.stride8(at4)
 
@@ -138,9 +138,9 @@ class CompactNetwork(DeepWords, ShallowLayers):
         super().__init__(word_channels)
         self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
 
-    def shallow(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def shallow(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Give the `levels` that the fields are read from: strides 4 and 8."""
-        _, at4, at8 = self.levels(pictures)
+        _, at4, at8 = self.levels(images)
         return at4, at8
 
     def appearance(self, at4: Tensor, at8: Tensor) -> Tensor:
@@ -149,12 +149,12 @@ class CompactNetwork(DeepWords, ShallowLayers):
         appearance: Tensor = self.detail(torch.cat([at8, pooled], dim=1))
         return appearance
 
-    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Embed every cell of 8 x 8 pixels.
 
         Parameters
         ----------
-        pictures : float of shape (n, 3, height, width)
+        images : float of shape (n, 3, height, width)
             RGB in 0..1; channels-last memory is fastest.
 
         Returns
@@ -164,7 +164,7 @@ class CompactNetwork(DeepWords, ShallowLayers):
         detail : float of shape (n, 64, ceil(height / 8), ceil(width / 8))
             Unit length over the channels.
         """
-        at4, at8 = self.shallow(pictures)
+        at4, at8 = self.shallow(images)
         words = self.words(self.fused(at4, at8))
         return F.normalize(words, dim=1), F.normalize(self.appearance(at4, at8), dim=1)
 

@@ -22,7 +22,7 @@ class OnnxEngine:
     fields : Path
         Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
     fine : sequence of Path
-        Graphs with the output ``fine_words``, one for each reader, whose weights lie in safetensors files too.
+        Graphs with the output ``segmentation``, one for each reader, whose weights lie in safetensors files too.
     threads : int
 
     Raises
@@ -35,14 +35,14 @@ class OnnxEngine:
         self._fields = _session(fields, threads)
         self._fine = [_session(graph, threads) for graph in fine]
 
-    def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
+    def fields(self, images: Bytes2D) -> tuple[Floats, Floats]:
         """See `Engine.fields`."""
-        words, detail = self._fields.run(["words", "detail"], {"pictures": pictures})
+        words, detail = self._fields.run(["words", "detail"], {"pictures": images})
         return words, detail
 
-    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
-        """See `Engine.fine_words`."""
-        words: Floats = self._fine[reader].run(["fine_words"], {"pictures": pictures})[0]
+    def segmentation(self, images: Bytes2D, member: int) -> Floats:
+        """See `Engine.segmentation`."""
+        words: Floats = self._fine[member].run(["fine_words"], {"pictures": images})[0]
         return words
 
 

@@ -1,10 +1,10 @@
-"""Fine words: the words of every 4 x 4 pixels, which segmentations are drawn from.
+"""Segmentation network: the words of every 4 x 4 pixels, which segmentations are drawn from.
 
-`FineWords` shares the shallow layers of `CompactNetwork` and has deep layers of its own, so that what tells road from
+`SegmentationNetwork` shares the shallow layers of `CompactNetwork` and has deep layers of its own, so that what tells road from
 pavement need not be what stays the same by night and in snow. Its embeddings lie in the space of the words field: the
 same text vectors belong to both. It runs when somebody looks at a segmentation; places are recognised without it.
 
-`SecondFineWords` share nothing with the network: every layer is their own, so they err elsewhere, and the mean of
+`IndependentSegmentationNetwork` share nothing with the network: every layer is their own, so they err elsewhere, and the mean of
 several readers is better than each.
 
 What ships lies in ``weights/compact-fine.safetensors`` (float16: the state dict of ``FineWords(97)``) and, of two
@@ -22,10 +22,10 @@ from torch import Tensor, nn
 from worker.encoders.compact.network import FUSED_CHANNELS, REDUCED_CHANNELS, DeepWords, ShallowLayers, for_inference
 
 EDGE_CHANNELS = 32
-"""Channels that the layers at stride 2 and at stride 4 each give to what sharpens the fine words."""
+"""Channels that the layers at stride 2 and at stride 4 each give to what sharpens the segmentation network."""
 
 
-class FineWords(DeepWords):
+class SegmentationNetwork(DeepWords):
     """The shallow layers of `CompactNetwork` to unit-length embeddings at stride 4, in the space of its words field."""
 
     def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
@@ -53,17 +53,17 @@ class FineWords(DeepWords):
         return F.normalize(self.words(self.joined(at2, at4, at8)), dim=1)
 
 
-class SecondFineWords(nn.Module):
-    """Fine words that share no layer with `CompactNetwork`: a second opinion, from pictures straight to embeddings."""
+class IndependentSegmentationNetwork(nn.Module):
+    """Segmentation network that share no layer with `CompactNetwork`: a second opinion, from pictures straight to embeddings."""
 
     def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
         super().__init__()
         self.shallow = ShallowLayers()
-        self.fine = FineWords(word_channels)
+        self.fine = SegmentationNetwork(word_channels)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """Embed every 4 x 4 pixels of RGB pictures in 0..1: as `FineWords.forward` from `ShallowLayers.levels`."""
-        words: Tensor = self.fine(*self.shallow.levels(pictures))
+    def forward(self, images: Tensor) -> Tensor:
+        """Embed every 4 x 4 pixels of RGB pictures in 0..1: as `SegmentationNetwork.forward` from `ShallowLayers.levels`."""
+        words: Tensor = self.fine(*self.shallow.levels(images))
         return words
 
     @classmethod

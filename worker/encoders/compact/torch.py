@@ -9,7 +9,7 @@ from torch import Tensor
 from schemas.description import Floats
 from schemas.image import Bytes2D
 from worker.encoders.compact.network import CompactNetwork
-from worker.encoders.compact.segmentation import FineWords, SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 
 
 class TorchEngine:
@@ -20,7 +20,7 @@ class TorchEngine:
     content : bytes
         Of ``compact.safetensors``.
     fine : sequence of bytes
-        Of the weights of each of `worker.encoders.compact.encoder.READERS`, as far as there are such.
+        Of the weights of each of `worker.encoders.compact.encoder.ENSEMBLE`, as far as there are such.
     device : str
         ``cuda``, ``cpu``, ...
     """
@@ -29,25 +29,25 @@ class TorchEngine:
         state = {name: tensor for name, tensor in load(content).items() if not name.startswith("text.")}
         self._device = torch.device(device)
         self._network = CompactNetwork.loaded(state).to(self._device)
-        self._readers: list[Callable[[Tensor], Tensor]] = []
+        self._members: list[Callable[[Tensor], Tensor]] = []
         if fine:
-            first = FineWords.loaded(load(fine[0])).to(self._device)
-            self._readers.append(lambda batch: first(*self._network.levels(batch)))
-        self._readers += [SecondFineWords.loaded(load(second)).to(self._device) for second in fine[1:]]
+            first = SegmentationNetwork.loaded(load(fine[0])).to(self._device)
+            self._members.append(lambda batch: first(*self._network.levels(batch)))
+        self._members += [IndependentSegmentationNetwork.loaded(load(second)).to(self._device) for second in fine[1:]]
 
     @torch.inference_mode()
-    def fields(self, pictures: Bytes2D) -> tuple[Floats, Floats]:
+    def fields(self, images: Bytes2D) -> tuple[Floats, Floats]:
         """See `Engine.fields`."""
-        words, detail = self._network(self._batch(pictures))
+        words, detail = self._network(self._batch(images))
         return _cells(words), _cells(detail)
 
     @torch.inference_mode()
-    def fine_words(self, pictures: Bytes2D, reader: int) -> Floats:
-        """See `Engine.fine_words`."""
-        return _cells(self._readers[reader](self._batch(pictures)))
+    def segmentation(self, images: Bytes2D, member: int) -> Floats:
+        """See `Engine.segmentation`."""
+        return _cells(self._members[member](self._batch(images)))
 
-    def _batch(self, pictures: Bytes2D) -> Tensor:
-        batch = torch.from_numpy(pictures).to(self._device).permute(0, 3, 1, 2)
+    def _batch(self, images: Bytes2D) -> Tensor:
+        batch = torch.from_numpy(images).to(self._device).permute(0, 3, 1, 2)
         return (batch.float() / 255).contiguous(memory_format=torch.channels_last)
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError, SetupError
-from schemas.image import Picture
+from schemas.image import Image
 from schemas.records import Meaning
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED, Config
@@ -129,22 +129,22 @@ class LsegEncoder:
         """The language-aligned layer alone."""
         return {SEMANTIC: self._network.config.channels}
 
-    def encode(self, pictures: Sequence[Picture]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per picture, in order, each made when it is asked for.
 
         In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before you ask for
         the next. In mode ``single`` it has half as many.
         """
-        raw = self.raw(pictures)
-        for picture in pictures:
+        raw = self.raw(images)
+        for image in images:
             # No name is bound to a field here: it would keep half a gigabyte alive while the next one is made.
-            yield PixelField({SEMANTIC: unit_length(next(raw))}, picture.extent)
+            yield PixelField({SEMANTIC: unit_length(next(raw))}, image.extent)
 
-    def fine(self, picture: Picture) -> PixelField:
+    def fine(self, image: Image) -> PixelField:
         """See `Encoder.fine`: its fields have no finer grid."""
-        return next(self.encode([picture]))
+        return next(self.encode([image]))
 
-    def raw(self, pictures: Sequence[Picture]) -> Iterator[Tensor]:
+    def raw(self, images: Sequence[Image]) -> Iterator[Tensor]:
         """Embeddings as the reference returns them.
 
         Returns
@@ -152,10 +152,10 @@ class LsegEncoder:
         iterator of float32 of shape (rows, columns, channels)
             On the encoder's device; of lengths up to 14.29, less where windows that disagree were averaged.
         """
-        inputs = (i for picture in pictures for i in self._covering.inputs(picture.pixels))
+        inputs = (i for image in images for i in self._covering.inputs(image.pixels))
         outputs = self._outputs(inputs)
-        for picture in pictures:
-            yield self._covering.join((picture.height, picture.width), outputs)
+        for image in images:
+            yield self._covering.join((image.height, image.width), outputs)
 
     def _outputs(self, inputs: Iterable[Input]) -> Iterator[Tensor]:
         """The network's output for each input; neighbours of one shape go through it together."""

@@ -48,7 +48,7 @@ class Axis:
         return next(there), next(there), next(there)
 
 
-def stretch(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Tensor:
+def cell_aspect(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Tensor:
     """Enlarge along one dimension.
 
     Parameters
@@ -70,4 +70,4 @@ def stretch(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Tensor:
 
 def enlarge(maps: Tensor, rows: Axis, columns: Axis) -> Tensor:
     """Enlarge maps of shape (pictures, rows, columns, channels) along both sides."""
-    return stretch(stretch(maps, rows, 1), columns, 2)
+    return cell_aspect(cell_aspect(maps, rows, 1), columns, 2)

@@ -24,9 +24,9 @@ class Backbone(nn.Module):
         for index, (channels, change) in enumerate(zip(config.tap_channels, resample, strict=True), start=1):
             self.add_module(f"act_postprocess{index}", Reassemble(config.width, channels, change))
 
-    def forward(self, pictures: Tensor) -> list[Tensor]:
+    def forward(self, images: Tensor) -> list[Tensor]:
         """(pictures, 3, height, width) to four maps, finest first: 4, 2, 1 and 1/2 times the grid of patches."""
-        taps, grid = self.model(pictures)
+        taps, grid = self.model(images)
         return [self.get_submodule(f"act_postprocess{i}")(tap, grid) for i, tap in enumerate(taps, start=1)]
 
 
@@ -40,12 +40,12 @@ class Network(nn.Module):
         self.pretrained = Backbone(config)
         self.scratch = Decoder(config)
 
-    def forward(self, pictures: Tensor, keep: Cells | None = None) -> Tensor:
+    def forward(self, images: Tensor, keep: Cells | None = None) -> Tensor:
         """Embeddings at the head's resolution, half that of the pictures.
 
         Parameters
         ----------
-        pictures : (pictures, 3, height, width)
+        images : (pictures, 3, height, width)
             RGB in [-1, 1]; height and width multiples of the patch.
         keep : (int, int) or None
             Rows and columns of the result that are wanted, from the top left; None: all. The values do not change.
@@ -55,4 +55,4 @@ class Network(nn.Module):
         float16 of shape (pictures, height/2, width/2, channels)
             Of length 14.29 within rounding.
         """
-        return rounded_as_trained(self.scratch(self.pretrained(pictures), keep))
+        return rounded_as_trained(self.scratch(self.pretrained(images), keep))

@@ -70,9 +70,9 @@ class PatchEmbedding(nn.Module):
         super().__init__()
         self.proj = nn.Conv2d(3, config.width, config.patch, stride=config.patch)
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """(pictures, 3, height, width) to (pictures, height/patch, width/patch, channels)."""
-        patches: Tensor = self.proj(pictures)
+        patches: Tensor = self.proj(images)
         return patches.permute(0, 2, 3, 1)
 
 
@@ -111,12 +111,12 @@ class VisionTransformer(nn.Module):
         grid = F.interpolate(grid, size=(rows, columns), mode="bilinear", align_corners=False)
         return torch.cat([first, grid.flatten(2).transpose(1, 2)], dim=1)
 
-    def forward(self, pictures: Tensor) -> tuple[list[Tensor], tuple[int, int]]:
+    def forward(self, images: Tensor) -> tuple[list[Tensor], tuple[int, int]]:
         """Outputs of the tapped blocks.
 
         Parameters
         ----------
-        pictures : (pictures, 3, height, width)
+        images : (pictures, 3, height, width)
             RGB in [-1, 1]; height and width multiples of the patch.
 
         Returns
@@ -126,7 +126,7 @@ class VisionTransformer(nn.Module):
         (int, int)
             (rows, columns) of patches.
         """
-        patches = self.patch_embed(pictures)
+        patches = self.patch_embed(images)
         n, rows, columns, width = patches.shape
         x = torch.cat([self.cls_token.expand(n, -1, -1), patches.reshape(n, rows * columns, width)], dim=1)
         x = x + self.positions(rows, columns)

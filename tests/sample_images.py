@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image as PilImage
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
@@ -15,7 +15,7 @@ PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 def drawn(width: int, height: int, seed: int = 0) -> npt.NDArray[np.uint8]:
     """Smooth coloured blobs, uint8 (height, width, 3): survives JPEG, has no symmetry, differs by seed."""
     coarse = np.random.default_rng(seed).integers(0, 256, (4, 5, 3), np.uint8)
-    return np.asarray(Image.fromarray(coarse).resize((width, height), Image.Resampling.BICUBIC))
+    return np.asarray(PilImage.fromarray(coarse).resize((width, height), PilImage.Resampling.BICUBIC))
 
 
 def encoded(pixels: npt.NDArray[np.uint8], form: str = "jpeg", **options: Any) -> bytes:
@@ -23,7 +23,7 @@ def encoded(pixels: npt.NDArray[np.uint8], form: str = "jpeg", **options: Any) -
     out = io.BytesIO()
     if form == "jpeg":
         options = {"quality": 95, "subsampling": 0} | options
-    Image.fromarray(pixels).save(out, form, **options)
+    PilImage.fromarray(pixels).save(out, form, **options)
     return out.getvalue()
 
 

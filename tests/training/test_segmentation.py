@@ -13,17 +13,17 @@ from torch import nn
 
 from training import data
 from training.export import export, network_of, shared_digest
-from training.fine_words import FinePlan, LabelledPixels, main, started_from
+from training.images import Image
 from training.lexicon import ClipWords, Lexicon
 from training.loop import Run
 from training.mix import Mix
 from training.network import TrainedNetwork
 from training.opinions import opinion_loss_of
-from training.pictures import Picture
+from training.segmentation import LabelledPixels, SegmentationPlan, main, started_from
 from training.start import State, second_started
 from training.teacher import OPINION_CELLS, Floats16, Teacher, write_opinions
 from training.word_loss import word_loss_of
-from worker.encoders.compact.segmentation import SecondFineWords
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork
 
 MIX = Mix(strong=0, mild=0, clear=3, clear_strong=0.5, clear_size=(64, 96), clear_stride=1)
 
@@ -32,10 +32,10 @@ class SureOfRoad(Teacher):
     def __init__(self) -> None:
         nn.Module.__init__(self)
 
-    def opinions(self, picture: Picture) -> Floats16:
-        said = np.zeros((19, *OPINION_CELLS), np.float16)
-        said[0] = 1
-        return said
+    def opinions(self, image: Image) -> Floats16:
+        attributes = np.zeros((19, *OPINION_CELLS), np.float16)
+        attributes[0] = 1
+        return attributes
 
 
 @pytest.fixture
@@ -57,9 +57,9 @@ def test_the_losses_sink_and_what_places_are_recognised_by_does_not_change(
     lexicon = Lexicon(clip, data.classes(data_folder))
     vectors = torch.randn(len(lexicon.words), 97) / 10
     losses = word_loss_of(found, lexicon, vectors), opinion_loss_of(lexicon, vectors)
-    plan = FinePlan(steps=15, trunk_rate=1e-3)
+    plan = SegmentationPlan(steps=15, trunk_rate=1e-3)
     run = Run(fine, LabelledPixels(shared, fine, *losses, plan), plan, tmp_path)
-    write_opinions(SureOfRoad(), [scene[0].picture for scene in found["camvid"].scenes], tmp_path)
+    write_opinions(SureOfRoad(), [scene[0].image for scene in found["camvid"].scenes], tmp_path)
     batch = data.Batches(found, lexicon, MIX, 5, tmp_path)[0]
     first, parts = run.objective(batch)
 
@@ -88,9 +88,9 @@ def test_things_in_front_are_pasted_with_their_labels(data_folder: Path) -> None
     classes = json.loads((folder / "classes.json").read_text()) | {"3": ["truck"], "4": ["building"]}
     (folder / "classes.json").write_text(json.dumps(classes))
     for number in (0, 1):
-        picture, labels = np.full((96, 128, 3), 40, np.uint8), np.full((96, 128), 4, np.uint8)
-        picture[40:60, 50:80], labels[40:60, 50:80] = 250, 3
-        cv2.imwrite(str(folder / "train" / "images" / f"{number}.jpg"), picture)
+        image, labels = np.full((96, 128, 3), 40, np.uint8), np.full((96, 128), 4, np.uint8)
+        image[40:60, 50:80], labels[40:60, 50:80] = 250, 3
+        cv2.imwrite(str(folder / "train" / "images" / f"{number}.jpg"), image)
         cv2.imwrite(str(folder / "train" / "labels" / f"{number}.png"), labels)
     found = data.sources(data_folder, None)
     lexicon = Lexicon(ClipWords(data_folder / data.CLIP_FILE), data.classes(data_folder))
@@ -103,9 +103,9 @@ def test_things_in_front_are_pasted_with_their_labels(data_folder: Path) -> None
         batch = data.Batches(found, lexicon, mix, seed=5)[0]
         seen = zip(batch["clear_meanings"], batch["clear_pictures"].float().mean(dim=1), strict=True)
         return [
-            (bright[said == lorry].mean().item(), bright[said == road].mean().item())
-            for said, bright in seen
-            if (said == lorry).any() and (said == road).any()
+            (bright[attributes == lorry].mean().item(), bright[attributes == road].mean().item())
+            for attributes, bright in seen
+            if (attributes == lorry).any() and (attributes == road).any()
         ]
 
     assert not brightness(0.0)
@@ -126,7 +126,7 @@ def test_validation_pictures_are_learned_from_only_when_asked_for(data_folder: P
     )
 
     assert len(more) == len(usual) + 1
-    assert more[-1][0].picture.parent == folder / "val" / "images"
+    assert more[-1][0].image.parent == folder / "val" / "images"
     assert more[-1][0].labels is not None
     assert more[-1][0].labels.exists()
 
@@ -142,8 +142,8 @@ def test_a_network_without_some_layer_is_refused() -> None:
 def test_the_command_trains_goes_on_and_says_which_weights_it_began_with(
     weights: Path, data_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.fine_words.trunk_state", lambda path: {})
-    monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
+    monkeypatch.setattr("training.segmentation.trunk_state", lambda path: {})
+    monkeypatch.setattr("training.segmentation.Teacher", lambda state: SureOfRoad())
     given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights)]
     given += ["--out", str(tmp_path / "run"), "--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
 
@@ -162,8 +162,8 @@ def second(
     weights: Path, data_folder: Path, trunk: State, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
     """Options of a run that trains a second reader from a trunk, in the folder ``run``."""
-    monkeypatch.setattr("training.fine_words.trunk_state", lambda path: trunk)
-    monkeypatch.setattr("training.fine_words.Teacher", lambda state: SureOfRoad())
+    monkeypatch.setattr("training.segmentation.trunk_state", lambda path: trunk)
+    monkeypatch.setattr("training.segmentation.Teacher", lambda state: SureOfRoad())
     given = ["--data", str(data_folder), "--trunk", "trunk.npz", "--weights", str(weights), "--second"]
     given += ["--out", str(tmp_path / "run"), "--height", "64", "--width", "96", "--views", "2", "--loaders", "0"]
     return given
@@ -185,7 +185,7 @@ def test_a_second_reader_begins_with_the_trunk_and_leaves_its_edges_alone(
 def test_a_second_reader_goes_on_from_where_an_earlier_one_ended_with_pictures_of_other_shares(
     second: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    earlier = {name: torch.full_like(t, 0.01) for name, t in SecondFineWords().state_dict().items()}
+    earlier = {name: torch.full_like(t, 0.01) for name, t in IndependentSegmentationNetwork().state_dict().items()}
     torch.save({"average": earlier}, tmp_path / "earlier.pt")
     mixes: list[Mix] = []
 
@@ -193,7 +193,7 @@ def test_a_second_reader_goes_on_from_where_an_earlier_one_ended_with_pictures_o
         mixes.append(Mix(**numbers))
         return mixes[-1]
 
-    monkeypatch.setattr("training.fine_words.Mix", mix)
+    monkeypatch.setattr("training.segmentation.Mix", mix)
     shares = ["--shares", "0.2", "0", "0.7", "0.1"]
     main([*second, *shares, "--earlier", str(tmp_path / "earlier.pt"), "--steps", "1"])
 

@@ -1,4 +1,4 @@
-"""From a checkpoint of fine words to what ships: ``python -m training.export_fine --checkpoint FILE --to FOLDER``.
+"""From a checkpoint of segmentation network to what ships: ``python -m training.export_segmentation --checkpoint FILE --to FOLDER``.
 
 Beside the exported weights that the run began with it writes ``compact-fine.safetensors`` (float16: the state dict of
 ``FineWords(97)``) and ``compact-fine.onnx``, and names both, with their SHA-256, under ``fine`` in ``compact.json``;
@@ -15,12 +15,12 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from training.export import history, named, shared_digest
-from training.export_onnx import write_fine_graph, write_second_graph
-from worker.encoders.compact.encoder import READERS
+from training.export_onnx import write_second_graph, write_segmentation_graph
+from worker.encoders.compact.encoder import ENSEMBLE
 
 
-def export_fine(checkpoint: Path, folder: Path, name: str = "compact", reader: str | None = None) -> None:
-    """Write the fine words and their graph, and add them to the JSON file.
+def export_segmentation(checkpoint: Path, folder: Path, name: str = "compact", member: str | None = None) -> None:
+    """Write the segmentation network and their graph, and add them to the JSON file.
 
     Parameters
     ----------
@@ -44,28 +44,28 @@ def export_fine(checkpoint: Path, folder: Path, name: str = "compact", reader: s
             f"{checkpoint} began with shallow layers of SHA-256 {began[:16]}..., {weights} has {found[:16]}..."
         )
     apart = any(key.startswith("shallow.") for key in saved["average"])
-    reader = reader or READERS[apart]
-    if apart == (reader == READERS[0]):
+    member = member or ENSEMBLE[apart]
+    if apart == (member == ENSEMBLE[0]):
         raise ValueError(
             f"{checkpoint} has shallow layers {'of its own' if apart else 'in common with the network'}: "
-            f"it cannot be the reader {reader}"
+            f"it cannot be the reader {member}"
         )
-    fine = folder / f"{name}-{reader}.safetensors"
+    fine = folder / f"{name}-{member}.safetensors"
     save_file({key: tensor.half().contiguous() for key, tensor in saved["average"].items()}, fine)
     fine.chmod(0o644)
-    graph = write_second_graph(fine) if apart else write_fine_graph(weights, fine)
-    facts[reader] = {"weights": named(fine), "graph": named(graph)} | history(saved)
+    graph = write_second_graph(fine) if apart else write_segmentation_graph(weights, fine)
+    facts[member] = {"weights": named(fine), "graph": named(graph)} | history(saved)
     described.write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m training.export_fine", description="Write the fine words.")
+    parser = argparse.ArgumentParser(prog="python -m training.export_segmentation", description="Write the fine words.")
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--to", type=Path, default=Path("worker/encoders/weights"))
-    parser.add_argument("--reader", choices=READERS, help="which they become; without, the first that they can be")
+    parser.add_argument("--reader", choices=ENSEMBLE, help="which they become; without, the first that they can be")
     options = parser.parse_args(arguments)
-    export_fine(options.checkpoint, options.to, reader=options.reader)
+    export_segmentation(options.checkpoint, options.to, member=options.member)
 
 
 if __name__ == "__main__":

@@ -13,10 +13,10 @@ from lab.datasets.dataset import Dataset
 from lab.metrics.recall import Booleans, Doubles, Indices
 from schemas.description import Floats
 from schemas.errors import RevisitError, SetupError
-from schemas.records import Where
+from schemas.records import Position
 from worker.method.calibration import Verdict
 
-PICTURES_FAULT = frozenset(
+IMAGE_FAULTS = frozenset(
     {
         "conflict",  # the same bytes again, at another position
         "not-a-picture",
@@ -72,11 +72,11 @@ class Retriever(Protocol):
         """Names all that decides its answers; a run is only resumed with the same one."""
         ...
 
-    def enroll(self, picture: Path, where: Where) -> str:
+    def enroll(self, image: Path, position: Position) -> str:
         """Add a picture; searchable when this returns. The same bytes may give the id they had before."""
         ...
 
-    def query(self, picture: Path, top: int) -> Answer:
+    def query(self, image: Path, top: int) -> Answer:
         """The views that look most like a picture, at most `top`."""
         ...
 
@@ -90,7 +90,7 @@ class Progress(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class RankedResults:
     """All answers of one method to the queries of one set.
 
     Parameters
@@ -131,7 +131,7 @@ def ask(
     depth: int = 20,
     journals: Path | None = None,
     progress: Progress | None = None,
-) -> Asked:
+) -> RankedResults:
     """Enrol the database and ask every query.
 
     Parameters
@@ -151,7 +151,7 @@ def ask(
 
     Returns
     -------
-    Asked
+    RankedResults
 
     Notes
     -----
@@ -165,16 +165,16 @@ def ask(
         order = np.random.default_rng(seed).permutation(total)
     else:
         allowed, order = dataset.allowed, np.arange(total)
-    pictures: dict[str, list[int]] = {}
+    images: dict[str, list[int]] = {}
     refused: dict[str, int] = {}
     enrolled = 0
     for done, query in enumerate(np.argsort(allowed, kind="stable").tolist(), start=1):
         if query not in journal.answers:
             while enrolled < allowed[query]:
-                picture = int(order[enrolled])
+                image = int(order[enrolled])
                 try:
-                    view = retriever.enroll(dataset.database[picture], _where(dataset, picture))
-                    pictures.setdefault(view, []).append(picture)
+                    view = retriever.enroll(dataset.database[image], _where(dataset, image))
+                    images.setdefault(view, []).append(image)
                 except RevisitError as refusal:
                     _count(refused, refusal)
                 enrolled += 1
@@ -184,14 +184,14 @@ def ask(
             except RevisitError as refusal:
                 _count(refused, refusal)
                 answer = Answer(())
-            journal.keep(query, answer, pictures)
+            journal.keep(query, answer, images)
         tell("asking", done, len(dataset.queries))
-    return journal.asked(depth, refused)
+    return journal.results(depth, refused)
 
 
 def _count(refused: dict[str, int], refusal: RevisitError) -> None:
     """Count a picture that was refused; anything else, such as a service that is too busy, ends the run."""
-    if refusal.code not in PICTURES_FAULT:
+    if refusal.code not in IMAGE_FAULTS:
         raise refusal
     refused[refusal.code] = refused.get(refusal.code, 0) + 1
 
@@ -219,11 +219,11 @@ class _Journal:
         if lines[-1]:
             self.path.write_bytes(b"\n".join(lines[:-1]) + b"\n" if len(lines) > 1 else b"")
 
-    def keep(self, query: int, answer: Answer, pictures: Mapping[str, list[int]]) -> None:
+    def keep(self, query: int, answer: Answer, images: Mapping[str, list[int]]) -> None:
         """Remember an answer, its ids turned into database numbers: ids are new in every run."""
         named = Answer(
-            _numbers(answer.views, pictures),
-            None if answer.before is None else _numbers(answer.before, pictures),
+            _numbers(answer.views, images),
+            None if answer.before is None else _numbers(answer.before, images),
             answer.scores,
             float(answer.confidence),
             answer.status,
@@ -235,13 +235,13 @@ class _Journal:
             with self.path.open("a") as lines:
                 lines.write(json.dumps({"query": query} | asdict(named)) + "\n")
 
-    def asked(self, depth: int, refused: Mapping[str, int]) -> Asked:
+    def results(self, depth: int, refused: Mapping[str, int]) -> RankedResults:
         """All answers, in the order of the queries."""
         answers = [self.answers[query] for query in range(self.count)]
         stages = sorted({stage for a in answers for stage in a.timing_ms})
         evidence = sorted({name for a in answers for name in a.features})
         told = all(a.before is not None for a in answers if a.views)
-        return Asked(
+        return RankedResults(
             method=self.method,
             ranked=_table([a.views for a in answers], depth),
             confidence=np.array([a.confidence for a in answers], np.float64),
@@ -263,7 +263,7 @@ def fingerprint(dataset: Dataset, recipe: str, seed: int, depth: int) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
-def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20) -> Asked:
+def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20) -> RankedResults:
     """The answers of a baseline from its distances (queries, database), what a query may not know left out."""
     known = np.array(distances, np.float64)
     if dataset.allowed is not None:
@@ -273,8 +273,8 @@ def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20)
     order[np.isinf(nearest)] = -1
     best = nearest[:, 0] if known.shape[1] else np.full(len(known), np.inf)
     # Infinitely far means nothing to answer with: less sure than any answer.
-    sureness = np.where(np.isinf(best), -np.finfo(np.float64).max, -best)
-    return Asked(method, order.astype(np.int64), sureness)
+    confidence = np.where(np.isinf(best), -np.finfo(np.float64).max, -best)
+    return RankedResults(method, order.astype(np.int64), confidence)
 
 
 def counted(progress: Progress | None, what: str, total: int) -> Callable[[], None]:
@@ -296,19 +296,19 @@ def _table(rows: list[tuple[str, ...]], depth: int) -> Indices:
     return table
 
 
-def _numbers(views: tuple[str, ...], pictures: Mapping[str, list[int]]) -> tuple[str, ...]:
+def _numbers(views: tuple[str, ...], images: Mapping[str, list[int]]) -> tuple[str, ...]:
     """Database numbers of views; one view stands for several pictures when these are the same file, byte for byte."""
-    unknown = next((v for v in views if v not in pictures), None)
+    unknown = next((v for v in views if v not in images), None)
     if unknown is not None:
         raise SetupError(f"the service answered with {unknown}, which was not enrolled in this run: use an empty map")
-    return tuple(str(picture) for view in views for picture in pictures[view])
+    return tuple(str(image) for view in views for image in images[view])
 
 
-def _where(dataset: Dataset, picture: int) -> Where:
+def _where(dataset: Dataset, image: int) -> Position:
     if dataset.database_positions is None:
-        return Where()
-    x, y = (float(v) for v in dataset.database_positions[picture])
-    return Where(x=x, y=y)
+        return Position()
+    x, y = (float(v) for v in dataset.database_positions[image])
+    return Position(x=x, y=y)
 
 
 def _silent(what: str, done: int, total: int) -> None:

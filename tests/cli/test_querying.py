@@ -13,17 +13,17 @@ Out = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def picture(tmp_path: Path) -> Path:
+def image(tmp_path: Path) -> Path:
     path = tmp_path / "q.jpg"
     path.write_bytes(b"a picture")
     return path
 
 
-def test_a_known_place(service: FakeService, picture: Path, capsys: Out) -> None:
+def test_a_known_place(service: FakeService, image: Path, capsys: Out) -> None:
     other = answers.match(2, 0.3, place="canal", position=None)
     service.replies["POST /query"] = 200, answers.query_answer(answers.match(), other)
 
-    assert main(["query", str(picture), "--top", "2", "--near", "1,2,30"]) == 0
+    assert main(["query", str(image), "--top", "2", "--near", "1,2,30"]) == 0
 
     text = capsys.readouterr().out
     assert text.startswith("This place is known. (confidence 0.93, 3 views searched)")
@@ -34,31 +34,31 @@ def test_a_known_place(service: FakeService, picture: Path, capsys: Out) -> None
     assert b"1.0,2.0,30.0" in service.asked[0][1]
 
 
-def test_an_unknown_place_is_an_answer_too(service: FakeService, picture: Path, capsys: Out) -> None:
+def test_an_unknown_place_is_an_answer_too(service: FakeService, image: Path, capsys: Out) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(status="no_match")
 
-    assert main(["query", str(picture)]) == 0
+    assert main(["query", str(image)]) == 0
     assert "not known" in capsys.readouterr().out
 
 
-def test_the_answer_as_json_is_the_services(service: FakeService, picture: Path, capsys: Out) -> None:
+def test_the_answer_as_json_is_the_services(service: FakeService, image: Path, capsys: Out) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(answers.match())
 
-    assert main(["query", str(picture), "--json"]) == 0
+    assert main(["query", str(image), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["matches"][0]["view"]["place"] == "square"
 
 
-def test_why_is_drawn_into_a_file(service: FakeService, picture: Path, tmp_path: Path) -> None:
+def test_why_is_drawn_into_a_file(service: FakeService, image: Path, tmp_path: Path) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(answers.match())
     service.replies["GET /queries/q1/explanation.png"] = 200, b"a png"
 
-    assert main(["query", str(picture), "--explain", str(tmp_path / "why.png")]) == 0
+    assert main(["query", str(image), "--explain", str(tmp_path / "why.png")]) == 0
     assert (tmp_path / "why.png").read_bytes() == b"a png"
 
 
 @pytest.mark.parametrize("argv", [["--near", "1,2"], ["--near", "a,b,c"]])
-def test_a_point_needs_three_numbers(picture: Path, argv: list[str]) -> None:
-    assert main(["query", str(picture), *argv]) == 2
+def test_a_point_needs_three_numbers(image: Path, argv: list[str]) -> None:
+    assert main(["query", str(image), *argv]) == 2
 
 
 def test_a_missing_file_is_named(capsys: Out) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.evaluation.asking import Answer, ask, fingerprint, ranked_by
+from lab.evaluation.querying import Answer, ask, fingerprint, ranked_by
 from schemas.errors import SetupError, Unavailable
-from schemas.records import Where
+from schemas.records import Position
 from tests.lab.fakes import FakeRetriever, walk
 
 
@@ -17,15 +17,15 @@ def near(a: int, b: int) -> float:
 
 
 def test_answers_are_database_numbers(tmp_path: Path) -> None:
-    asked = ask(walk(tmp_path), FakeRetriever(near), depth=5)
-    assert asked.ranked[:30, 0].tolist() == list(range(30))
-    assert asked.ranked.shape == (40, 5)
-    assert asked.before is not None
-    assert np.array_equal(asked.before, asked.ranked[:, ::-1])
-    assert asked.claimed is not None
-    assert asked.claimed[:30].all()
-    assert not asked.claimed[35:].any()
-    assert asked.timing_ms["total"].tolist() == [1.5] * 40
+    results = ask(walk(tmp_path), FakeRetriever(near), depth=5)
+    assert results.ranked[:30, 0].tolist() == list(range(30))
+    assert results.ranked.shape == (40, 5)
+    assert results.before is not None
+    assert np.array_equal(results.before, results.ranked[:, ::-1])
+    assert results.claimed is not None
+    assert results.claimed[:30].all()
+    assert not results.claimed[35:].any()
+    assert results.timing_ms["total"].tolist() == [1.5] * 40
 
 
 class Stopped(Exception):
@@ -46,11 +46,11 @@ def test_a_stopped_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     with journal.open("a") as lines:
         lines.write('{"query": 17, "vie')  # the power went while this was being written
     resumed = ask(dataset, second, journals=tmp_path / "runs")
-    assert len(first.questions) + len(second.questions) == len(dataset.queries)
+    assert len(first.queries) + len(second.queries) == len(dataset.queries)
     whole = ask(dataset, FakeRetriever(near))
     assert np.array_equal(resumed.ranked, whole.ranked)
     ask(dataset, third, journals=tmp_path / "runs")
-    assert third.questions == []
+    assert third.queries == []
     assert third.enrolled == {}
 
 
@@ -74,8 +74,8 @@ def test_a_drive_knows_only_its_past(tmp_path: Path) -> None:
     frames = whole.database
     allowed = np.maximum(np.arange(30) - 4, 0)
     drive = replace(whole, queries=frames, allowed=allowed, positives=tuple(np.zeros(0, np.int64) for _ in frames))
-    asked = ask(drive, FakeRetriever(near))
-    best = asked.ranked[:, 0]
+    results = ask(drive, FakeRetriever(near))
+    best = results.ranked[:, 0]
     assert best[:5].tolist() == [-1] * 4 + [-1]
     assert best[5:].tolist() == list(range(25))
 
@@ -84,14 +84,14 @@ def test_pictures_that_are_refused_are_counted(tmp_path: Path) -> None:
     dataset = walk(tmp_path)
     cars = tmp_path / "d" / "0cars.jpg"
     cars.write_bytes(b"")
-    asked = ask(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
-    assert asked.refused == {"nothing-static": 1}
-    assert asked.ranked[0, 0] == 1
+    results = ask(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
+    assert results.refused == {"nothing-static": 1}
+    assert results.ranked[0, 0] == 1
 
 
 def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) -> None:
     class Down(FakeRetriever):
-        def query(self, picture: Path, top: int) -> Answer:
+        def query(self, image: Path, top: int) -> Answer:
             raise Unavailable("stopping", 5)
 
     with pytest.raises(Unavailable):
@@ -102,13 +102,13 @@ def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) 
 def test_the_same_file_twice_stands_for_both(tmp_path: Path) -> None:
     dataset = walk(tmp_path)
     twice = replace(dataset, database=(*dataset.database[:29], dataset.database[5]))
-    asked = ask(twice, FakeRetriever(near))
-    assert set(asked.ranked[5, :2].tolist()) == {5, 29}
+    results = ask(twice, FakeRetriever(near))
+    assert set(results.ranked[5, :2].tolist()) == {5, 29}
 
 
 def test_a_map_that_is_not_empty_is_refused(tmp_path: Path) -> None:
     class Occupied(FakeRetriever):
-        def query(self, picture: Path, top: int) -> Answer:
+        def query(self, image: Path, top: int) -> Answer:
             return Answer(("somebody-elses-view",))
 
     with pytest.raises(SetupError, match="empty map"):
@@ -119,9 +119,9 @@ def test_positions_are_enrolled_with_the_pictures(tmp_path: Path) -> None:
     seen = []
 
     class Watching(FakeRetriever):
-        def enroll(self, picture: Path, where: Where) -> str:
-            seen.append((int(picture.stem), where.x, where.y))
-            return super().enroll(picture, where)
+        def enroll(self, image: Path, position: Position) -> str:
+            seen.append((int(image.stem), position.x, position.y))
+            return super().enroll(image, position)
 
     dataset = walk(tmp_path)
     places = np.column_stack([np.arange(30.0), np.zeros(30)])
@@ -136,7 +136,7 @@ def test_a_baselines_distances_respect_what_a_query_may_know(tmp_path: Path) -> 
         dataset, queries=dataset.database, allowed=np.arange(30), positives=tuple([np.zeros(0, np.int64)] * 30)
     )
     distances = np.abs(np.subtract.outer(np.arange(30.0), np.arange(30.0))).astype(np.float32)
-    asked = ranked_by(distances, drive, "perfect")
-    assert asked.ranked[:, 0].tolist() == [-1, *range(29)]
-    assert asked.confidence is not None
-    assert asked.confidence[0] < asked.confidence[1:].min()
+    results = ranked_by(distances, drive, "perfect")
+    assert results.ranked[:, 0].tolist() == [-1, *range(29)]
+    assert results.confidence is not None
+    assert results.confidence[0] < results.confidence[1:].min()

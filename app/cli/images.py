@@ -26,7 +26,7 @@ def found(paths: Sequence[str]) -> list[Path]:
     Failure
         Something named does not exist, or holds no picture.
     """
-    pictures: dict[Path, None] = {}
+    images: dict[Path, None] = {}
     for text in paths:
         path = Path(text)
         if path.is_dir():
@@ -39,8 +39,8 @@ def found(paths: Sequence[str]) -> list[Path]:
                 wrong_use(f"{text}: there is no such file or folder")
         if not inside:
             wrong_use(f"{text}: no pictures there ({', '.join(sorted(SUFFIXES))})")
-        pictures |= dict.fromkeys(inside)
-    return list(pictures)
+        images |= dict.fromkeys(inside)
+    return list(images)
 
 
 class Positions:
@@ -80,9 +80,9 @@ class Positions:
                 wrong_use(f"{self.path}, line {line}: {name} is {text!r}, which is no number")
         return known
 
-    def of(self, picture: Path) -> Known | None:
+    def of(self, image: Path) -> Known | None:
         """What is known of a picture; None when no row is about it."""
-        parts = picture.resolve().as_posix().split("/")
+        parts = image.resolve().as_posix().split("/")
         for begin in range(len(parts)):  # the longest ending first: the most particular row
             name = "/".join(parts[begin:])
             if name in self._rows:
@@ -97,11 +97,12 @@ class Positions:
 
 def from_exif(path: Path) -> Known:
     """Position, heading and time that the camera wrote into a picture; empty when it wrote none."""
-    from PIL import ExifTags, Image, UnidentifiedImageError
+    from PIL import ExifTags, UnidentifiedImageError
+    from PIL import Image as PilImage
 
     try:
-        with Image.open(path) as image:
-            exif = image.getexif()
+        with PilImage.open(path) as pil_image:
+            exif = pil_image.getexif()
     except (UnidentifiedImageError, OSError):
         return {}  # the service will say what is wrong with it
     gps = exif.get_ifd(ExifTags.IFD.GPSInfo)

@@ -1,4 +1,4 @@
-"""Train the fine words: ``python -m training.fine_words --weights FILE --data DATA --trunk FILE --out runs/NAME``.
+"""Train the segmentation network: ``python -m training.segmentation --weights FILE --data DATA --trunk FILE --out runs/NAME``.
 
 They begin as a copy of an exported network's deep layers and words head, whose shallow layers they share and do not
 change: places are recognised as before. They learn on single views, from labels and from what the untouched trunk says,
@@ -19,23 +19,23 @@ from torch import Tensor, nn
 from training import data, points
 from training.command import add_run_options, begin, check_run_options, prepare, run_numbers
 from training.depthwise import quicken
-from training.evaluate_words import fine_words_of, second_of
+from training.evaluate_words import second_of, segmentation_network_of
 from training.export import basis_of, network_of, shared_digest
 from training.lexicon import STREET_WORDS, ClipWords, Lexicon
 from training.loop import Plan, Run
-from training.mix import FINE_SHARES, Mix
+from training.mix import SEGMENTATION_SHARES, Mix
 from training.opinions import OpinionLoss, opinion_loss_of
 from training.start import second_started, trunk_state
 from training.teacher import Teacher, write_opinions
 from training.viewpoint import ZOOM
 from training.word_loss import WordLoss, word_loss_of
 from worker.encoders.compact.network import CompactNetwork, ShallowLayers
-from worker.encoders.compact.segmentation import FineWords
+from worker.encoders.compact.segmentation import SegmentationNetwork
 
 
 @dataclass(frozen=True)
-class FinePlan(Plan):
-    """The numbers of a run that trains the fine words.
+class SegmentationPlan(Plan):
+    """The numbers of a run that trains the segmentation network.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class FinePlan(Plan):
 
 
 class LabelledPixels(nn.Module):
-    """The losses of fine words on the single labelled views of `training.data.Batches`.
+    """The losses of segmentation network on the single labelled views of `training.data.Batches`.
 
     Parameters
     ----------
@@ -68,7 +68,12 @@ class LabelledPixels(nn.Module):
     """
 
     def __init__(
-        self, shallow: ShallowLayers, fine: FineWords, word_loss: WordLoss, opinion_loss: OpinionLoss, plan: FinePlan
+        self,
+        shallow: ShallowLayers,
+        fine: SegmentationNetwork,
+        word_loss: WordLoss,
+        opinion_loss: OpinionLoss,
+        plan: SegmentationPlan,
     ) -> None:
         super().__init__()
         self.shallow, self.fine, self.plan = shallow, fine, plan
@@ -76,15 +81,15 @@ class LabelledPixels(nn.Module):
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         """Give the weighted sum of the losses, and each of them."""
-        pictures = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(pictures.device.type, torch.bfloat16, enabled=self.plan.half):
-            joined = self.fine.joined(*self.shallow.levels(pictures))
+        images = batch["clear_pictures"].float().div(255).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.plan.half):
+            joined = self.fine.joined(*self.shallow.levels(images))
         words = self.fine.words
         cells = F.linear(joined.float().permute(0, 2, 3, 1), words.weight.flatten(1), words.bias)
 
         meanings, sets = batch["clear_meanings"], batch["clear_sets"]
         size = (meanings.shape[1], meanings.shape[2])
-        drawn = points.draw(len(pictures), size, self.plan.points, pictures.device)
+        drawn = points.draw(len(images), size, self.plan.points, images.device)
         embeddings = points.interpolated(F.normalize(cells, dim=3), drawn, size)
         target, owner = meanings[drawn.view, drawn.row, drawn.column].long(), sets[drawn.view]
         taught = (target >= 0) & (owner >= 0)
@@ -95,15 +100,15 @@ class LabelledPixels(nn.Module):
         return total, {"word": entropy, "overlap": overlap, "opinion": opinion}
 
 
-def started_from(shared: CompactNetwork, earlier: Path | None = None) -> FineWords:
-    """Take earlier fine words, or copy a network's deep layers and words head; what sharpens these adds nothing yet."""
+def started_from(shared: CompactNetwork, earlier: Path | None = None) -> SegmentationNetwork:
+    """Take earlier segmentation network, or copy a network's deep layers and words head; what sharpens these adds nothing yet."""
     if earlier is not None:
-        return fine_words_of(earlier).requires_grad_(True).train()
-    fine = FineWords(shared.words.out_channels)
+        return segmentation_network_of(earlier).requires_grad_(True).train()
+    fine = SegmentationNetwork(shared.words.out_channels)
     missing, _ = fine.load_state_dict(shared.state_dict(), strict=False)
-    strangers = [name for name in missing if not name.startswith("sharpen.")]
-    if strangers:
-        raise ValueError(f"the network to start from lacks {', '.join(strangers[:4])}")
+    unknown_places = [name for name in missing if not name.startswith("sharpen.")]
+    if unknown_places:
+        raise ValueError(f"the network to start from lacks {', '.join(unknown_places[:4])}")
     return fine
 
 
@@ -114,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     opinions = options.out / "opinions"
     splits = ("train", "val") if options.validation_too else ("train",)
     found = data.sources(options.data, None, splits)
-    outdoor = [scene[0].picture for name in data.OUTDOOR if name in found for scene in found[name].scenes]
+    outdoor = [scene[0].image for name in data.OUTDOOR if name in found for scene in found[name].scenes]
     trunk = trunk_state(options.trunk)
     write_opinions(Teacher(trunk), outdoor, opinions)
     lexicon = Lexicon(ClipWords(options.data / data.CLIP_FILE), data.classes(options.data))
@@ -134,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         quicken(learner)
     word_loss = word_loss_of(found, lexicon, vectors, rarity=options.rarity)
     opinion_loss = opinion_loss_of(lexicon, vectors)
-    plan = FinePlan(
+    plan = SegmentationPlan(
         **run_numbers(options),
         shared=shared_digest(load_file(options.weights)),
         overlap=options.overlap,
@@ -160,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m training.fine_words", description="Train the fine words.")
+    parser = argparse.ArgumentParser(prog="python -m training.segmentation", description="Train the fine words.")
     add_run_options(parser)
     parser.add_argument("--weights", type=Path, required=True, help="exported network to start from")
     parser.add_argument("--earlier", type=Path, help="fine words to start from: checkpoint.pt or exported")
@@ -170,29 +175,32 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pasted", type=float, default=0.0, help="share of views that things are pasted onto")
     parser.add_argument("--validation-too", action="store_true", help="learn from the validation pictures too")
     parser.add_argument(
-        "--rarity", type=float, default=FinePlan.rarity, help="power of a meaning's share that weighs its pixels"
+        "--rarity",
+        type=float,
+        default=SegmentationPlan.rarity,
+        help="power of a meaning's share that weighs its pixels",
     )
-    parser.add_argument("--points", type=int, default=FinePlan.points, help="pixels judged of a view")
+    parser.add_argument("--points", type=int, default=SegmentationPlan.points, help="pixels judged of a view")
     parser.add_argument(
         "--shares",
         type=float,
-        nargs=len(FINE_SHARES),
-        default=list(FINE_SHARES.values()),
-        metavar=tuple(FINE_SHARES),
+        nargs=len(SEGMENTATION_SHARES),
+        default=list(SEGMENTATION_SHARES.values()),
+        metavar=tuple(SEGMENTATION_SHARES),
         help="how often each labelled set is drawn",
     )
     parser.add_argument("--height", type=int, default=288)
     parser.add_argument("--width", type=int, default=384)
     parser.add_argument("--zoom", type=float, nargs=2, default=ZOOM, help="least and greatest enlargement of a view")
-    parser.add_argument("--opinion", type=float, default=FinePlan.opinion, help="weight of what the trunk says")
-    parser.add_argument("--overlap", type=float, default=FinePlan.overlap, help="weight of the soft IoU")
+    parser.add_argument("--opinion", type=float, default=SegmentationPlan.opinion, help="weight of what the trunk says")
+    parser.add_argument("--overlap", type=float, default=SegmentationPlan.overlap, help="weight of the soft IoU")
     options = parser.parse_args(arguments)
     check_run_options(parser, options)
     if not 0 < options.zoom[0] <= options.zoom[1]:
         parser.error(f"--zoom wants the least, above 0, and the greatest: not {options.zoom[0]:g} {options.zoom[1]:g}")
     if min(options.shares) < 0 or not any(options.shares):
         parser.error(f"--shares wants numbers of at least 0, one of them above: not {options.shares}")
-    options.shares = dict(zip(FINE_SHARES, options.shares, strict=True))
+    options.shares = dict(zip(SEGMENTATION_SHARES, options.shares, strict=True))
     return options
 
 

@@ -34,7 +34,7 @@ async def image(view_id: str, request: Request, curator: Curates) -> Response:
     if _is_fresh(request, etag):
         return _unchanged(etag)
     data, media_type = await curator.image(view_id)
-    return _picture(data, media_type, etag)
+    return _image(data, media_type, etag)
 
 
 @router.get(
@@ -45,15 +45,15 @@ async def image(view_id: str, request: Request, curator: Curates) -> Response:
 )
 async def thumbnail(
     view_id: str,
-    asked: Annotated[ThumbnailParameters, Depends(in_url(ThumbnailParameters))],
+    params: Annotated[ThumbnailParameters, Depends(in_url(ThumbnailParameters))],
     request: Request,
     curator: Curates,
 ) -> Response:
     """A small JPEG of the picture."""
-    etag = await curator.view_etag(view_id, f"thumbnail-{asked.size}")
+    etag = await curator.view_etag(view_id, f"thumbnail-{params.size}")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _picture(await curator.thumbnail(view_id, asked.size), "image/jpeg", etag)
+    return _image(await curator.thumbnail(view_id, params.size), "image/jpeg", etag)
 
 
 @router.get(
@@ -64,15 +64,15 @@ async def thumbnail(
 )
 async def segmentation(
     view_id: str,
-    asked: Annotated[SegmentationParameters, Depends(in_url(SegmentationParameters))],
+    params: Annotated[SegmentationParameters, Depends(in_url(SegmentationParameters))],
     request: Request,
     curator: Curates,
 ) -> Response:
     """What each pixel of the picture was taken for, as finely as the encoder can tell; the method has coarser cells."""
-    etag = await curator.view_etag(view_id, "overlay" if asked.overlay else "segmentation")
+    etag = await curator.view_etag(view_id, "overlay" if params.overlay else "segmentation")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _picture(await curator.segmentation(view_id, asked.overlay), "image/png", etag)
+    return _image(await curator.segmentation(view_id, params.overlay), "image/png", etag)
 
 
 @router.get(
@@ -86,7 +86,7 @@ async def graph(view_id: str, request: Request, curator: Curates) -> Response:
     etag = await curator.view_etag(view_id, "graph")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _picture(await curator.graph(view_id), "image/png", etag)
+    return _image(await curator.graph(view_id), "image/png", etag)
 
 
 @router.get(
@@ -100,11 +100,11 @@ async def graph(view_id: str, request: Request, curator: Curates) -> Response:
 )
 async def explanation(
     query_id: str,
-    asked: Annotated[ExplanationParameters, Depends(in_url(ExplanationParameters))],
+    params: Annotated[ExplanationParameters, Depends(in_url(ExplanationParameters))],
     curator: Curates,
 ) -> Response:
-    """Why a question that was asked with `explain=true` got its answer; kept for a bounded time."""
-    return Response(await curator.explanation(query_id, asked.view), headers=_NO_STORE, media_type="image/png")
+    """Why a query that was asked with `explain=true` got its answer; kept for a bounded time."""
+    return Response(await curator.explanation(query_id, params.view), headers=_NO_STORE, media_type="image/png")
 
 
 # Kept by the caller, but asked about each time: a deleted view must not live on in a cache.
@@ -127,5 +127,5 @@ def _unchanged(etag: str) -> Response:
     return Response(status_code=304, headers={"ETag": _quoted(etag), **_CACHE})
 
 
-def _picture(data: bytes, media_type: str, etag: str) -> Response:
+def _image(data: bytes, media_type: str, etag: str) -> Response:
     return Response(data, headers={"ETag": _quoted(etag), **_CACHE}, media_type=media_type)

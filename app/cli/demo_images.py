@@ -1,4 +1,4 @@
-"""Pictures for the demo: drawn places, or the user's own photos, and questions whose answers are known."""
+"""Pictures for the demo: drawn places, or the user's own photos, and queries whose answers are known."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from PIL import Image
+    from PIL import Image as PilImage
 
     from scenes import Scene
 
@@ -14,7 +14,7 @@ PLACES = (
     "market street", "mill lane", "station road", "church street", "harbour road", "bakers row", "school lane",
     "rose garden", "castle park", "river meadow", "east corridor", "west corridor",
 )  # fmt: skip
-STRANGERS = ("foreign street", "unknown park")
+UNKNOWN_PLACES = ("foreign street", "unknown park")
 """Places that are asked about and were never enrolled."""
 
 
@@ -27,7 +27,7 @@ class Enrolment:
 
 
 @dataclass(frozen=True)
-class Question:
+class QueryRecord:
     """A picture to ask with.
 
     Parameters
@@ -51,7 +51,7 @@ class Material:
     """What to enrol and what to ask."""
 
     enrolments: Sequence[Enrolment]
-    questions: Sequence[Question]
+    queries: Sequence[QueryRecord]
 
 
 Step = Callable[[str], None]
@@ -61,19 +61,19 @@ def drawn(folder: Path, step: Step) -> Material:
     """Draw every place as it is enrolled (from two spots) and as it is asked about (elsewhere, later, obstructed)."""
     from scenes import scene
 
-    enrolments, questions = [], []
+    enrolments, queries = [], []
     for i, name in enumerate(PLACES):
         place = scene(name)
         for number, look in enumerate((place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1):
             enrolments.append(Enrolment(_saved(look, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
         change, changed = _change(i, place)
-        questions.append(Question(_saved(changed, folder / "asked" / f"{_file(name)}.jpg"), name, change))
+        queries.append(QueryRecord(_saved(changed, folder / "asked" / f"{_file(name)}.jpg"), name, change))
         step(name)
-    for name in STRANGERS:
+    for name in UNKNOWN_PLACES:
         path = _saved(scene(name), folder / "asked" / f"{_file(name)}.jpg")
-        questions.append(Question(path, None, "never enrolled"))
+        queries.append(QueryRecord(path, None, "never enrolled"))
         step(name)
-    return Material(enrolments, questions)
+    return Material(enrolments, queries)
 
 
 def _change(number: int, place: "Scene") -> "tuple[str, Scene]":
@@ -95,10 +95,10 @@ def _file(name: str) -> str:
 
 
 def _saved(scene: "Scene", path: Path) -> Path:
-    from PIL import Image
+    from PIL import Image as PilImage
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(scene.pixels).save(path, quality=92)
+    PilImage.fromarray(scene.pixels).save(path, quality=92)
     return path
 
 
@@ -110,49 +110,50 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
     """
     held_back = photos[4::8][:4] if len(photos) >= 6 else []
     enrolments = [Enrolment(path, path.stem) for path in photos if path not in held_back]
-    questions = []
+    queries = []
     stride = max(1, len(enrolments) // 12)
     for i, enrolment in enumerate(enrolments[::stride][:12]):
         change, how = _ALTERATIONS[i % len(_ALTERATIONS)]
         target = folder / "asked" / f"{i:02d}-{enrolment.path.stem}.jpg"
         target.parent.mkdir(parents=True, exist_ok=True)
         how(_opened(enrolment.path)).save(target, quality=88)
-        questions.append(Question(target, enrolment.place, change))
+        queries.append(QueryRecord(target, enrolment.place, change))
         step(enrolment.place)
-    questions += [Question(path, None, "held back: judge yourself", known=False) for path in held_back]
-    return Material(enrolments, questions)
+    queries += [QueryRecord(path, None, "held back: judge yourself", known=False) for path in held_back]
+    return Material(enrolments, queries)
 
 
-def _opened(path: Path) -> "Image.Image":
-    from PIL import Image, ImageOps
+def _opened(path: Path) -> "PilImage.Image":
+    from PIL import Image as PilImage
+    from PIL import ImageOps
 
-    with Image.open(path) as image:
-        upright = ImageOps.exif_transpose(image).convert("RGB")
+    with PilImage.open(path) as pil_image:
+        upright = ImageOps.exif_transpose(pil_image).convert("RGB")
     upright.thumbnail((1280, 1280))
     return upright
 
 
-def _cropped(image: "Image.Image", share: float, across: float, down: float) -> "Image.Image":
+def _cropped(pil_image: "PilImage.Image", share: float, across: float, down: float) -> "PilImage.Image":
     """A part of the picture: `share` of each side, at a position from 0 (left, top) to 1."""
-    width, height = round(image.width * share), round(image.height * share)
-    left, top = round((image.width - width) * across), round((image.height - height) * down)
-    return image.crop((left, top, left + width, top + height))
+    width, height = round(pil_image.width * share), round(pil_image.height * share)
+    left, top = round((pil_image.width - width) * across), round((pil_image.height - height) * down)
+    return pil_image.crop((left, top, left + width, top + height))
 
 
-def _darker(image: "Image.Image", factor: float) -> "Image.Image":
+def _darker(pil_image: "PilImage.Image", factor: float) -> "PilImage.Image":
     from PIL import ImageEnhance
 
-    return ImageEnhance.Brightness(image).enhance(factor)
+    return ImageEnhance.Brightness(pil_image).enhance(factor)
 
 
-def _turned(image: "Image.Image", degrees: float) -> "Image.Image":
+def _turned(pil_image: "PilImage.Image", degrees: float) -> "PilImage.Image":
     """Turned, and cropped so that no empty corner shows."""
     from PIL.Image import Resampling
 
-    return _cropped(image.rotate(degrees, resample=Resampling.BILINEAR), 0.85, 0.5, 0.5)
+    return _cropped(pil_image.rotate(degrees, resample=Resampling.BILINEAR), 0.85, 0.5, 0.5)
 
 
-_ALTERATIONS: "Sequence[tuple[str, Callable[[Image.Image], Image.Image]]]" = (
+_ALTERATIONS: "Sequence[tuple[str, Callable[[PilImage.Image], PilImage.Image]]]" = (
     ("cropped to 80 %, left", lambda i: _cropped(i, 0.8, 0.0, 0.5)),
     ("cropped to 75 %, right, darker", lambda i: _darker(_cropped(i, 0.75, 1.0, 0.4), 0.55)),
     ("turned 4 degrees", lambda i: _turned(i, 4)),
