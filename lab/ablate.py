@@ -22,11 +22,11 @@ from lab.metrics.recall import Doubles, bootstrap_interval, first_right
 from schemas.description import Floats, PixelField
 from schemas.errors import RevisitError
 from schemas.image import Image
-from schemas.ports import Encoder
+from worker.description.ports import Encoder
 from schemas.recipe import Channel, Graph, Parameters, Recipe
 from schemas.records import Meaning
 from schemas.settings import read_settings
-from worker.bootstrap import build, make_product
+from worker.runtime import build, make_product
 from worker.description import vocabularies
 from worker.description.describer import Describer
 from worker.description.describers import Describers
@@ -238,7 +238,7 @@ def recipe_of(variant: Variant, runtime: Runtime, dataset: Dataset) -> Recipe:
     if variant.vocabulary is not None:
         other = vocabularies.Vocabulary.read(variant.vocabulary.read_bytes(), variant.vocabulary.name)
         other.check(parameters, runtime.encoder.layers)
-        runtime.store.keep_vocabulary(other.digest, other.tensors)
+        runtime.store.vocabularies.keep(other.digest, other.tensors)
         return plain.model_copy(update={"parameters": parameters, "vocabulary": other.digest})
     if not variant.own_vocabulary:
         general.check(parameters, runtime.encoder.layers)
@@ -247,7 +247,7 @@ def recipe_of(variant: Variant, runtime: Runtime, dataset: Dataset) -> Recipe:
     images = (runtime.decode(path.read_bytes()) for path in dataset.database)
     fields = runtime.encoder.encode(list(images))
     learned = vocabularies.train(fields, lambda field: see(field).static, parameters, parameters.seed)
-    runtime.store.keep_vocabulary(learned.digest, learned.tensors)
+    runtime.store.vocabularies.keep(learned.digest, learned.tensors)
     return plain.model_copy(update={"parameters": parameters, "vocabulary": learned.digest})
 
 

@@ -242,7 +242,7 @@ def services(
         from lab.evaluation.in_process import contender, runtime_for_measuring
 
         with runtime_for_measuring(read_settings(), options.device) as runtime:
-            recipe = runtime.default_recipe
+            recipe = runtime.default_recipe.description
             inside = replace(
                 needs,
                 encoder=runtime.encoder,

@@ -11,8 +11,11 @@ Integers = npt.NDArray[np.integer]
 Int8s = npt.NDArray[np.int8]
 Booleans = npt.NDArray[np.bool_]
 
-SEMANTIC = "words"
-"""Name of the language-aligned layer, which every encoder has."""
+SEMANTIC = "semantic"
+"""Name of the language-aligned layer and of its channel; every encoder has it."""
+
+DETAIL = "detail"
+"""Name of the appearance layer and of its channel, where an encoder has one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,18 +1,19 @@
-"""Everything that decides a description: a recipe is data, and its id is the hash of that data."""
+"""How a map describes images and how it ranks them: two halves, both data.
+
+`DescriptionRecipe` decides every number that is stored of a view. It is hashed, names the stored rows, and changing it
+describes every view anew. `RankingConfig` decides what is made of those numbers when a query is ranked. It belongs to
+the map and changes at once.
+"""
 
 import hashlib
 import json
-from collections.abc import Collection
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from schemas.description import DETAIL
+
+Weight = Annotated[float, Field(ge=0, le=1000)]
 
 
 class Frozen(BaseModel):
@@ -20,12 +21,18 @@ class Frozen(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    @property
+    def id(self) -> str:
+        """First 16 hex digits of the SHA-256 of the value as canonical JSON (sorted keys, no blanks)."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
 
 class Channel(Frozen):
     """How one layer of the pixel field becomes a histogram vector."""
 
     layer: str = Field(description="Layer of the encoder's pixel field that the descriptors come from.")
-    words: Annotated[int, Field(ge=2, le=65536)] = Field(description="Size V of the vocabulary.")
+    vocabulary_size: Annotated[int, Field(ge=2, le=65536)] = Field(description="Size V of the vocabulary.")
     descriptors: Annotated[int, Field(ge=1)] | None = Field(
         None, description="K, drawn at random among static cells; null takes all of them."
     )
@@ -45,135 +52,141 @@ class Channel(Frozen):
     @property
     def length(self) -> int:
         """Length of the channel's vector."""
-        return self.dimensions or self.words
+        return self.dimensions or self.vocabulary_size
 
 
-class Dynamic(Frozen):
+class DynamicFilter(Frozen):
     """When a cell counts as something that moves."""
 
     margin: Annotated[float, Field(ge=0, le=2)] = Field(
-        0.0, description="By how much the best dynamic word must beat the best static one, as cosine."
+        0.0, description="By how much the best dynamic label must beat the best static one, as cosine."
     )
     most: Annotated[float, Field(ge=0, le=1)] = Field(
-        1.0, description="Never drop more than this share of a picture; the surest cells go first."
+        1.0, description="Never drop more than this share of an image; the most certain cells go first."
     )
 
 
-class DenseCells(Frozen):
-    """The grid of embeddings that re-ranking compares: all candidates at half its size, the best of them in full."""
+class CellGrid(Frozen):
+    """The coarse grid of embeddings that re-ranking compares, kept in full and at half its size."""
 
     rows: Annotated[int, Field(ge=2, le=64)] = 16
     columns: Annotated[int, Field(ge=2, le=64)] = 28
     dimensions: Annotated[int, Field(ge=1, le=512)] = Field(32, description="Numbers of a cell, for each channel.")
-    shares: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
+    channel_weights: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
         default_factory=dict,
         description="How much each channel counts in a cell, scaled to sum to 1; all the same when none is named.",
     )
-    full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
-        10, description="How many of the best are compared in full."
-    )
-    alone: dict[str, Annotated[int, Field(ge=0, le=100)]] = Field(
-        default_factory=dict,
-        description="Channels whose cells are also compared by themselves, and for how many of the best in full (0: "
-        "not at all). A candidate counts by the comparison in which it stands out more.",
-    )
-    scale_penalty: Annotated[float, Field(ge=0, le=10)] = Field(
-        0.0, description="Exponent: a view that shows the place s times as large counts min(s, 1 / s) ** scale_penalty."
-    )
-
-    @property
-    def read_alone(self) -> dict[str, int]:
-        """Channels that are compared by themselves too, and for how many of the best in full, at least 1."""
-        return {
-            channel: full_resolution_top_k
-            for channel, full_resolution_top_k in self.alone.items()
-            if full_resolution_top_k
-        }
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is not used and came later: a recipe from before it existed keeps its identity."""
-        content: dict[str, Any] = serialise(self)
-        return {k: v for k, v in content.items() if v or k not in ("scale_penalty", "alone")}
-
-    def among(self, channels: Collection[str]) -> "DenseCells":
-        """The same for a recipe that has these channels only."""
-        shares = {name: share for name, share in self.shares.items() if name in channels}
-        alone = {
-            name: full_resolution_top_k
-            for name, full_resolution_top_k in self.alone.items()
-            if name in channels and len(channels) > 1
-        }
-        return self.model_copy(update={"shares": shares, "alone": alone})
 
 
-class Graph(Frozen):
-    """The context graph and its comparison (paper, "Context Graph")."""
+class GraphNodes(Frozen):
+    """Which regions become nodes of the context graph (paper, "Context Graph")."""
 
     min_region_cells: Annotated[int, Field(ge=1)] = Field(1, description="Smaller regions are no nodes.")
-    cosine: Annotated[float, Field(ge=-1, lt=1)] = Field(0.95, description="t: correspondences need more than this.")
-    tau: Annotated[float, Field(gt=0)] = Field(70 / 520, description="Longest edge, in fractions of the longer side.")
 
 
-class Verification(Frozen):
-    """Geometric verification of the first candidates by local features."""
-
-    candidates: Annotated[int, Field(ge=1, le=100)] = Field(10, description="How many of the best are verified.")
-    keypoints: Annotated[int, Field(ge=8, le=4096)] = Field(300, description="Local features kept of a picture.")
-
-
-class Parameters(Frozen):
-    """The numbers of a preset."""
+class DescriptionParameters(Frozen):
+    """The numbers of a description."""
 
     channels: dict[str, Channel] = Field(min_length=1)
     seed: Annotated[int, Field(ge=0)] = Field(0, description="Of everything random: drawn descriptors, vocabulary.")
-    dynamic: Dynamic = Dynamic()
-    candidates: Annotated[int, Field(ge=0, le=500)] = Field(20, description="Re-ranked candidates of each channel.")
-    dense: DenseCells | None = None
-    graph: Graph = Graph()
-    verification: Verification | None = None
-    ranking: Literal["weighted", "graph"] = Field(
-        "weighted", description="weighted adds up terms; graph sorts by graph similarity alone, as the paper says."
-    )
-    weights: dict[str, float] = Field(
-        default_factory=dict,
-        description="Weight of each term: dense (half size), close (in full), histogram.CHANNEL, graph, verification.",
+    dynamic: DynamicFilter = DynamicFilter()
+    dense: CellGrid | None = None
+    graph: GraphNodes = GraphNodes()
+    local_features: Annotated[int, Field(ge=8, le=4096)] | None = Field(
+        None, description="Keypoints kept of an image for geometric verification; null keeps none."
     )
 
     @model_validator(mode="after")
-    def _shares_are_of_channels(self) -> Self:
-        stray = [] if self.dense is None else sorted(self.dense.shares.keys() - self.channels.keys())
-        if stray:
-            raise ValueError(f"dense.shares: {', '.join(stray)} are not among the channels {', '.join(self.channels)}")
+    def _channel_weights_are_of_channels(self) -> Self:
+        unknown = [] if self.dense is None else sorted(self.dense.channel_weights.keys() - self.channels.keys())
+        if unknown:
+            known = ", ".join(self.channels)
+            raise ValueError(f"dense.channel_weights: {', '.join(unknown)} are not among the channels {known}")
         return self
 
-    @model_validator(mode="after")
-    def _alone_are_joined(self) -> Self:
-        stray = [] if self.dense is None else sorted(self.dense.alone.keys() - self.joined().keys())
-        if stray:
-            raise ValueError(f"dense.alone: {', '.join(stray)} are not among the cells' {', '.join(self.joined())}")
-        return self
-
-    def joined(self) -> dict[str, float]:
-        """The channels that a dense cell joins, and how much each counts; none where there are no dense cells."""
+    def cell_channels(self) -> dict[str, float]:
+        """Weight of each channel that a dense cell joins; empty without dense cells."""
         if self.dense is None:
             return {}
-        return self.dense.shares or dict.fromkeys(self.channels, 1.0)
+        return self.dense.channel_weights or dict.fromkeys(self.channels, 1.0)
 
 
-class Recipe(Frozen):
-    """Encoder, labels, preset, parameters and vocabulary: the same recipe always gives the same description."""
+class DescriptionRecipe(Frozen):
+    """Encoder, labels, parameters and vocabulary: the same recipe always makes the same description of an image."""
 
     encoder: str
     weights: str = Field(description="SHA-256 of the encoder's weights.")
     labels: tuple[str, ...] = Field(min_length=1)
     dynamic: tuple[str, ...]
-    preset: str
-    parameters: Parameters
+    parameters: DescriptionParameters
     vocabulary: str = Field(description="SHA-256 of the vocabulary's tensors.")
 
-    @property
-    def id(self) -> str:
-        """First 16 hex digits of the SHA-256 of the recipe as canonical JSON (sorted keys, no blanks)."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+class TermWeights(Frozen):
+    """Weight of each term of the score, at least 0; they are scaled to sum to 1. At least one is above 0."""
+
+    dense_full: Weight = Field(0.0, description="Similarity of the dense cells in full.")
+    dense: Weight = Field(0.0, description="Similarity of the dense cells at half size.")
+    histogram: dict[str, Weight] = Field(
+        default_factory=dict, description="Similarity of the histogram vectors, by channel."
+    )
+    graph: Weight = Field(0.0, description="Similarity of the context graphs.")
+    verification: Weight = Field(0.0, description="Bonus of geometric verification.")
+
+    @model_validator(mode="after")
+    def _some_term_counts(self) -> Self:
+        if not self.terms():
+            raise ValueError("every weight is 0, so that all views would score the same; give at least one above 0")
+        return self
+
+    def terms(self) -> dict[str, float]:
+        """Weights above 0 by the names that terms have in an answer, ``histogram.CHANNEL`` for the histograms."""
+        named = {"dense_full": self.dense_full, "dense": self.dense}
+        named |= {f"histogram.{channel}": weight for channel, weight in self.histogram.items()}
+        named |= {"graph": self.graph, "verification": self.verification}
+        return {term: weight for term, weight in named.items() if weight > 0}
+
+
+class RankingConfig(Frozen):
+    """How the candidates of a query are ranked. What a description lacks (cells, local features) is left out."""
+
+    preset: str = Field("default", description="Named preset it started from; chooses the shipped calibration.")
+    mode: Literal["weighted", "graph"] = Field(
+        "weighted", description="weighted adds up terms; graph sorts by graph similarity alone, as the paper says."
+    )
+    candidates: Annotated[int, Field(ge=0, le=500)] = Field(
+        20, description="Re-ranked candidates of each channel; 0 ranks by histograms alone."
+    )
+    weights: TermWeights = TermWeights(graph=1.0)
+    full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
+        10, description="How many of the best by cells at half size are compared in full."
+    )
+    detail_only_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
+        0,
+        description="How many of those are also compared in full by the channel detail alone; 0 reads the cells of "
+        "all channels together only. A candidate counts by the comparison in which it stands out more.",
+    )
+    scale_penalty: Annotated[float, Field(ge=0, le=10)] = Field(
+        0.0, description="Exponent: a view that shows the place s times as large counts min(s, 1 / s) ** scale_penalty."
+    )
+    graph_cosine: Annotated[float, Field(ge=-1, lt=1)] = Field(
+        0.95, description="t: nodes correspond when their cosine is above this."
+    )
+    graph_max_edge: Annotated[float, Field(gt=0)] = Field(
+        70 / 520, description="tau: longest edge of a context graph, in fractions of the longer side."
+    )
+    verified_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
+        10, description="How many of the best are verified by local features; 0 verifies none."
+    )
+
+    def detail_only(self, recipe: DescriptionRecipe) -> int:
+        """`detail_only_top_k` as far as the recipe's cells join detail with something else; otherwise 0."""
+        channels = recipe.parameters.cell_channels()
+        return self.detail_only_top_k if DETAIL in channels and len(channels) > 1 else 0
+
+
+class MapRecipe(Frozen):
+    """Both halves of what a map is made with."""
+
+    description: DescriptionRecipe
+    ranking: RankingConfig

@@ -10,29 +10,30 @@ import numpy.typing as npt
 
 from schemas.description import Floats
 from schemas.image import ImageFacts
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 
 Sequence64 = npt.NDArray[np.int64]
 
 JobState = Literal["waiting", "running", "done", "failed", "cancelled"]
+JobKind = Literal["describe", "recipe", "vocabulary"]
 ViewState = Literal["pending", "ready", "failed"]
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """How an encoder understands a word.
+    """How an encoder understands a label.
 
     Parameters
     ----------
-    word : str
+    label : str
         As the user wrote it.
     mapped_to : tuple of str
-        The encoder's own words that stand for it; (word,) when it knows the word itself.
+        The encoder's own labels that stand for it; (label,) when it knows the label itself.
     trained : bool
         Whether labelled pixels of it were seen in training.
     """
 
-    word: str
+    label: str
     mapped_to: tuple[str, ...]
     trained: bool
 
@@ -66,8 +67,14 @@ class MapRecord:
 
     name: str
     revision: int
-    recipe: Recipe
+    description: DescriptionRecipe
+    ranking: RankingConfig
     created_at: datetime
+
+    @property
+    def recipe(self) -> MapRecipe:
+        """Both halves together."""
+        return MapRecipe(description=self.description, ranking=self.ranking)
 
 
 @dataclass(frozen=True)
@@ -114,14 +121,40 @@ class ViewRecord:
 
 
 @dataclass(frozen=True)
+class JobProgress:
+    """How far a job is: `done` of `total` images."""
+
+    done: int
+    total: int
+
+
+@dataclass(frozen=True)
 class JobRecord:
-    """A picture waiting to be described, being described, or done."""
+    """A piece of work in the background, durable.
+
+    Parameters
+    ----------
+    kind : str
+        ``describe``: one view; ``recipe``: all views of a map by another recipe; ``vocabulary``: train one on a map's
+        views, then describe them by it.
+    view_id : str or None
+        Of a describe job.
+    progress : JobProgress or None
+        None of a describe job, which is one step.
+    result : mapping or None
+        What a finished job made, such as the recipe's id.
+    failure : (str, str) or None
+        Code and detail.
+    """
 
     id: str
+    kind: JobKind
     state: JobState
     map: str
     view_id: str | None
     attempts: int
+    progress: JobProgress | None
+    result: Mapping[str, Any] | None
     created_at: datetime
     finished_at: datetime | None
     failure: tuple[str, str] | None
@@ -129,19 +162,29 @@ class JobRecord:
 
 @dataclass(frozen=True)
 class Claim:
-    """A job a worker holds until its lease ends.
+    """A describe job that a worker holds until its lease ends.
 
     Parameters
     ----------
     token : str
-        Proves the lease: `Store.finish` with an outdated token raises LeaseLost.
+        Proves the lease: finishing with an outdated token raises LeaseLost.
     """
 
     job_id: str
     token: str
     view: ViewRecord
-    recipe: Recipe
+    recipe: DescriptionRecipe
     attempts: int
+
+
+@dataclass(frozen=True)
+class MapClaim:
+    """A job of a whole map that a worker holds until its lease ends; reporting progress renews it."""
+
+    job_id: str
+    kind: JobKind
+    token: str
+    map: str
 
 
 @dataclass(frozen=True)

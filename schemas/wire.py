@@ -57,7 +57,7 @@ class DescriptionFacts(Answer):
     """What the map's recipe made of the picture."""
 
     recipe: str
-    keypoints: int = Field(description="Pixel descriptors that the histograms count.")
+    sampled_descriptors: int = Field(description="Pixel descriptors that the histograms count.")
     static_share: float = Field(description="Share of cells that do not move.", ge=0, le=1)
     labels: list[LabelShare] = Field(description="Labels present, largest share first.")
     nodes: int = Field(description="Nodes of the context graph.")
@@ -153,7 +153,7 @@ class DenseMatch(Answer):
         "channels, or of a channel alone, whichever has the view stand out more."
     )
     median_similarity: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
-    high: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
+    p85_similarity: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
     scale: float | None = Field(
         description="How much larger the view shows the place than the query, 0.5..2; null if not compared in full."
@@ -230,7 +230,8 @@ class QueryAnswer(Answer):
     query: QueryFacts
     map: str
     revision: int
-    recipe: str
+    recipe: str = Field(description="Id of the description recipe.")
+    ranking: str = Field(description="Id of the ranking.")
     searched: int
     status: Literal["matched", "ambiguous", "no_match"]
     confidence: float
@@ -240,11 +241,11 @@ class QueryAnswer(Answer):
 
 
 class Label(Answer):
-    """One word of a map's label set."""
+    """One label of a map's label set."""
 
     index: int = Field(description="Value of its pixels in segmentation.png.")
-    word: str
-    mapped_to: list[str] = Field(description="The encoder's own words that stand for it.")
+    label: str
+    mapped_to: list[str] = Field(description="The encoder's own labels that stand for it.")
     trained: bool = Field(description="Whether the encoder saw labelled pixels of it.")
     dynamic: bool
     colour: str = Field(description="#rrggbb in segmentation.png.")
@@ -265,7 +266,8 @@ class MapFacts(Answer):
     views: dict[Literal["pending", "ready", "failed"], int]
     places: int
     bytes: int = Field(description="Of the pictures.")
-    recipe: dict[str, Any] = Field(description="The whole recipe; `id` names it.")
+    recipe: dict[str, Any] = Field(description="What decides descriptions; `id` names it.")
+    ranking: dict[str, Any] = Field(description="How candidates are ranked; PATCH changes it. `id` names it.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None
@@ -281,16 +283,29 @@ class PutMap(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     labels: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, min_length=1, max_length=255, description="Words that pixels are labelled with, in order."
+        None, min_length=1, max_length=255, description="What pixels are labelled with, in order."
     )
     dynamic: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, max_length=255, description="Words of things that move; their pixels never describe a place."
+        None, max_length=255, description="Labels of things that move; their pixels never describe a place."
     )
     preset: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
         None, description="Named set of parameters, such as `default` or `paper`.", examples=["default"]
     )
     parameters: dict[str, Any] | None = Field(
-        None, description="Parameters that differ from the preset's.", examples=[{"candidates": 50}]
+        None, description="Description parameters that differ from the preset's.", examples=[{"local_features": 500}]
+    )
+    ranking: dict[str, Any] | None = Field(
+        None, description="Ranking parameters that differ from the preset's.", examples=[{"candidates": 100}]
+    )
+
+
+class PatchMap(BaseModel):
+    """What of a map changes at once: its ranking."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    ranking: dict[str, Any] = Field(
+        description="Ranking parameters to change; the others stay.", examples=[{"candidates": 100}]
     )
 
 
@@ -332,6 +347,13 @@ class Deleted(Answer):
     revision: int | None
 
 
+class JobProgress(Answer):
+    """How far a job is: images done, of how many."""
+
+    done: int
+    total: int
+
+
 class Job(Answer):
     """A piece of work in the background."""
 
@@ -341,10 +363,19 @@ class Job(Answer):
     map: str
     view: str | None
     attempts: int
+    progress: JobProgress | None = Field(description="Of a job of a map, once it has begun.")
+    result: dict[str, Any] | None = Field(description="What a finished job made, such as the id of the map's recipe.")
     created_at: Moment
     finished_at: Moment | None
     failure: Failure | None
     links: dict[str, str]
+
+
+class Jobs(Answer):
+    """A page of jobs, newest first."""
+
+    jobs: list[Job]
+    next: str | None = Field(description="Cursor of the next page; null on the last.")
 
 
 class Readiness(Answer):

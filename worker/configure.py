@@ -1,6 +1,47 @@
-"""The C library's allocator, told what this program is like."""
+"""Process globals, set in one place: threads of every library, the interpreter's switching, the allocator."""
 
 import ctypes
+import sys
+
+import cv2
+import faiss
+
+from schemas.errors import SetupError
+
+SWITCH_S = 0.001
+"""After how long a thread lets another one into the interpreter: the encoder's comes back for a moment between calls of
+many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment: docs/speed.md)."""
+
+
+def configure(threads: int, *, torch_threads: int | None = None, device: str = "cpu") -> None:
+    """Set what belongs to the whole process. How many threads numpy's products take is set in `worker.__init__`.
+
+    Parameters
+    ----------
+    threads : int
+        Of OpenCV.
+    torch_threads : int, optional
+        Of torch; None leaves torch alone, which is not imported then. More than 1 says that torch runs the network:
+        the allocator is then told to keep freed memory.
+    device : str
+        Where torch runs the network.
+
+    Raises
+    ------
+    SetupError
+        There is no such device.
+    """
+    cv2.setNumThreads(threads)
+    # A search is bound by memory; threads that contend for cores make it several times slower.
+    faiss.omp_set_num_threads(1)
+    sys.setswitchinterval(SWITCH_S)
+    if torch_threads is None:
+        return
+    import torch
+
+    torch.set_num_threads(torch_threads)
+    if device != "cpu" and not torch.cuda.is_available():
+        raise SetupError(f"REVISIT_DEVICE={device}, but this torch sees no GPU; set it to cpu")
 
 
 def keep_freed_memory() -> None:

@@ -1,4 +1,4 @@
-"""The worker's loop: claim a picture, have it described, keep the description."""
+"""The worker's loop: claim an image, have it described, keep the description; train and prune beside it."""
 
 import logging
 import threading
@@ -6,12 +6,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from typing import Protocol
 
 from schemas.description import Description
 from schemas.errors import LeaseLost, RevisitError
 from schemas.image import Image
-from schemas.ports import Store
-from schemas.records import Claim
+from schemas.records import Claim, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 
@@ -19,6 +19,12 @@ log = logging.getLogger("revisit.worker")
 
 AHEAD = 2
 """Batches claimed at a time: one is decoded while the other is encoded."""
+
+PRUNE_EVERY_S = 5.0
+"""How often jobs of maps, and what no map uses any more, are looked for."""
+
+MAP_JOB_PATIENCE_S = 10.0
+"""How long stopping waits for a job of a map to be put back."""
 
 Decode = Callable[[bytes], Image]
 
@@ -29,16 +35,61 @@ class _Underway:
     future: "Future[Timed[Description]]"
 
 
+class DescribeJobs(Protocol):
+    """The queue of images to be described, and of jobs of maps."""
+
+    def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
+        """Take up to `count` of the oldest jobs."""
+        ...
+
+    def finish(self, claim: Claim, description: Description, now: datetime) -> int:
+        """Keep a description; raises LeaseLost."""
+        ...
+
+    def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
+        """Give a job up; raises LeaseLost."""
+        ...
+
+    def release(self, claim: Claim) -> None:
+        """Put a job back unharmed."""
+        ...
+
+    def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
+        """Take the oldest job of a map that waits for a worker."""
+        ...
+
+
+class ImageReader(Protocol):
+    """Enrolled images."""
+
+    def image(self, view_id: str) -> bytes:
+        """The enrolled image; raises NotFound."""
+        ...
+
+
+class Pruning(Protocol):
+    """What no map uses any more."""
+
+    def prune(self) -> int:
+        """Remove one portion of it; 0 when nothing is left."""
+        ...
+
+
 class Loop:
-    """Describes enrolled pictures until it is stopped.
+    """Describes enrolled images until it is stopped.
+
+    Jobs of whole maps are carried out in a thread of their own, so that enrolments do not wait for them.
 
     Parameters
     ----------
-    store : Store
+    jobs, views, pruning
+        Parts of the store.
     scheduler : Scheduler
     describers : Describers
+    train : function
+        Carries out a job of a map; its second argument tells whether to stop.
     decode : function
-        Bytes to Picture; raises BadPicture.
+        Bytes to Image; raises BadImage.
     name : str
         Of this worker, for the leases.
     batch : int
@@ -49,19 +100,23 @@ class Loop:
 
     def __init__(
         self,
-        store: Store,
+        *,
+        jobs: DescribeJobs,
+        views: ImageReader,
+        pruning: Pruning,
         scheduler: Scheduler,
         describers: Describers,
+        train: Callable[[MapClaim, Callable[[], bool]], None],
         decode: Decode,
-        *,
         name: str,
         batch: int,
         lease: timedelta,
         idle_s: float = 0.5,
     ) -> None:
-        self._store = store
+        self._jobs, self._views, self._pruning = jobs, views, pruning
         self._scheduler = scheduler
         self._describers = describers
+        self._train = train
         self._decode = decode
         self._name = name
         self._batch = batch
@@ -70,6 +125,8 @@ class Loop:
         self._awake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self.run, name="revisit-worker", daemon=True)
+        self._map_thread = threading.Thread(target=self._run_map_jobs, name="revisit-map-jobs", daemon=True)
+        self._map_awake = threading.Event()
         self._on_finish: list[Callable[[str], None]] = []
 
     def on_finish(self, notify: Callable[[str], None]) -> None:
@@ -84,17 +141,21 @@ class Loop:
     def start(self) -> None:
         """Run in a thread of its own."""
         self._thread.start()
+        self._map_thread.start()
 
     def wake(self) -> None:
         """Look for work at once."""
         self._awake.set()
+        self._map_awake.set()
 
     def stop(self) -> None:
         """Finish what is being encoded, put the rest back, and stop."""
         self._stopping.set()
-        self._awake.set()
+        self.wake()
         if self._thread.is_alive():
             self._thread.join()
+        if self._map_thread.is_alive():  # one that is in the middle of a long step is taken up again after its lease
+            self._map_thread.join(MAP_JOB_PATIENCE_S)
 
     def run(self) -> None:
         """Work until `stop`; what goes wrong with one picture is that picture's failure, never the loop's."""
@@ -112,17 +173,31 @@ class Loop:
                 self._stopping.wait(self._idle_s)
         for item in underway:
             if item.future.cancel():
-                self._store.release(item.claim)
+                self._jobs.release(item.claim)
             else:
                 self._settle(item)
+
+    def _run_map_jobs(self) -> None:
+        """Carry out jobs of maps, and prune when there are none, until `stop`."""
+        while not self._stopping.is_set():
+            try:
+                claim = self._jobs.claim_map_job(self._name, self._lease, _now())
+                if claim is not None:
+                    self._train(claim, self._stopping.is_set)
+                elif not self._pruning.prune():
+                    self._map_awake.wait(max(self._idle_s, PRUNE_EVERY_S))
+                    self._map_awake.clear()
+            except Exception:
+                log.exception("the worker goes on after a failure of its own")
+                self._stopping.wait(self._idle_s)
 
     def _take(self, count: int) -> list[_Underway]:
         if count <= 0:
             return []
         taken = []
-        for claim in self._store.claim(self._name, count, self._lease, _now()):
+        for claim in self._jobs.claim(self._name, count, self._lease, _now()):
             try:
-                image = self._decode(self._store.image(claim.view.id))
+                image = self._decode(self._views.image(claim.view.id))
                 describer = self._describers.of(claim.recipe)
                 future = self._scheduler.submit(image, describer.describe, urgent=False, parallel=describer.keypoints)
                 taken.append(_Underway(claim, future))
@@ -137,7 +212,7 @@ class Loop:
             self._give_up(item.claim, error)
             return
         try:
-            self._store.finish(item.claim, description, _now())
+            self._jobs.finish(item.claim, description, _now())
         except LeaseLost:
             log.info("job %s was given to another worker, or its view was deleted", item.claim.job_id)
         self._tell(item.claim)
@@ -152,7 +227,7 @@ class Loop:
                 f"describing it failed ({type(error).__name__}); the service's log has the details",
             )
         try:
-            self._store.fail(claim, code, detail, _now())
+            self._jobs.fail(claim, code, detail, _now())
         except LeaseLost:
             log.info("job %s was given to another worker, or its view was deleted", claim.job_id)
         self._tell(claim)

@@ -1,35 +1,81 @@
-"""Everything that is running, in one place."""
+"""The one place that names adapters: settings in, everything that runs out."""
 
+import os
+import platform
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from functools import partial
 
 from schemas.image import Image
-from schemas.ports import Encoder, Store
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.settings import Settings
+from worker.configure import configure, keep_freed_memory
 from worker.description.describers import Describers
+from worker.description.map_training import VocabularyTrainer
+from worker.description.ports import Encoder, Segmenter
+from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
+from worker.description.vocabularies import SHIPPED
+from worker.images import codec
 from worker.loop import Loop
+from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
+from worker.method.decision import UNCALIBRATED
 from worker.search.catalogue import Catalogue
-from worker.search.searcher import Searcher
+from worker.search.flat_index import FlatIndex
+from worker.service.enroll import EnrollService
+from worker.service.explanations import Explanations
+from worker.service.jobs import JobService
+from worker.service.maps import MapService
+from worker.service.query import QueryService
+from worker.service.renderings import RenderingService
+from worker.service.settlements import Settlements
+from worker.service.views import ViewService
+from worker.storage.locks import lock_for_serving
+from worker.storage.migrating import newest
+from worker.storage.store import SqlStore, open_store
+
+GPU_BATCH = 8
+
+
+@dataclass(frozen=True)
+class Services:
+    """The use-cases."""
+
+    enroll: EnrollService
+    query: QueryService
+    views: ViewService
+    renderings: RenderingService
+    maps: MapService
+    jobs: JobService
 
 
 @dataclass(frozen=True)
 class Runtime:
-    """The parts of a service, built by `worker.bootstrap` and started together.
+    """The parts of a service, built by `build` and started together.
 
     Parameters
     ----------
-    decode, thumbnail, shrink : function
-        Bytes to Picture; bytes and longest side to a JPEG; Picture to one small enough to keep.
-    default_recipe : Recipe
-        Of maps that are made by their first enrolment.
+    settings : Settings
+    encoder : Encoder
+    store : SqlStore
+    decode : function
+        Bytes to Image; raises BadImage.
+    scheduler : Scheduler
+        Owns the encoder.
+    describers : Describers
+    catalogue : Catalogue
+        Of the maps' indexes.
     loop : Loop or None
-        None when other processes describe the pictures.
+        None when other processes describe the images.
+    settlements : Settlements
+        Tells when a view is described.
+    services : Services
+    default_recipe : MapRecipe
+        Of maps that are made by their first enrolment.
     calibration : function
-        Recipe to what makes confidences of its scores.
+        Recipe to what makes confidences of its evidence.
     schema_version : str
         Of the database's tables.
     serving : bool
@@ -40,17 +86,16 @@ class Runtime:
 
     settings: Settings
     encoder: Encoder
-    store: Store
+    store: SqlStore
     decode: Callable[[bytes], Image]
-    thumbnail: Callable[[bytes, int], bytes]
-    shrink: Callable[[Image], Image]
     scheduler: Scheduler
     describers: Describers
     catalogue: Catalogue
-    searcher: Searcher
     loop: Loop | None
-    default_recipe: Recipe
-    calibration: Callable[[Recipe], Calibration]
+    settlements: Settlements
+    services: Services
+    default_recipe: MapRecipe
+    calibration: Callable[[MapRecipe], Calibration]
     schema_version: str
     serving: bool
     unlock: Callable[[], None]
@@ -70,3 +115,209 @@ class Runtime:
         self.scheduler.stop()
         self.store.close()
         self.unlock()
+
+
+MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
+"""From settings and a number of threads."""
+
+
+def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter | None]:
+    """The encoder that the settings name, and its segmenter; networks are imported only when one is."""
+    if settings.encoder == "color":
+        from worker.encoders.color import ColorEncoder
+
+        return ColorEncoder(), None
+    in_torch = settings.encoder == "lseg" or settings.device != "cpu"
+    if in_torch:
+        keep_freed_memory()
+    # Beside ONNX Runtime torch runs only products of bytes: more threads would only spin.
+    configure(threads, torch_threads=threads if in_torch else 1, device=settings.device)
+    if settings.encoder == "compact":
+        from worker.encoders.compact.encoder import CompactEncoder
+
+        compact = CompactEncoder(settings.device, threads=threads)
+        return compact, compact.segmenter()
+    from worker.encoders.lseg.encoder import LsegEncoder
+
+    lseg = LsegEncoder.open(
+        settings.weights,
+        vocabulary=settings.bpe,
+        mode=settings.lseg_mode,
+        device=settings.device,
+        batch=settings.batch,
+    )
+    return lseg, None
+
+
+def make_product(settings: Settings) -> Product:
+    """How vectors of bytes are multiplied: with what is loaded for the encoder anyway."""
+    if settings.encoder == "color":
+        return float_product
+    from worker.search.byte_product import fastest_product
+
+    return fastest_product()
+
+
+def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder = make_encoder) -> Runtime:
+    """Build everything, start nothing.
+
+    Parameters
+    ----------
+    settings : Settings
+    serving : bool
+        True for the one process that answers HTTP over a data folder; False for a worker beside it.
+    make_encoder : function
+        For measuring with another encoder.
+
+    Raises
+    ------
+    SetupError
+        The data folder is in use, the database is newer than this program, or the encoder cannot be loaded.
+    """
+    threads = settings.threads or os.cpu_count() or 1
+    configure(threads)
+    settings.data.mkdir(parents=True, exist_ok=True)
+    unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
+    try:
+        encoder, segmenter = make_encoder(settings, threads)
+        store = open_store(settings.database_url, settings.data)
+        batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
+        scheduler = Scheduler(encoder, batch, settings.queries, segmenter)
+        product = make_product(settings)
+        general = [general_vocabulary(encoder, name) for name in PRESETS]
+        describers = Describers(encoder, store.vocabularies, general, product)
+        catalogue = Catalogue(store.maps, store.descriptions, _empty_index)
+        decode = partial(codec.decode, limits=codec.Limits.of(settings))
+        lease = timedelta(seconds=settings.lease_s)
+        trainer = VocabularyTrainer(
+            maps=store.maps,
+            views=store.views,
+            vocabularies=store.vocabularies,
+            jobs=store.jobs,
+            describers=describers,
+            scheduler=scheduler,
+            decode=decode,
+            lease=lease,
+        )
+        loop = None
+        if settings.inline_worker or not serving:
+            loop = Loop(
+                jobs=store.jobs,
+                views=store.views,
+                pruning=store.pruning,
+                scheduler=scheduler,
+                describers=describers,
+                train=trainer.run,
+                decode=decode,
+                name=f"{platform.node()}:{os.getpid()}",
+                batch=batch,
+                lease=lease,
+            )
+        settlements = Settlements(store.views)
+        if loop is not None:
+            loop.on_finish(settlements.notify)
+        default_recipe = make_recipe(encoder, Wanted(), preset=settings.preset)
+        return Runtime(
+            settings=settings,
+            encoder=encoder,
+            store=store,
+            decode=decode,
+            scheduler=scheduler,
+            describers=describers,
+            catalogue=catalogue,
+            loop=loop,
+            settlements=settlements,
+            services=_services(
+                settings, encoder, store, scheduler, describers, catalogue, decode, product, settlements,
+                default_recipe, _nothing if loop is None else loop.wake,
+            ),
+            default_recipe=default_recipe,
+            calibration=shipped_calibration,
+            schema_version=newest(),
+            serving=serving,
+            unlock=unlock,
+        )  # fmt: skip
+    except BaseException:
+        unlock()
+        raise
+
+
+def _services(
+    settings: Settings,
+    encoder: Encoder,
+    store: SqlStore,
+    scheduler: Scheduler,
+    describers: Describers,
+    catalogue: Catalogue,
+    decode: Callable[[bytes], Image],
+    product: Product,
+    settlements: Settlements,
+    default_recipe: MapRecipe,
+    wake: Callable[[], None],
+) -> Services:
+    """The use-cases, each with the parts it needs."""
+    explanations = Explanations(settings.explanations)
+    return Services(
+        enroll=EnrollService(
+            maps=store.maps,
+            enrolment=store.enrolment,
+            views=store.views,
+            removals=store.removals,
+            queue=store.jobs,
+            settlements=settlements,
+            decode=decode,
+            default_recipe=default_recipe,
+            limit=settings.queue,
+            pace_s=lambda: scheduler.pace_s,
+            wake=wake,
+        ),
+        query=QueryService(
+            maps=store.maps,
+            views=store.views,
+            listings=store.listings,
+            descriptions=store.descriptions,
+            describers=describers,
+            scheduler=scheduler,
+            catalogue=catalogue,
+            decode=decode,
+            shrink=codec.shrink,
+            calibration=shipped_calibration,
+            explanations=explanations,
+            product=product,
+        ),
+        views=ViewService(maps=store.maps, views=store.views, removals=store.removals, listings=store.listings),
+        renderings=RenderingService(
+            maps=store.maps,
+            views=store.views,
+            describers=describers,
+            scheduler=scheduler,
+            decode=decode,
+            thumbnail=codec.thumbnail,
+            explanations=explanations,
+        ),
+        maps=MapService(
+            maps=store.maps,
+            removals=store.removals,
+            jobs=store.jobs,
+            encoder=encoder,
+            describers=describers,
+            catalogue=catalogue,
+            preset=settings.preset,
+            wake=wake,
+        ),
+        jobs=JobService(store.jobs),
+    )
+
+
+def shipped_calibration(recipe: MapRecipe) -> Calibration:
+    """The calibration that comes with an encoder and a preset, or one that reads the score alone."""
+    path = SHIPPED / f"{recipe.description.encoder}-{recipe.ranking.preset}.calibration.json"
+    return Calibration.from_json(path.read_text()) if path.exists() else UNCALIBRATED
+
+
+def _empty_index(recipe: DescriptionRecipe) -> FlatIndex:
+    return FlatIndex({name: channel.length for name, channel in recipe.parameters.channels.items()}, recipe.id)
+
+
+def _nothing() -> None:
+    """A worker holds no lock of its own: the store it opens keeps migrations away."""

@@ -67,7 +67,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
     show(table(heads, rows))
     if arguments.name is not None:
         labels = [
-            (label.index, label.word, label.dynamic, label.colour, ", ".join(label.mapped_to))
+            (label.index, label.label, label.dynamic, label.colour, ", ".join(label.mapped_to))
             for label in maps[0].labels
         ]
         show("\n" + table(("index", "label", "moves", "colour", "stands for"), labels))
@@ -143,6 +143,8 @@ def run_places(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show_json([place.model_dump(mode="json") for place in places])
         return DONE
-    rows = [(p.map, p.place, p.views, position_text(p.position), f"{p.last_enrolled_at:%Y-%m-%d %H:%M:%S}") for p in places]
+    rows = [
+        (p.map, p.place, p.views, position_text(p.position), f"{p.last_enrolled_at:%Y-%m-%d %H:%M:%S}") for p in places
+    ]
     show(table(("map", "place", "views", "position", "last enrolled"), rows))
     return DONE

@@ -124,7 +124,7 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
     import uvicorn
 
     from app.http.application import create_app
-    from worker.bootstrap import build
+    from worker.runtime import build
 
     runtime = build(settings)
     config = uvicorn.Config(
@@ -167,8 +167,8 @@ def _server(config: "uvicorn.Config", runtime: "Runtime", url: str) -> "uvicorn.
 def announce(runtime: "Runtime", url: str) -> None:
     """Say what runs where."""
     settings = runtime.settings
-    maps = runtime.store.maps()
-    counts = [runtime.store.counts(record.name) for record in maps]
+    maps = runtime.store.maps.all()
+    counts = [runtime.store.maps.counts(record.name) for record in maps]
     views = sum(count.views.get("ready", 0) for count in counts)
     pending = sum(count.views.get("pending", 0) for count in counts)
     waiting = f", {pending} waiting to be described" if pending else ""
@@ -190,7 +190,7 @@ def run_worker(arguments: argparse.Namespace) -> int:
     """Describe until a signal."""
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
     logs.configure(settings.log)
-    from worker.bootstrap import build
+    from worker.runtime import build
 
     runtime = build(settings, serving=False)
     stop = threading.Event()

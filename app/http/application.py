@@ -1,6 +1,5 @@
 """The application: middleware around routes around use-cases."""
 
-import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -54,7 +53,6 @@ def application(service: Service) -> FastAPI:
     )
     app.state.service = service
     app.state.metrics = metrics = Metrics()
-    app.state.patching = asyncio.Lock()
     for room in (enroll, query, views, images, maps, places, jobs, health):
         app.include_router(room.router)
     app.openapi = lambda: document(app)  # type: ignore[method-assign]

@@ -16,6 +16,7 @@ from schemas.records import Replay
 
 logger = logging.getLogger("revisit.http")
 
+
 HEADER = "Idempotency-Key"
 REPLAYED = "Idempotent-Replayed"
 

@@ -64,16 +64,16 @@ class Lifecycle:
             needed["worker"] = "ok" if runtime.loop.alive else "its thread has ended; restart the service"
         maps = {}
         if needed["database"] == "ok":
-            for record in runtime.store.maps():
+            for record in runtime.store.maps.all():
                 try:
-                    runtime.describers.of(record.recipe)
+                    runtime.describers.of(record.description)
                 except RevisitError as error:
                     maps[f"map {record.name}"] = error.detail
         return wire.Readiness(ready=all(state == "ok" for state in needed.values()), checks=needed | maps)
 
     async def queue_length(self) -> int:
         """Pictures that wait to be described."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._runtime.store.waiting)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._runtime.store.jobs.count_waiting)
 
     async def version(self) -> wire.Version:
         """What is running."""

@@ -176,9 +176,6 @@ class QueryParameters(FilterParameters):
         description="How many of each channel are re-ranked; 0: histograms alone. Default: the map's.",
     )
     explain: bool = Field(False, description="Say and draw which regions and keypoints matched.")
-    drive: Annotated[str, Field(min_length=1, max_length=128, pattern=r"^[\x21-\x7e]+$")] | None = Field(
-        None, description="Your name for the sequence this picture belongs to."
-    )
 
 
 class ListViews(FilterParameters):
@@ -208,6 +205,18 @@ class DeleteViews(FilterParameters):
         elif not everything and not filtered:
             found.append(ParameterError("all", "give at least one filter, or all=true to delete every view of the map"))
         return found
+
+
+class ListJobs(Parameters):
+    """Of `GET /jobs`."""
+
+    map: MapName | None = None
+    kind: Literal["describe", "recipe", "vocabulary"] | None = Field(None, description="Only jobs of this kind.")
+    state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(
+        None, description="Only jobs in this state."
+    )
+    cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
+    limit: int = Field(50, ge=1, le=500, description="Jobs a page.")
 
 
 class ListPlaces(Parameters):

@@ -1,4 +1,4 @@
-"""Records to answers: what the store knows, as it travels."""
+"""Domain objects to answers: what the use-cases give, as it travels."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -6,13 +6,18 @@ from datetime import datetime
 
 from schemas import wire
 from schemas.description import ContextGraph, Floats
-from schemas.recipe import Recipe
-from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Position, Removal, ViewRecord
+from schemas.recipe import DescriptionRecipe
+from schemas.records import JobRecord, Position, Removal, ViewRecord
 from worker.images.palette import colour
+from worker.method.cascade import GraphEvidence
 from worker.method.decision import Decision
 from worker.method.estimate import locate
 from worker.method.verification import Verified
-from worker.search.searcher import GraphEvidence, ScoredView
+from worker.service.enroll import Enrolled
+from worker.service.explanations import point
+from worker.service.maps import MapState
+from worker.service.query import QueryResult, ScoredView
+from worker.service.views import LabelledView
 
 
 def position(position: Position) -> wire.Position | None:
@@ -55,7 +60,7 @@ def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
         if description is None
         else wire.DescriptionFacts(
             recipe=description.recipe,
-            keypoints=description.descriptor_count,
+            sampled_descriptors=description.descriptor_count,
             static_share=description.static_share,
             labels=label_shares(description.label_shares, labels),
             nodes=description.nodes,
@@ -77,16 +82,19 @@ def failure(reason: tuple[str, str] | None) -> wire.Failure | None:
 
 def job(record: JobRecord) -> wire.Job:
     """A job."""
-    links = {"self": f"/jobs/{record.id}"}
+    links = {"self": f"/jobs/{record.id}", "map": f"/maps/{record.map}"}
     if record.view_id is not None:
         links["view"] = f"/views/{record.view_id}"
+    progress = record.progress
     return wire.Job(
         id=record.id,
-        kind="describe",
+        kind=record.kind,
         state=record.state,
         map=record.map,
         view=record.view_id,
         attempts=record.attempts,
+        progress=None if progress is None else wire.JobProgress(done=progress.done, total=progress.total),
+        result=None if record.result is None else dict(record.result),
         created_at=record.created_at,
         finished_at=record.finished_at,
         failure=failure(record.failure),
@@ -99,10 +107,12 @@ def removal(receipt: Removal) -> wire.Deleted:
     return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision)
 
 
-def map_facts(record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning]) -> wire.MapFacts:
-    """A map; `meanings` says how the encoder understands its labels."""
-    recipe = record.recipe
+def map_facts(state: MapState) -> wire.MapFacts:
+    """A map."""
+    record, counts = state.record, state.counts
+    recipe, ranking = record.description, record.ranking
     lowest, highest = position(counts.lowest), position(counts.highest)
+    channels = recipe.parameters.channels.items()
     return wire.MapFacts(
         name=record.name,
         revision=record.revision,
@@ -110,30 +120,26 @@ def map_facts(record: MapRecord, counts: MapCounts, meanings: Sequence[Meaning])
         places=counts.places,
         bytes=counts.image_bytes,
         recipe={"id": recipe.id, **recipe.model_dump(mode="json")},
+        ranking={"id": ranking.id, **ranking.model_dump(mode="json")},
         labels=[
             wire.Label(
                 index=index,
-                word=meaning.word,
+                label=meaning.label,
                 mapped_to=list(meaning.mapped_to),
                 trained=meaning.trained,
-                dynamic=meaning.word in recipe.dynamic,
-                colour="#{:02x}{:02x}{:02x}".format(*colour(meaning.word)),
+                dynamic=meaning.label in recipe.dynamic,
+                colour="#{:02x}{:02x}{:02x}".format(*colour(meaning.label)),
             )
-            for index, meaning in enumerate(meanings)
+            for index, meaning in enumerate(state.meanings)
         ],
         vocabulary={
             "sha256": recipe.vocabulary,
-            "words": {name: channel.words for name, channel in recipe.parameters.channels.items()},
-            "dimensions": {name: channel.length for name, channel in recipe.parameters.channels.items()},
+            "vocabulary_size": {name: channel.vocabulary_size for name, channel in channels},
+            "dimensions": {name: channel.length for name, channel in channels},
         },
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),
         created_at=record.created_at,
     )
-
-
-def unexplained(labels: Sequence[str]) -> list[Meaning]:
-    """Meanings of labels that belong to an encoder which is not running."""
-    return [Meaning(label, (), trained=False) for label in labels]
 
 
 def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
@@ -142,8 +148,59 @@ def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
     return wire.Place(map=map_name, place=name, views=views, position=position(mean), last_enrolled_at=last)
 
 
+def labelled_view(labelled: LabelledView) -> wire.View:
+    """A view with the label set of its map."""
+    return view(labelled.record, labelled.labels)
+
+
+def enrolled(outcome: Enrolled) -> wire.Enrolled:
+    """What came of an image."""
+    return wire.Enrolled(
+        view=view(outcome.view, outcome.labels),
+        created=outcome.created,
+        revision=outcome.revision,
+        job=outcome.job_id,
+        timing_ms=outcome.timing_ms,
+    )
+
+
+def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
+    """The answer to a query."""
+    results, decision = result.results, result.decision
+    recipe = results.recipe.description
+    explained = result.id if result.explained else None
+    graph = result.description.appearance.graph
+    return wire.QueryAnswer(
+        query=wire.QueryFacts(
+            id=result.id,
+            width=result.image.width,
+            height=result.image.height,
+            labels=label_shares(result.description.label_shares, recipe.labels),
+            static_share=result.description.static_share,
+        ),
+        map=map_name,
+        revision=results.revision,
+        recipe=recipe.id,
+        ranking=results.recipe.ranking.id,
+        searched=results.searched,
+        status=decision.status,
+        confidence=decision.confidence,
+        matches=[
+            match(rank, scored, confidence, recipe, graph, explained)
+            for rank, (scored, confidence) in enumerate(zip(results.views, decision.confidences, strict=True), start=1)
+        ],
+        estimate=estimate(results.views, decision),
+        timing_ms=dict(result.timing_ms),
+    )
+
+
 def match(
-    rank: int, found: ScoredView, confidence: float, recipe: Recipe, query_graph: ContextGraph, explained: str | None
+    rank: int,
+    found: ScoredView,
+    confidence: float,
+    recipe: DescriptionRecipe,
+    query_graph: ContextGraph,
+    explained: str | None,
 ) -> wire.Match:
     """One match; `explained` is the query's id when its explanation is kept."""
     base = f"/views/{found.view.id}"
@@ -165,15 +222,15 @@ def match(
     )
 
 
-def _graph(evidence: GraphEvidence, recipe: Recipe, query: ContextGraph, explain: bool) -> wire.GraphMatch:
+def _graph(evidence: GraphEvidence, recipe: DescriptionRecipe, query: ContextGraph, explain: bool) -> wire.GraphMatch:
     pairs = None
     if explain:
         pairs = [
             wire.NodePair(
                 label=recipe.labels[query.labels[p]],
                 cosine=cosine,
-                query=_point(query.positions[p]),
-                view=_point(evidence.view.positions[r]),
+                query=point(query.positions[p]),
+                view=point(evidence.view.positions[r]),
             )
             for (p, r), cosine in zip(evidence.pairs, evidence.cosines, strict=True)
         ]
@@ -188,17 +245,13 @@ def _graph(evidence: GraphEvidence, recipe: Recipe, query: ContextGraph, explain
 
 
 def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
-    pairs = [(_point(pair[:2]), _point(pair[2:])) for pair in verified.pairs] if explain else None
+    pairs = [(point(pair[:2]), point(pair[2:])) for pair in verified.pairs] if explain else None
     return wire.VerificationMatch(
         inliers=verified.inliers,
         matches=verified.matches,
         transform=None if verified.transform is None else verified.transform.tolist(),
         pairs=pairs,
     )
-
-
-def _point(position: Floats) -> tuple[float, float]:
-    return float(position[0]), float(position[1])
 
 
 def estimate(found: Sequence[ScoredView], decision: Decision) -> wire.Estimate | None:

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-from app.http.changes import Changes
 from app.http.curate import Curator
-from app.http.explanations import Explanations
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
 from schemas.settings import Settings
@@ -33,11 +31,11 @@ class Service:
 
     @classmethod
     def of(cls, runtime: Runtime) -> "Service":
-        """The use-cases around a house."""
-        explanations = Explanations(runtime.settings.explanations)
+        """The use-cases of a runtime."""
+        services = runtime.services
         return cls(
-            Recogniser(runtime, explanations),
-            Curator(runtime, explanations, Changes(runtime)),
+            Recogniser(services.enroll, services.query, runtime.settlements, runtime.settings.queries),
+            Curator(services.views, services.renderings, services.maps, services.jobs, runtime.store.calls),
             Lifecycle(runtime),
             runtime.settings,
         )

@@ -12,7 +12,7 @@ from lab.baselines.random_order import RandomOrder
 from lab.baselines.tiny import TinyImage
 from schemas.errors import InvalidParameters
 from schemas.image import Image
-from schemas.ports import Encoder
+from worker.description.ports import Encoder
 
 NAMES = ("random", "tiny", "hog", "orb", "labels", "netvlad")
 PLAIN = ("random", "tiny", "hog", "orb")

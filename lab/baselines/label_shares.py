@@ -8,7 +8,7 @@ import numpy as np
 from lab.baselines.baseline import Tick, described, euclidean
 from schemas.description import Floats
 from schemas.image import Image
-from schemas.ports import Encoder
+from worker.description.ports import Encoder
 
 
 class LabelShares:

@@ -15,7 +15,7 @@ from scenes.scene import Scene, scene
 from schemas.description import PixelField
 from schemas.image import Image
 from schemas.settings import Settings
-from worker.bootstrap import make_encoder
+from worker.runtime import make_encoder
 from worker.description.describer import Describer
 from worker.description.presets import general_vocabulary, make_recipe
 from worker.images import drawing
@@ -43,7 +43,7 @@ class Portraitist:
 
     def labels(self, image: Image) -> Pixels:
         """The labels over the picture, as `GET /views/{id}/segmentation.png?overlay=true` draws them."""
-        seen = self._describer.see(self._encoder.fine(image))
+        seen = self._describer.segment(self._encoder.fine(image))
         return _decoded(
             drawing.overlay_png(image.pixels, seen.labels, self._describer.recipe.labels, seen.static), image
         )
@@ -52,7 +52,7 @@ class Portraitist:
         """The context graph over the picture."""
         field: PixelField = next(iter(self._encoder.encode([image])))
         recipe = self._describer.recipe
-        graph = self._describer.graph(field, self._describer.see(field))
+        graph = self._describer.graph(field, self._describer.segment(field))
         return _decoded(drawing.graph_png(image.pixels, graph, recipe.labels, recipe.parameters.graph.tau), image)
 
 

@@ -34,7 +34,7 @@ from schemas.description import Description
 from schemas.image import Image
 from schemas.records import Filters
 from schemas.settings import Settings
-from worker.bootstrap import build, make_product
+from worker.runtime import build, make_product
 from worker.description.describer import Describer
 from worker.runtime import Runtime
 from worker.search.searcher import Searcher
@@ -190,8 +190,8 @@ def asking(
     runtime.catalogue.index("default")
     rows = [Row("index from the database", views, (time.perf_counter() - began) * 1000)]
     index, _ = runtime.catalogue.index("default")
-    selection = runtime.store.select("default", Filters())
-    changes = runtime.store.since("default", 0)
+    selection = runtime.store.listings.select("default", Filters())
+    changes = runtime.store.descriptions.since("default", 0)
     start = 0
     for name, channel in recipe.parameters.channels.items():
         bare = faiss.IndexFlatL2(channel.length)

@@ -75,7 +75,7 @@ class ServiceArtist:
         describer, recipe = self._describer(), self.retriever.settings
 
         def draw(pixels: Image, field: PixelField) -> bytes:
-            graph = describer.graph(field, describer.see(field))
+            graph = describer.graph(field, describer.segment(field))
             return drawing.graph_png(pixels.pixels, graph, recipe.labels, recipe.parameters.graph.tau)
 
         return self.runtime.scheduler.submit(image, draw, urgent=True).result().value

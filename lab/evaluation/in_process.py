@@ -12,7 +12,7 @@ from lab.evaluation.gallery import Artist
 from lab.evaluation.querying import Retriever
 from lab.evaluation.service import ServiceRetriever, map_of_its_own
 from schemas.settings import Settings
-from worker.description.presets import make_recipe
+from worker.description.presets import Wanted, make_recipe
 from worker.runtime import Runtime
 
 
@@ -26,7 +26,7 @@ def runtime_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[R
         Encoder, weights and threads are taken from them; where they keep data is not touched.
     device : str
     """
-    from worker.bootstrap import build
+    from worker.runtime import build
 
     with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
         apart = {"data": Path(folder), "database": None, "inline_worker": True, "device": device}
@@ -40,7 +40,7 @@ def runtime_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[R
 
 def contender(runtime: Runtime, preset: str) -> Contender:
     """A preset of a house as something to be measured."""
-    recipe = make_recipe(runtime.encoder, preset)
+    recipe = make_recipe(runtime.encoder, Wanted(), preset=preset)
     return Contender(partial(map_of_its_own, runtime, recipe, preset), _artist)
 
 

@@ -1,48 +1,33 @@
-"""The service in this process as something to be measured: its store, its desk and its search, without HTTP."""
+"""The service in this process as something to be measured: its use-cases, without HTTP."""
 
-import threading
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
 from lab.datasets.dataset import Dataset
 from lab.evaluation.querying import Answer, Retriever
-from schemas.description import Description
-from schemas.errors import RevisitError
-from schemas.image import Image, ImageFacts
-from schemas.recipe import Recipe
+from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position, ViewAttributes
-from worker.description.scheduler import Timed
-from worker.method.decision import decide, features
+from worker.method.decision import features
 from worker.runtime import Runtime
-from worker.search.searcher import Answer as Ranked
+from worker.service.query import QueryResult
 
-LOOK_AGAIN_S = 0.25
-"""How long to wait for the worker's word before looking for oneself."""
+PATIENCE_S = 600.0
+"""How long the description of one image may take."""
 
 _numbers = count()
 
 
-@dataclass(frozen=True, eq=False)
-class QueryRecord:
-    """What the house made of a query."""
-
-    timed: Timed[Description]
-    answer: Ranked
-
-
 class ServiceRetriever:
-    """A map of its own in a house that has been started.
+    """A map of its own in a runtime that has been started.
 
     Parameters
     ----------
     runtime : Runtime
-        Built by `worker.bootstrap`, with a worker of its own.
-    recipe : Recipe
+        Built by `worker.runtime`, with a worker of its own.
+    recipe : MapRecipe
         Of the map.
     name : str
         In tables.
@@ -50,85 +35,54 @@ class ServiceRetriever:
         New.
     """
 
-    def __init__(self, runtime: Runtime, recipe: Recipe, name: str, map_name: str) -> None:
+    def __init__(self, runtime: Runtime, recipe: MapRecipe, name: str, map_name: str) -> None:
         if runtime.loop is None:
-            raise ValueError("a house without a worker describes nothing")
+            raise ValueError("a runtime without a worker describes nothing")
         self.runtime, self.settings, self.name, self.map_name = runtime, recipe, name, map_name
-        runtime.store.put_map(map_name, recipe, datetime.now(UTC))
-        self._settled = threading.Event()
-        self._loop = runtime.loop
-        self._loop.on_finish(lambda _: self._settled.set())
+        runtime.store.maps.put(map_name, recipe, datetime.now(UTC))
 
     @property
     def recipe(self) -> str:
-        """Id of the map's recipe, and how its confidences are made."""
-        return f"{self.settings.id} {self.runtime.calibration(self.settings).to_json()}"
+        """Id of both halves of the map's recipe, and how its confidences are made."""
+        calibration = self.runtime.calibration(self.settings).to_json()
+        return f"{self.settings.description.id} {self.settings.ranking.id} {calibration}"
 
     def enroll(self, image: Path, position: Position) -> str:
-        """Keep a picture and wait until it is described; raises RevisitError when it cannot be."""
-        data = image.read_bytes()
-        decoded = self.runtime.decode(data)
-        facts = ImageFacts(decoded.width, decoded.height, decoded.byte_count, decoded.format, decoded.digest)
-        store = self.runtime.store
-        kept = store.submit(
-            self.map_name, data, facts, ViewAttributes(position=position), self.settings, datetime.now(UTC)
+        """Enrol an image and wait until it is described; raises RevisitError when it cannot be."""
+        service = self.runtime.services.enroll
+        outcome = service.enroll(
+            image.read_bytes(), self.map_name, ViewAttributes(position=position), patience_s=PATIENCE_S
         )
-        view = kept.view
-        self._loop.wake()
-        while view.state == "pending":
-            self._settled.wait(LOOK_AGAIN_S)
-            self._settled.clear()
-            view = store.view(view.id)
-        if view.failure is not None:
-            refusal = RevisitError(view.failure[1])
-            refusal.code = view.failure[0]
-            raise refusal
-        return view.id
+        return outcome.view.id
 
     def query(self, image: Path, top: int) -> Answer:
-        """Ask; the histograms alone are searched a second time with the same description."""
-        began = time.perf_counter()
-        decoded = self.runtime.decode(image.read_bytes())
-        decode_ms = (time.perf_counter() - began) * 1000
-        results = self.ask(decoded, top)
-        total_ms = (time.perf_counter() - began) * 1000
-        found = results.answer.found
-        decision = decide(found, self.runtime.calibration(results.answer.recipe))
-        plain = self._search(results.timed.value, top, 0)
-        timing: Mapping[str, float] = {
-            "decode": decode_ms,
-            "encode": results.timed.encode_ms,
-            "describe": results.timed.finish_ms,
-            **results.answer.timing_ms,
-            "total": total_ms,
-        }
+        """Query; the histograms alone are searched a second time with the same description."""
+        result = self.result(image, top)
+        results = result.results
+        plain = self.runtime.services.query.search(
+            self.map_name, results.recipe.description, result.description, filters=Filters(), top=top, candidates=0
+        )
+        found = results.views
         return Answer(
-            views=tuple(f.view.id for f in found),
-            before=tuple(f.view.id for f in plain.found),
-            scores=tuple(f.score for f in found),
-            confidence=decision.confidence,
-            status=decision.status,
-            timing_ms=timing,
+            views=tuple(scored.view.id for scored in found),
+            before=tuple(scored.view.id for scored in plain.views),
+            scores=tuple(scored.score for scored in found),
+            confidence=result.decision.confidence,
+            status=result.decision.status,
+            timing_ms=result.timing_ms,
             features={name: float(values[0]) for name, values in features(found).items()} if found else {},
         )
 
-    def ask(self, image: Image, top: int) -> QueryRecord:
-        """Describe and search, with everything that the search saw."""
-        describer = self.runtime.describers.of(self.settings)
-        timed = self.runtime.scheduler.submit(
-            image, describer.describe, urgent=True, parallel=describer.keypoints
-        ).result()
-        return QueryRecord(timed, self._search(timed.value, top, None))
-
-    def _search(self, description: Description, top: int, candidates: int | None) -> Ranked:
-        return self.runtime.searcher.search(self.map_name, self.settings, description, Filters(), top, candidates)
+    def result(self, image: Path, top: int) -> QueryResult:
+        """The whole result of a query, with everything that the search saw."""
+        return self.runtime.services.query.query(image.read_bytes(), self.map_name, top=top)
 
 
 @contextmanager
-def map_of_its_own(runtime: Runtime, recipe: Recipe, name: str, dataset: Dataset) -> Iterator[Retriever]:
+def map_of_its_own(runtime: Runtime, recipe: MapRecipe, name: str, dataset: Dataset) -> Iterator[Retriever]:
     """A retriever on a new map, which is deleted afterwards."""
     map_name = f"evaluation-{next(_numbers)}"
     try:
         yield ServiceRetriever(runtime, recipe, name, map_name)
     finally:
-        runtime.store.delete_map(map_name)
+        runtime.services.maps.delete(map_name)

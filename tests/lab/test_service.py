@@ -68,7 +68,7 @@ def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Datase
     assert any("segmentation by words" in c for c in captions)
     assert any("what agrees" in c for c in captions)
     assert all(shown.data[:2] in (b"\x89P", b"\xff\xd8") for e in outcome.examples for shown in e.images)
-    assert runtime.store.maps() == []
+    assert runtime.store.maps.all() == []
 
 
 def test_answers_carry_evidence_for_calibration(runtime: Runtime, walk: Dataset) -> None:
@@ -113,6 +113,6 @@ def test_a_variant_takes_another_vocabulary(walk: Dataset, tmp_path: Path) -> No
         assert recipe_of(VARIANTS[0], runtime, walk).vocabulary == shipped.digest
         recipe = recipe_of(replace(VARIANTS[0], vocabulary=path), runtime, walk)
         assert recipe.vocabulary == mirrored.digest != shipped.digest
-        assert runtime.store.vocabulary(recipe.vocabulary) == mirrored.tensors
+        assert runtime.store.vocabularies.get(recipe.vocabulary) == mirrored.tensors
     finally:
         runtime.stop()

@@ -90,18 +90,18 @@ def enroll(
 ) -> Submitted:
     """Enrol the picture of that name."""
     body = image(name)
-    return store.submit(map, body, facts(body), attributes, by, now)
+    return store.enrolment.submit(map, body, facts(body), attributes, by, now)
 
 
 def finish(store: Store, claim: Claim, now: datetime = NOW) -> int:
     """Describe what was claimed."""
-    return store.finish(claim, description(seed(claim.view, claim.recipe.id)), now)
+    return store.jobs.finish(claim, description(seed(claim.view, claim.recipe.id)), now)
 
 
 def describe_all(store: Store, now: datetime = NOW) -> int:
     """Work until nothing waits; returns how many descriptions that took."""
     done = 0
-    while claims := store.claim("worker", 10, LEASE, now):
+    while claims := store.jobs.claim("worker", 10, LEASE, now):
         for claim in claims:
             with suppress(LeaseLost):  # its view may be deleted meanwhile
                 finish(store, claim, now)
@@ -120,10 +120,10 @@ class Follower:
         self.vectors: dict[int, list[float]] = {}
 
     def catch_up(self) -> "Follower":
-        changes = self.store.since(self._name, self.revision)
+        changes = self.store.descriptions.since(self._name, self.revision)
         if changes.recipe != self.recipe:
             self.vectors.clear()
-            changes = self.store.since(self._name, 0)
+            changes = self.store.descriptions.since(self._name, 0)
         for seq in changes.gone.tolist():
             self.vectors.pop(seq, None)
         assert changes.seqs.tolist() == sorted(set(changes.seqs.tolist()))

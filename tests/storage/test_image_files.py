@@ -84,7 +84,7 @@ def test_a_row_that_fails_takes_its_file_with_it(
     with pytest.raises(kind):
         enroll(store, "gate")
     assert files(data) == []
-    assert store.maps() == []
+    assert store.maps.all() == []
 
 
 def test_a_crash_between_file_and_row_leaves_a_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
@@ -97,7 +97,7 @@ def test_a_crash_between_file_and_row_leaves_a_file_that_recovery_sweeps(store: 
     store.recover(NOW)
 
     assert [path.name for path in files(data)] == [kept.image.sha256]
-    assert store.image(kept.id) == image("pond")
+    assert store.views.image(kept.id) == image("pond")
 
 
 def test_a_crash_while_writing_leaves_an_unfinished_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
@@ -120,9 +120,9 @@ def test_a_crash_between_the_deletion_of_a_row_and_its_file_is_made_good(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", cut)
         with pytest.raises(PowerCut):
-            store.delete_view(view.id)
+            store.removals.delete_view(view.id)
     with pytest.raises(NotFound):
-        store.view(view.id)
+        store.views.get(view.id)
     assert len(files(data)) == 1
     store.recover(NOW)
     assert files(data) == []
@@ -139,7 +139,7 @@ def test_a_full_disk_is_said_and_leaves_nothing_behind(
         with pytest.raises(DiskFull):
             enroll(store, "gate")
     assert files(data) == []
-    assert store.maps() == []
+    assert store.maps.all() == []
     enroll(store, "gate")
 
 
@@ -158,26 +158,26 @@ def test_a_full_database_is_said_and_leaves_nothing_behind(store: SqlStore, data
     with pytest.raises(DiskFull):
         fill()
 
-    views, _ = store.views("campus", Filters(), limit=200)
+    views, _ = store.views.list("campus", Filters(), limit=200)
     assert {path.name for path in files(data)} == {view.image.sha256 for view in views}
-    assert store.view(view.id).state == "ready"
-    assert store.delete_view(view.id).views == 1
+    assert store.views.get(view.id).state == "ready"
+    assert store.removals.delete_view(view.id).views == 1
 
 
 def test_a_conflict_leaves_the_picture_of_the_view_that_is_there(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate", attributes=ViewAttributes("gate")).view
     with pytest.raises(Conflict):
         enroll(store, "gate", attributes=ViewAttributes("pond"))
-    assert store.image(view.id) == image("gate")
+    assert store.views.image(view.id) == image("gate")
 
 
 def test_a_lost_file_is_healed_by_enrolling_its_picture_again(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate").view
     files(data)[0].unlink()
     with pytest.raises(NotFound, match="enrol the picture again"):
-        store.image(view.id)
+        store.views.image(view.id)
     enroll(store, "gate")
-    assert store.image(view.id) == image("gate")
+    assert store.views.image(view.id) == image("gate")
 
 
 def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away(store: SqlStore, data: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away
     def come_and_go() -> None:
         while not stop:
             view = enroll(store, "gate", map="museum").view
-            store.delete_view(view.id)
+            store.removals.delete_view(view.id)
 
     others = [Thread(target=sweep), Thread(target=come_and_go)]
     for other in others:
@@ -198,8 +198,8 @@ def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away
     try:
         for _ in range(25):
             view = enroll(store, "gate").view
-            assert store.image(view.id) == image("gate")
-            assert store.delete_view(view.id).views == 1
+            assert store.views.image(view.id) == image("gate")
+            assert store.removals.delete_view(view.id).views == 1
     finally:
         stop = True
         for other in others:
@@ -215,7 +215,7 @@ def _enroll_until_killed(url: str, data: Path, acknowledged: Connection) -> None
         acknowledged.send(view.id)
         describe_all(store)
         if number % 4 == 3:
-            store.delete_view(view.id)
+            store.removals.delete_view(view.id)
 
 
 def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(store: SqlStore, data: Path) -> None:
@@ -234,12 +234,12 @@ def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(
 
     store.recover(NOW)
 
-    views, _ = store.views("campus", Filters(), limit=1000)
+    views, _ = store.views.list("campus", Filters(), limit=1000)
     kept = {view.id for view in views}
     for number, view_id in enumerate(acknowledged[:-1]):  # what came after the last one was cut short
         assert (view_id in kept) == (number % 4 != 3)
     assert {path.name for path in files(data)} == {view.image.sha256 for view in views}
-    assert all(facts(store.image(view.id)) == view.image for view in views)
+    assert all(facts(store.views.image(view.id)) == view.image for view in views)
     describe_all(store, NOW + LEASE)
     assert Follower(store).catch_up().vectors.keys() == {view.seq for view in views}
 

@@ -17,93 +17,93 @@ from worker.storage.store import SqlStore, open_store
 def test_the_oldest_job_goes_first(store: SqlStore) -> None:
     names = ["gate", "pond", "stairs"]
     views = [enroll(store, name).view for name in names]
-    assert [claim.view.id for claim in store.claim("one", 2, LEASE, NOW)] == [views[0].id, views[1].id]
-    assert [claim.view.id for claim in store.claim("two", 2, LEASE, NOW)] == [views[2].id]
-    assert store.claim("three", 2, LEASE, NOW) == []
-    assert store.waiting() == 3
+    assert [claim.view.id for claim in store.jobs.claim("one", 2, LEASE, NOW)] == [views[0].id, views[1].id]
+    assert [claim.view.id for claim in store.jobs.claim("two", 2, LEASE, NOW)] == [views[2].id]
+    assert store.jobs.claim("three", 2, LEASE, NOW) == []
+    assert store.jobs.count_waiting() == 3
 
 
 def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_nothing(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    [late] = store.claim("late", 1, LEASE, NOW)
-    assert store.claim("other", 1, LEASE, NOW + LEASE - timedelta(seconds=1)) == []
-    [other] = store.claim("other", 1, LEASE, NOW + LEASE)
+    [late] = store.jobs.claim("late", 1, LEASE, NOW)
+    assert store.jobs.claim("other", 1, LEASE, NOW + LEASE - timedelta(seconds=1)) == []
+    [other] = store.jobs.claim("other", 1, LEASE, NOW + LEASE)
     assert (other.job_id, other.attempts) == (late.job_id, 2)
 
     with pytest.raises(LeaseLost):
         finish(store, late)
     with pytest.raises(LeaseLost):
-        store.fail(late, "undecodable-picture", "late", NOW)
-    store.release(late)
+        store.jobs.fail(late, "undecodable-picture", "late", NOW)
+    store.jobs.release(late)
 
-    assert store.view(view.id).state == "pending"
+    assert store.views.get(view.id).state == "pending"
     finish(store, other)
     with pytest.raises(LeaseLost):
         finish(store, other)
-    assert store.view(view.id).state == "ready"
+    assert store.views.get(view.id).state == "ready"
 
 
 def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    [claim] = store.claim("slow", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("slow", 1, LEASE, NOW)
     finish(store, claim, NOW + 5 * LEASE)
-    assert store.view(view.id).state == "ready"
+    assert store.views.get(view.id).state == "ready"
 
 
 def test_a_picture_that_kills_three_workers_is_given_up(store: SqlStore) -> None:
     submitted = enroll(store, "bomb")
     moment = NOW
     for attempt in (1, 2, 3):
-        [claim] = store.claim("worker", 1, LEASE, moment)
+        [claim] = store.jobs.claim("worker", 1, LEASE, moment)
         assert claim.attempts == attempt
         moment += LEASE
-    assert store.claim("worker", 1, LEASE, moment) == []
-    view = store.view(submitted.view.id)
+    assert store.jobs.claim("worker", 1, LEASE, moment) == []
+    view = store.views.get(submitted.view.id)
     assert view.state == "failed"
     assert view.failure is not None
     assert view.failure[0] == "worker-died"
     assert "3 times" in view.failure[1]
-    assert store.job(claim.job_id).state == "failed"
-    assert store.job(claim.job_id).finished_at == moment
-    assert store.waiting() == 0
+    assert store.jobs.get(claim.job_id).state == "failed"
+    assert store.jobs.get(claim.job_id).finished_at == moment
+    assert store.jobs.count_waiting() == 0
 
 
 def test_a_job_put_back_waits_unharmed(store: SqlStore) -> None:
     enroll(store, "gate")
     for _ in range(5):
-        [claim] = store.claim("worker", 1, LEASE, NOW)
+        [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
         assert claim.attempts == 1
-        store.release(claim)
-    assert store.job(claim.job_id).state == "waiting"
+        store.jobs.release(claim)
+    assert store.jobs.get(claim.job_id).state == "waiting"
     with pytest.raises(LeaseLost):
         finish(store, claim)
 
 
 def test_a_job_goes_with_its_view(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    [claim] = store.claim("worker", 1, LEASE, NOW)
-    store.delete_view(view.id)
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    store.removals.delete_view(view.id)
     with pytest.raises(LeaseLost, match="deleted"):
         finish(store, claim)
     with pytest.raises(NotFound):
-        store.job(claim.job_id)
+        store.jobs.get(claim.job_id)
 
 
 def test_only_a_waiting_job_can_be_cancelled(store: SqlStore) -> None:
     submitted = enroll(store, "gate")
     assert submitted.job_id is not None
-    job = store.cancel(submitted.job_id, NOW)
+    job = store.jobs.cancel(submitted.job_id, NOW)
     assert (job.state, job.view_id, job.map, job.finished_at) == ("cancelled", submitted.view.id, "campus", NOW)
-    view = store.view(submitted.view.id)
+    view = store.views.get(submitted.view.id)
     assert (view.state, view.failure and view.failure[0]) == ("failed", "cancelled")
     with pytest.raises(Conflict, match="cancelled"):
-        store.cancel(submitted.job_id, NOW)
+        store.jobs.cancel(submitted.job_id, NOW)
 
     again = enroll(store, "gate")
-    [claim] = store.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
     assert claim.job_id == again.job_id
     with pytest.raises(Conflict, match="running"):
-        store.cancel(claim.job_id, NOW)
+        store.jobs.cancel(claim.job_id, NOW)
 
 
 def _work(url: str, data: Path) -> None:
@@ -122,16 +122,16 @@ def test_two_worker_processes_do_two_hundred_jobs_once_each(reopen: Open, databa
     for process in processes:
         process.join()
     assert [process.exitcode for process in processes] == [0, 0]
-    assert store.waiting() == 0
+    assert store.jobs.count_waiting() == 0
     assert len(Follower(store).catch_up().vectors) == 200
-    views, _ = store.views("campus", Filters(), limit=200)
-    assert {store.view(view.id).state for view in views} == {"ready"}
-    assert store.revision("campus") == 200  # one revision each: none was finished twice
+    views, _ = store.views.list("campus", Filters(), limit=200)
+    assert {store.views.get(view.id).state for view in views} == {"ready"}
+    assert store.maps.revision("campus") == 200  # one revision each: none was finished twice
 
 
 def test_an_index_that_follows_while_others_write_misses_nothing(reopen: Open) -> None:
     store = reopen()
-    store.put_map("campus", RECIPE, NOW)
+    store.maps.put("campus", RECIPE, NOW)
 
     def enroll_and_describe(writer: int) -> None:
         own = reopen()

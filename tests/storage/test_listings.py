@@ -18,11 +18,11 @@ MINUTE = timedelta(minutes=1)
 
 def chosen(store: SqlStore, filters: Filters) -> set[int]:
     """The seqs that a selection leaves of all views; the listing must agree with it."""
-    selection = store.select("campus", filters)
-    views, _ = store.views("campus", Filters(), limit=1000)
+    selection = store.listings.select("campus", filters)
+    views, _ = store.views.list("campus", Filters(), limit=1000)
     seqs = {view.seq for view in views if selection.only is None or view.seq in selection.only}
     seqs -= set(selection.never.tolist())
-    listed, _ = store.views("campus", filters, limit=1000)
+    listed, _ = store.views.list("campus", filters, limit=1000)
     assert {view.seq for view in listed} == seqs
     for array in (selection.only, selection.never):
         assert array is None or (array.dtype == np.int64 and all(a < b for a, b in pairwise(array.tolist())))
@@ -45,7 +45,7 @@ def haversine(a: Position, b: Position) -> float:
 
 def test_no_filter_restricts_nothing(store: SqlStore) -> None:
     enroll(store, "gate")
-    selection = store.select("campus", Filters())
+    selection = store.listings.select("campus", Filters())
     assert selection == Selection(None, selection.never)
     assert len(selection.never) == 0
 
@@ -134,11 +134,11 @@ def test_the_newest_views_are_left_out_by_number_and_by_time(store: SqlStore) ->
     assert chosen(store, Filters(exclude_last=9)) == set()
     assert chosen(store, Filters(exclude_last=MINUTE)) == set(seqs[:3])
     assert chosen(store, Filters(exclude_last=timedelta(0))) == set(seqs[:4])
-    assert store.select("campus", Filters(exclude_last=2)).only is None
+    assert store.listings.select("campus", Filters(exclude_last=2)).only is None
 
 
 def test_nothing_is_the_newest_of_an_empty_map(store: SqlStore) -> None:
-    store.put_map("campus", RECIPE, NOW)
+    store.maps.put("campus", RECIPE, NOW)
     for last in (3, MINUTE):
         assert chosen(store, Filters(exclude_last=last)) == set()
 
@@ -160,47 +160,47 @@ def test_filters_add_up(store: SqlStore) -> None:
 
 def test_pages_hold_each_view_once_while_views_come_and_go(store: SqlStore) -> None:
     views = [enroll(store, f"{n}").view for n in range(7)]
-    first, cursor = store.views("campus", Filters(), limit=3)
+    first, cursor = store.views.list("campus", Filters(), limit=3)
     assert ids(first) == ids(views[:3])
-    store.delete_view(views[2].id)  # the very one that the cursor stands after
-    store.delete_view(views[4].id)
+    store.removals.delete_view(views[2].id)  # the very one that the cursor stands after
+    store.removals.delete_view(views[4].id)
     late = enroll(store, "late").view
-    second, cursor = store.views("campus", Filters(), limit=3, cursor=cursor)
-    third, end = store.views("campus", Filters(), limit=3, cursor=cursor)
+    second, cursor = store.views.list("campus", Filters(), limit=3, cursor=cursor)
+    third, end = store.views.list("campus", Filters(), limit=3, cursor=cursor)
     assert ids([*second, *third]) == ids([views[3], views[5], views[6], late])
     assert end is None
 
-    newest, cursor = store.views("campus", Filters(), newest_first=True, limit=2)
+    newest, cursor = store.views.list("campus", Filters(), newest_first=True, limit=2)
     assert ids(newest) == [late.id, views[6].id]
     enroll(store, "later still")
-    older, _ = store.views("campus", Filters(), newest_first=True, limit=2, cursor=cursor)
+    older, _ = store.views.list("campus", Filters(), newest_first=True, limit=2, cursor=cursor)
     assert ids(older) == [views[5].id, views[3].id]
 
 
 def test_a_page_that_is_just_full_is_the_last(store: SqlStore) -> None:
     enroll(store, "gate")
     enroll(store, "pond", map="museum")
-    assert store.views("campus", Filters(), limit=1)[1] is None
-    views, end = store.views(None, Filters(), limit=2)
+    assert store.views.list("campus", Filters(), limit=1)[1] is None
+    views, end = store.views.list(None, Filters(), limit=2)
     assert ([view.map for view in views], end) == (["campus", "museum"], None)
-    assert store.views(None, Filters(), state="ready") == ([], None)
+    assert store.views.list(None, Filters(), state="ready") == ([], None)
 
 
 @pytest.mark.parametrize("cursor", ["", "moon", "é", "W10", "bnVsbA", "MQ", "WyJvbGRlc3QiLCAidGV4dCJd"])
 def test_a_cursor_that_is_none_of_ours_is_refused(store: SqlStore, cursor: str) -> None:
     enroll(store, "gate")
     with pytest.raises(InvalidParameters, match="cursor"):
-        store.views("campus", Filters(), cursor=cursor)
+        store.views.list("campus", Filters(), cursor=cursor)
     with pytest.raises(InvalidParameters, match="cursor"):
-        store.places("campus", cursor, 5)
+        store.listings.places("campus", cursor, 5)
 
 
 def test_a_cursor_is_good_for_its_own_order_only(store: SqlStore) -> None:
     for n in range(3):
         enroll(store, f"{n}")
-    _, cursor = store.views("campus", Filters(), limit=1)
+    _, cursor = store.views.list("campus", Filters(), limit=1)
     with pytest.raises(InvalidParameters, match="cursor"):
-        store.views("campus", Filters(), cursor=cursor, newest_first=True)
+        store.views.list("campus", Filters(), cursor=cursor, newest_first=True)
 
 
 def test_a_place_lies_in_the_middle_of_its_views(store: SqlStore) -> None:
@@ -217,7 +217,7 @@ def test_a_place_lies_in_the_middle_of_its_views(store: SqlStore) -> None:
         enroll(store, f"{number}", attributes=ViewAttributes(place, position), now=NOW + number * MINUTE)
     enroll(store, "no place")
 
-    (line, gate, unseen), end = store.places("campus", None, 10)
+    (line, gate, unseen), end = store.listings.places("campus", None, 10)
 
     assert end is None
     assert (line[:3], gate[:3], unseen[:3]) == (
@@ -240,7 +240,7 @@ def test_places_are_paged_by_map_and_name(store: SqlStore) -> None:
     seen: list[tuple[str, str]] = []
     cursor = None
     while True:
-        page, cursor = store.places(None, cursor, 2)
+        page, cursor = store.listings.places(None, cursor, 2)
         seen += [(entry[0], entry[1]) for entry in page]
         if cursor is None:
             break

@@ -11,7 +11,7 @@ PAPER = recipe("paper")
 
 
 def recipe_of(store: SqlStore) -> str:
-    return store.map("campus").recipe.preset
+    return store.maps.get("campus").recipe.preset
 
 
 def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_one(store: SqlStore) -> None:
@@ -20,10 +20,10 @@ def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_
     follower = Follower(store).catch_up()
     before = dict(follower.vectors)
 
-    assert store.switch_recipe("campus", PAPER, NOW) == 3
+    assert store.jobs.switch_recipe("campus", PAPER, NOW) == 3
 
-    assert (store.waiting(), store.waiting(redescriptions=True)) == (0, 3)
-    claims = store.claim("worker", 3, LEASE, NOW)
+    assert (store.jobs.count_waiting(), store.jobs.count_waiting(redescriptions=True)) == (0, 3)
+    claims = store.jobs.claim("worker", 3, LEASE, NOW)
     for claim in claims[:2]:
         assert claim.recipe == PAPER
         finish(store, claim)
@@ -32,9 +32,9 @@ def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_
     revision = finish(store, claims[2])
 
     assert recipe_of(store) == "paper"
-    assert revision == store.revision("campus") > follower.revision
+    assert revision == store.maps.revision("campus") > follower.revision
     assert follower.catch_up().vectors == {view.seq: vector(view, PAPER.id) for view in views}
-    described = store.view(views[0].id).description
+    described = store.views.get(views[0].id).description
     assert described is not None
     assert described.recipe == PAPER.id
 
@@ -44,11 +44,11 @@ def test_a_roll_back_uses_the_descriptions_that_are_there(store: SqlStore) -> No
     describe_all(store)
     old = Follower(store).catch_up()
     before = dict(old.vectors)
-    store.switch_recipe("campus", PAPER, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
     describe_all(store)
     new = Follower(store).catch_up()
 
-    assert store.switch_recipe("campus", RECIPE, NOW) == 0
+    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 0
 
     assert recipe_of(store) == "default"
     assert old.catch_up().vectors == new.catch_up().vectors == before
@@ -59,10 +59,10 @@ def test_an_index_that_slept_through_a_switch_and_back_forgets_what_was_deleted_
     enroll(store, "pond")
     describe_all(store)
     follower = Follower(store).catch_up()
-    store.switch_recipe("campus", PAPER, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
     describe_all(store)
-    store.delete_view(view.id)
-    store.switch_recipe("campus", RECIPE, NOW)
+    store.removals.delete_view(view.id)
+    store.jobs.switch_recipe("campus", RECIPE, NOW)
     assert follower.catch_up().vectors == Follower(store).catch_up().vectors
     assert view.seq not in follower.vectors
 
@@ -70,18 +70,18 @@ def test_an_index_that_slept_through_a_switch_and_back_forgets_what_was_deleted_
 def test_a_second_switch_waits_for_the_first(store: SqlStore) -> None:
     enroll(store, "gate")
     describe_all(store)
-    store.switch_recipe("campus", PAPER, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
     with pytest.raises(Conflict, match="preset paper"):
-        store.switch_recipe("campus", recipe("third"), NOW)
+        store.jobs.switch_recipe("campus", recipe("third"), NOW)
 
 
 def test_a_picture_enrolled_during_a_switch_is_described_by_both_recipes_and_goes_first(store: SqlStore) -> None:
     enroll(store, "gate")
     describe_all(store)
-    store.switch_recipe("campus", PAPER, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
     view = enroll(store, "pond").view
 
-    claims = store.claim("worker", 5, LEASE, NOW)
+    claims = store.jobs.claim("worker", 5, LEASE, NOW)
 
     assert [(claim.view.id == view.id, claim.recipe.preset) for claim in claims] == [
         (True, "default"),
@@ -89,7 +89,7 @@ def test_a_picture_enrolled_during_a_switch_is_described_by_both_recipes_and_goe
         (True, "paper"),
     ]
     finish(store, claims[0])
-    assert store.view(view.id).state == "ready"
+    assert store.views.get(view.id).state == "ready"
     assert recipe_of(store) == "default"
     finish(store, claims[1])
     assert recipe_of(store) == "default"
@@ -101,65 +101,65 @@ def test_a_view_that_the_new_recipe_cannot_describe_fails_when_the_map_changes_o
     gate, pond = (enroll(store, name).view for name in ("gate", "pond"))
     describe_all(store)
     follower = Follower(store).catch_up()
-    store.switch_recipe("campus", PAPER, NOW)
-    first, last = store.claim("worker", 2, LEASE, NOW)
-    store.fail(first, "nothing-static", "only cars", NOW)
-    assert store.view(gate.id).state == "ready"
+    store.jobs.switch_recipe("campus", PAPER, NOW)
+    first, last = store.jobs.claim("worker", 2, LEASE, NOW)
+    store.jobs.fail(first, "nothing-static", "only cars", NOW)
+    assert store.views.get(gate.id).state == "ready"
 
     finish(store, last)
 
-    assert store.view(gate.id).failure == ("nothing-static", "only cars")
+    assert store.views.get(gate.id).failure == ("nothing-static", "only cars")
     assert follower.catch_up().vectors.keys() == {pond.seq}
-    assert store.switch_recipe("campus", RECIPE, NOW) == 0
-    assert (store.view(gate.id).state, store.view(gate.id).failure) == ("ready", None)
+    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 0
+    assert (store.views.get(gate.id).state, store.views.get(gate.id).failure) == ("ready", None)
     assert follower.catch_up().vectors.keys() == {gate.seq, pond.seq}
 
 
 def test_switching_to_the_recipe_in_use_tries_again_what_failed(store: SqlStore) -> None:
     gate, pond = (enroll(store, name).view for name in ("gate", "pond"))
-    first, last = store.claim("worker", 2, LEASE, NOW)
-    store.fail(first, "nothing-static", "only cars", NOW)
+    first, last = store.jobs.claim("worker", 2, LEASE, NOW)
+    store.jobs.fail(first, "nothing-static", "only cars", NOW)
     finish(store, last)
 
-    assert store.switch_recipe("campus", RECIPE, NOW) == 1
+    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 1
 
-    assert (store.view(gate.id).state, store.view(gate.id).failure) == ("pending", None)
+    assert (store.views.get(gate.id).state, store.views.get(gate.id).failure) == ("pending", None)
     describe_all(store)
-    assert [store.view(view.id).state for view in (gate, pond)] == ["ready", "ready"]
+    assert [store.views.get(view.id).state for view in (gate, pond)] == ["ready", "ready"]
 
 
 @pytest.mark.parametrize("settle", ["delete", "delete by filter", "cancel"])
 def test_a_switch_ends_when_the_last_view_it_waits_for_needs_no_description(store: SqlStore, settle: str) -> None:
     gate, pond = (enroll(store, name).view for name in ("gate", "pond"))
     describe_all(store)
-    store.switch_recipe("campus", PAPER, NOW)
-    [claim] = store.claim("worker", 1, LEASE, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
     finish(store, claim)
     if settle == "delete":
-        store.delete_view(pond.id)
+        store.removals.delete_view(pond.id)
     elif settle == "delete by filter":
-        store.delete_views("campus", Filters(exclude=(gate.id,)))
+        store.removals.delete_views("campus", Filters(exclude=(gate.id,)))
     else:
-        [other] = store.claim("worker", 1, LEASE, NOW)
-        store.release(other)
-        store.cancel(other.job_id, NOW)
+        [other] = store.jobs.claim("worker", 1, LEASE, NOW)
+        store.jobs.release(other)
+        store.jobs.cancel(other.job_id, NOW)
     assert recipe_of(store) == "paper"
     assert Follower(store).catch_up().vectors.keys() == {gate.seq}
 
 
 def test_a_picture_still_waiting_for_the_old_recipe_is_ready_by_the_new_one(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    store.switch_recipe("campus", PAPER, NOW)
-    old, new = store.claim("worker", 2, LEASE, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)
+    old, new = store.jobs.claim("worker", 2, LEASE, NOW)
     finish(store, new)
-    assert (recipe_of(store), store.view(view.id).state) == ("paper", "ready")
-    before = store.revision("campus")
+    assert (recipe_of(store), store.views.get(view.id).state) == ("paper", "ready")
+    before = store.maps.revision("campus")
     finish(store, old)
-    assert store.revision("campus") == before
-    assert store.switch_recipe("campus", RECIPE, NOW) == 0
+    assert store.maps.revision("campus") == before
+    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 0
 
 
 def test_a_map_without_views_changes_over_at_once(store: SqlStore) -> None:
-    store.put_map("campus", RECIPE, NOW)
-    assert store.switch_recipe("campus", PAPER, NOW) == 0
+    store.maps.put("campus", RECIPE, NOW)
+    assert store.jobs.switch_recipe("campus", PAPER, NOW) == 0
     assert recipe_of(store) == "paper"

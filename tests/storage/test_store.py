@@ -40,63 +40,63 @@ def test_a_store_keeps_the_promises_of_the_port(store: SqlStore) -> None:
 
 def test_the_first_picture_makes_its_map(store: SqlStore) -> None:
     enroll(store, "gate")
-    assert store.map("campus").recipe == RECIPE
-    assert store.map("campus").created_at == NOW
-    assert [record.name for record in store.maps()] == ["campus"]
+    assert store.maps.get("campus").recipe == RECIPE
+    assert store.maps.get("campus").created_at == NOW
+    assert [record.name for record in store.maps.all()] == ["campus"]
 
 
 def test_maps_are_listed_by_name_as_computers_sort(store: SqlStore) -> None:
     for name in ("b", "a", "B", "a-1"):
-        store.put_map(name, RECIPE, NOW)
-    assert [record.name for record in store.maps()] == ["B", "a", "a-1", "b"]
+        store.maps.put(name, RECIPE, NOW)
+    assert [record.name for record in store.maps.all()] == ["B", "a", "a-1", "b"]
 
 
 def test_an_empty_map_takes_another_recipe_and_one_with_views_refuses(store: SqlStore) -> None:
-    assert store.put_map("campus", RECIPE, NOW)[1] is True
-    record, new = store.put_map("campus", recipe("paper"), NOW)
+    assert store.maps.put("campus", RECIPE, NOW)[1] is True
+    record, new = store.maps.put("campus", recipe("paper"), NOW)
     assert (record.recipe.preset, new) == ("paper", False)
     enroll(store, "gate")
-    assert store.put_map("campus", recipe("paper"), NOW)[1] is False
+    assert store.maps.put("campus", recipe("paper"), NOW)[1] is False
     with pytest.raises(Conflict, match="POST /maps/campus/recipe"):
-        store.put_map("campus", RECIPE, NOW)
+        store.maps.put("campus", RECIPE, NOW)
 
 
 def test_what_is_not_there_is_said_to_be_not_there(store: SqlStore) -> None:
     nothing = Filters()
     for ask in (
-        lambda: store.map("moon"),
-        lambda: store.counts("moon"),
-        lambda: store.revision("moon"),
-        lambda: store.since("moon", 0),
-        lambda: store.select("moon", nothing),
-        lambda: store.views("moon", nothing),
-        lambda: store.places("moon", None, 5),
-        lambda: store.delete_map("moon"),
-        lambda: store.delete_views("moon", nothing),
-        lambda: store.switch_recipe("moon", RECIPE, NOW),
-        lambda: store.view("moon"),
-        lambda: store.patch("moon", ViewAttributes()),
-        lambda: store.delete_view("moon"),
-        lambda: store.image("moon"),
-        lambda: store.job("moon"),
-        lambda: store.cancel("moon", NOW),
-        lambda: store.vocabulary("moon"),
+        lambda: store.maps.get("moon"),
+        lambda: store.maps.counts("moon"),
+        lambda: store.maps.revision("moon"),
+        lambda: store.descriptions.since("moon", 0),
+        lambda: store.listings.select("moon", nothing),
+        lambda: store.views.list("moon", nothing),
+        lambda: store.listings.places("moon", None, 5),
+        lambda: store.removals.delete_map("moon"),
+        lambda: store.removals.delete_views("moon", nothing),
+        lambda: store.jobs.switch_recipe("moon", RECIPE, NOW),
+        lambda: store.views.get("moon"),
+        lambda: store.views.change("moon", ViewAttributes()),
+        lambda: store.removals.delete_view("moon"),
+        lambda: store.views.image("moon"),
+        lambda: store.jobs.get("moon"),
+        lambda: store.jobs.cancel("moon", NOW),
+        lambda: store.vocabularies.get("moon"),
     ):
         with pytest.raises(NotFound, match="moon"):
             ask()
 
 
 def test_counts_are_those_of_the_views(store: SqlStore) -> None:
-    assert store.put_map("campus", RECIPE, NOW)[1]
-    assert store.counts("campus").lowest == Position()
+    assert store.maps.put("campus", RECIPE, NOW)[1]
+    assert store.maps.counts("campus").lowest == Position()
     enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=5.0)))
     enroll(store, "gate at dusk", attributes=ViewAttributes("gate", Position(x=-1.0, y=7.0, heading=90.0)))
     enroll(store, "pond", attributes=ViewAttributes("pond"))
-    [first, _, last] = store.claim("worker", 3, LEASE, NOW)
+    [first, _, last] = store.jobs.claim("worker", 3, LEASE, NOW)
     finish(store, first)
-    store.fail(last, "nothing-static", "all is water", NOW)
+    store.jobs.fail(last, "nothing-static", "all is water", NOW)
 
-    counts = store.counts("campus")
+    counts = store.maps.counts("campus")
 
     assert counts.views == {"pending": 1, "ready": 1, "failed": 1}
     assert counts.places == 2
@@ -108,13 +108,13 @@ def test_a_map_made_anew_under_an_old_name_has_nothing_of_the_old_one(store: Sql
     enroll(store, "gate")
     describe_all(store)
     old = Follower(store).catch_up()
-    removal = store.delete_map("campus")
+    removal = store.removals.delete_map("campus")
     assert (removal.views, removal.images, removal.revision) == (1, 1, None)
     enroll(store, "pond")
-    assert store.revision("campus") > old.revision
-    assert store.since("campus", old.revision).seqs.tolist() == []
+    assert store.maps.revision("campus") > old.revision
+    assert store.descriptions.since("campus", old.revision).seqs.tolist() == []
     describe_all(store)
-    assert len(store.since("campus", old.revision).seqs) == 1
+    assert len(store.descriptions.since("campus", old.revision).seqs) == 1
 
 
 # enrolment
@@ -138,37 +138,37 @@ def test_what_was_enrolled_is_there_after_a_restart_byte_for_byte(reopen: Open) 
 
 def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlStore) -> None:
     submitted = enroll(store, "gate")
-    [claim] = store.claim("worker", 5, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 5, LEASE, NOW)
     assert claim.view == submitted.view
-    before = store.revision("campus")
+    before = store.maps.revision("campus")
 
     revision = finish(store, claim)
 
-    assert revision == store.revision("campus") > before
-    view = store.view(submitted.view.id)
+    assert revision == store.maps.revision("campus") > before
+    view = store.views.get(submitted.view.id)
     assert view.state == "ready"
     assert view.description is not None
     assert view.description.recipe == RECIPE.id
     assert (view.description.descriptor_count, view.description.static_share, view.description.nodes) == (120, 0.75, 2)
     assert view.description.label_shares.tolist() == [0.75, 0.25]
-    assert store.since("campus", before).seqs.tolist() == [view.seq]
-    assert len(store.since("campus", revision).seqs) == 0
+    assert store.descriptions.since("campus", before).seqs.tolist() == [view.seq]
+    assert len(store.descriptions.since("campus", revision).seqs) == 0
     assert submitted.job_id is not None
-    assert store.job(submitted.job_id).state == "done"
+    assert store.jobs.get(submitted.job_id).state == "done"
 
 
 def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     enroll(store, "gate")
-    [claim] = store.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
     given = description(seed(claim.view, RECIPE.id))
-    store.finish(claim, given, NOW)
+    store.jobs.finish(claim, given, NOW)
     seqs = cast("list[int]", list(np.array([claim.view.seq, 999])))  # as an index hands them over
 
-    [appearance] = store.appearances(seqs, RECIPE.id).values()
-    [cells] = store.cells(seqs, RECIPE.id).values()
-    [features] = store.local_features(seqs, RECIPE.id).values()
+    [appearance] = store.descriptions.appearances(seqs, RECIPE.id).values()
+    [cells] = store.descriptions.cells(seqs, RECIPE.id).values()
+    [features] = store.descriptions.local_features(seqs, RECIPE.id).values()
 
-    assert store.since("campus", 0).vectors.tolist() == [vector(claim.view, RECIPE.id)]
+    assert store.descriptions.since("campus", 0).vectors.tolist() == [vector(claim.view, RECIPE.id)]
     np.testing.assert_array_equal(appearance.coarse, given.appearance.coarse, strict=True)
     assert appearance.extent == given.appearance.extent
     np.testing.assert_array_equal(cells, given.cells, strict=True)
@@ -179,15 +179,15 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     assert given.keypoints is not None
     np.testing.assert_array_equal(features.positions, given.keypoints.positions, strict=True)
     np.testing.assert_array_equal(features.descriptors, given.keypoints.descriptors, strict=True)
-    assert list(store.views_at(seqs)) == [claim.view.seq]
-    assert store.appearances(seqs, recipe("paper").id) == store.cells(seqs, recipe("paper").id) == {}
+    assert list(store.views.at(seqs)) == [claim.view.seq]
+    assert store.descriptions.appearances(seqs, recipe("paper").id) == store.descriptions.cells(seqs, recipe("paper").id) == {}
 
 
 def test_a_recipe_without_verification_has_no_keypoints(store: SqlStore) -> None:
     enroll(store, "gate")
-    [claim] = store.claim("worker", 1, LEASE, NOW)
-    store.finish(claim, replace(description(1), keypoints=None), NOW)
-    assert store.local_features([claim.view.seq], RECIPE.id) == {}
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    store.jobs.finish(claim, replace(description(1), keypoints=None), NOW)
+    assert store.descriptions.local_features([claim.view.seq], RECIPE.id) == {}
 
 
 def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> None:
@@ -198,7 +198,7 @@ def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> No
         assert (second.created, second.view, second.job_id) == (False, first.view, first.job_id)
     describe_all(store)
     assert enroll(store, "gate").job_id is None
-    assert store.counts("campus").views == {"pending": 0, "ready": 1, "failed": 0}
+    assert store.maps.counts("campus").views == {"pending": 0, "ready": 1, "failed": 0}
 
 
 def test_the_same_picture_with_something_else_said_is_a_conflict_that_names_it(store: SqlStore) -> None:
@@ -210,9 +210,9 @@ def test_the_same_picture_with_something_else_said_is_a_conflict_that_names_it(s
 
 def test_a_failed_picture_that_is_sent_again_is_tried_again(store: SqlStore) -> None:
     first = enroll(store, "gate")
-    [claim] = store.claim("worker", 1, LEASE, NOW)
-    store.fail(claim, "nothing-static", "a bus in front", NOW)
-    assert store.view(first.view.id).failure == ("nothing-static", "a bus in front")
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    store.jobs.fail(claim, "nothing-static", "a bus in front", NOW)
+    assert store.views.get(first.view.id).failure == ("nothing-static", "a bus in front")
 
     again = enroll(store, "gate")
 
@@ -224,20 +224,20 @@ def test_a_failed_picture_that_is_sent_again_is_tried_again(store: SqlStore) -> 
     )
     assert again.job_id != first.job_id
     assert describe_all(store) == 1
-    assert store.view(first.view.id).state == "ready"
+    assert store.views.get(first.view.id).state == "ready"
 
 
 def test_numbers_of_numpy_are_kept_as_numbers(store: SqlStore) -> None:
     position = Position(x=np.float32(0.5), y=np.float64(2))  # type: ignore[arg-type]
     view = enroll(store, "gate", attributes=ViewAttributes(position=position)).view
-    assert store.view(view.id).attributes.position == Position(x=0.5, y=2.0)
-    assert store.select("campus", Filters(near=(0.5, 2.0, 0.0))).only.tolist() == [view.seq]  # type: ignore[union-attr]
+    assert store.views.get(view.id).attributes.position == Position(x=0.5, y=2.0)
+    assert store.listings.select("campus", Filters(near=(0.5, 2.0, 0.0))).only.tolist() == [view.seq]  # type: ignore[union-attr]
 
 
 def test_times_are_moments_whatever_their_zone(store: SqlStore) -> None:
     tokyo = timezone(timedelta(hours=9))
     view = enroll(store, "gate", attributes=ViewAttributes(captured_at=datetime(2026, 3, 1, 9, tzinfo=tokyo))).view
-    captured = store.view(view.id).attributes.captured_at
+    captured = store.views.get(view.id).attributes.captured_at
     assert captured == datetime(2026, 3, 1, 0, tzinfo=UTC)
     assert captured.tzinfo is UTC
     with pytest.raises(Exception, match="a time needs a zone"):
@@ -250,15 +250,15 @@ def test_times_are_moments_whatever_their_zone(store: SqlStore) -> None:
 def test_a_correction_replaces_all_that_was_said(store: SqlStore) -> None:
     view = enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=2.0), NOW, {"floor": 1})).view
     describe_all(store)
-    before = store.revision("campus")
+    before = store.maps.revision("campus")
 
-    corrected = store.patch(view.id, ViewAttributes("door", metadata={"floor": 2}))
+    corrected = store.views.change(view.id, ViewAttributes("door", metadata={"floor": 2}))
 
     assert corrected.attributes == ViewAttributes("door", metadata={"floor": 2})
-    assert store.view(view.id).attributes == corrected.attributes
-    assert store.revision("campus") > before
+    assert store.views.get(view.id).attributes == corrected.attributes
+    assert store.maps.revision("campus") > before
     for floor, found in (("1", []), ("2", [view.seq])):
-        only = store.select("campus", Filters(metadata={"floor": floor})).only
+        only = store.listings.select("campus", Filters(metadata={"floor": floor})).only
         assert only is not None
         assert only.tolist() == found
     assert Follower(store).catch_up().vectors.keys() == {view.seq}
@@ -267,9 +267,9 @@ def test_a_correction_replaces_all_that_was_said(store: SqlStore) -> None:
 def test_a_correction_that_changes_nothing_gives_no_revision(store: SqlStore) -> None:
     attributes = ViewAttributes("gate", Position(x=1.0, y=2.0), NOW, {"b": 1, "a": [1, 2]})
     view = enroll(store, "gate", attributes=attributes).view
-    before = store.revision("campus")
-    assert store.patch(view.id, attributes) == view
-    assert store.revision("campus") == before
+    before = store.maps.revision("campus")
+    assert store.views.change(view.id, attributes) == view
+    assert store.maps.revision("campus") == before
 
 
 def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, data: Path) -> None:
@@ -278,14 +278,14 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, dat
     describe_all(store)
     follower = Follower(store).catch_up()
 
-    removal = store.delete_view(view.id)
+    removal = store.removals.delete_view(view.id)
 
-    assert (removal.views, removal.images, removal.revision) == (1, 1, store.revision("campus"))
+    assert (removal.views, removal.images, removal.revision) == (1, 1, store.maps.revision("campus"))
     assert follower.catch_up().vectors.keys() == Follower(store).catch_up().vectors.keys()
     assert view.seq not in follower.vectors
-    assert store.views_at([view.seq]) == {}
-    assert store.appearances([view.seq], RECIPE.id) == {}
-    assert store.cells([view.seq], RECIPE.id) == {}
+    assert store.views.at([view.seq]) == {}
+    assert store.descriptions.appearances([view.seq], RECIPE.id) == {}
+    assert store.descriptions.cells([view.seq], RECIPE.id) == {}
     assert not list((data / "pictures").rglob(view.image.sha256))
     assert enroll(store, "gate").view.seq > view.seq + 1
 
@@ -293,21 +293,21 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, dat
 def test_a_picture_stays_while_a_view_of_another_map_shows_it(store: SqlStore) -> None:
     here = enroll(store, "gate", map="campus").view
     there = enroll(store, "gate", map="museum").view
-    assert store.delete_view(here.id).images == 0
-    assert store.image(there.id) == image("gate")
-    assert store.delete_map("museum").images == 1
+    assert store.removals.delete_view(here.id).images == 0
+    assert store.views.image(there.id) == image("gate")
+    assert store.removals.delete_map("museum").images == 1
 
 
 def test_views_are_deleted_by_filter(store: SqlStore) -> None:
     for number in range(6):
         enroll(store, f"{number}", attributes=ViewAttributes("gate" if number % 2 else "pond"))
-    before = store.revision("campus")
-    removal = store.delete_views("campus", Filters(place="gate", exclude_last=1))
+    before = store.maps.revision("campus")
+    removal = store.removals.delete_views("campus", Filters(place="gate", exclude_last=1))
     assert (removal.views, removal.images) == (2, 2)
-    views, _ = store.views("campus", Filters())
+    views, _ = store.views.list("campus", Filters())
     assert [view.attributes.place for view in views] == ["pond", "pond", "pond", "gate"]
-    assert removal.revision == store.revision("campus") > before
-    assert store.delete_views("campus", Filters(place="moon")).revision == removal.revision
+    assert removal.revision == store.maps.revision("campus") > before
+    assert store.removals.delete_views("campus", Filters(place="moon")).revision == removal.revision
 
 
 def test_many_views_are_deleted_in_portions_that_let_others_write(
@@ -318,7 +318,7 @@ def test_many_views_are_deleted_in_portions_that_let_others_write(
         enroll(store, f"{number}")
     describe_all(store)
     follower = Follower(store).catch_up()
-    assert store.delete_views("campus", Filters(exclude_last=1)).views == 4
+    assert store.removals.delete_views("campus", Filters(exclude_last=1)).views == 4
     assert len(follower.catch_up().vectors) == 1
 
 
@@ -326,7 +326,7 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     views = [enroll(store, f"{number}", attributes=ViewAttributes("gate")).view for number in range(3)]
-    [claim, *_] = store.claim("worker", 1, LEASE, NOW)
+    [claim, *_] = store.jobs.claim("worker", 1, LEASE, NOW)
 
     def cut(*_: object) -> None:
         raise KeyboardInterrupt
@@ -334,13 +334,13 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     with monkeypatch.context() as patch:
         patch.setattr("worker.storage.removals.Removals._clear", cut)
         with pytest.raises(KeyboardInterrupt):
-            store.delete_map("campus")
+            store.removals.delete_map("campus")
 
-    assert store.maps() == []
-    assert store.views(None, Filters()) == ([], None)
-    assert store.places(None, None, 5) == ([], None)
-    assert store.claim("worker", 5, LEASE, NOW) == []
-    for ask in (store.view, store.image, store.delete_view):
+    assert store.maps.all() == []
+    assert store.views.list(None, Filters()) == ([], None)
+    assert store.listings.places(None, None, 5) == ([], None)
+    assert store.jobs.claim("worker", 5, LEASE, NOW) == []
+    for ask in (store.views.get, store.views.image, store.removals.delete_view):
         with pytest.raises(NotFound):
             ask(views[0].id)
     with pytest.raises(LeaseLost):
@@ -348,7 +348,7 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     anew = enroll(store, "0").view
     store.recover(NOW)
     assert [path.name for path in (data / "pictures").glob("??/??/*")] == [anew.image.sha256]
-    assert store.image(anew.id) == image("0")
+    assert store.views.image(anew.id) == image("0")
 
 
 # repeated calls, vocabularies, care
@@ -356,41 +356,41 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
 
 def test_a_finished_call_is_repeated_for_a_day(store: SqlStore) -> None:
     replay = Replay(201, {"Location": "/views/1"}, b'{"view": 1}')
-    assert store.begin_call("key", "fingerprint", NOW) is None
+    assert store.calls.begin("key", "fingerprint", NOW) is None
     with pytest.raises(Conflict):
-        store.begin_call("key", "fingerprint", NOW)
-    store.end_call("key", replay, NOW)
-    assert store.begin_call("key", "fingerprint", NOW + timedelta(hours=23)) == replay
+        store.calls.begin("key", "fingerprint", NOW)
+    store.calls.end("key", replay, NOW)
+    assert store.calls.begin("key", "fingerprint", NOW + timedelta(hours=23)) == replay
     with pytest.raises(KeyReused):
-        store.begin_call("key", "another", NOW)
-    assert store.begin_call("key", "another", NOW + timedelta(hours=24)) is None
+        store.calls.begin("key", "another", NOW)
+    assert store.calls.begin("key", "another", NOW + timedelta(hours=24)) is None
 
 
 def test_a_call_that_failed_can_be_tried_again(store: SqlStore) -> None:
-    store.begin_call("key", "fingerprint", NOW)
-    store.abandon_call("key")
-    assert store.begin_call("key", "another", NOW) is None
+    store.calls.begin("key", "fingerprint", NOW)
+    store.calls.abandon("key")
+    assert store.calls.begin("key", "another", NOW) is None
 
 
 def test_a_call_that_a_crash_cut_short_can_be_made_again(reopen: Open) -> None:
     store = reopen()
-    store.begin_call("finished", "fingerprint", NOW)
-    store.end_call("finished", Replay(200, {}, b""), NOW)
-    store.begin_call("cut short", "fingerprint", NOW)
+    store.calls.begin("finished", "fingerprint", NOW)
+    store.calls.end("finished", Replay(200, {}, b""), NOW)
+    store.calls.begin("cut short", "fingerprint", NOW)
     store.close()
     store = reopen()
     store.recover(NOW)
-    assert store.begin_call("cut short", "fingerprint", NOW) is None
-    assert store.begin_call("finished", "fingerprint", NOW) == Replay(200, {}, b"")
+    assert store.calls.begin("cut short", "fingerprint", NOW) is None
+    assert store.calls.begin("finished", "fingerprint", NOW) == Replay(200, {}, b"")
 
 
 def test_a_vocabulary_is_kept_under_its_digest(store: SqlStore) -> None:
     for _ in range(2):
-        store.keep_vocabulary("abc", b"tensors")
-    assert store.vocabulary("abc") == b"tensors"
+        store.vocabularies.keep("abc", b"tensors")
+    assert store.vocabularies.get("abc") == b"tensors"
 
 
 def test_a_picture_of_wrong_digest_is_refused(store: SqlStore) -> None:
     with pytest.raises(ValueError, match="SHA-256"):
-        store.submit("campus", b"one", facts(b"another"), ViewAttributes(), RECIPE, NOW)
-    assert store.maps() == []
+        store.enrolment.submit("campus", b"one", facts(b"another"), ViewAttributes(), RECIPE, NOW)
+    assert store.maps.all() == []

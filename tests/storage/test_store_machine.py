@@ -141,7 +141,7 @@ class StoreMachine(RuleBasedStateMachine):
             if job.until is None or job.until <= self.now
         ]
         expected = sorted(open_jobs, key=lambda entry: entry[:2])[:count]
-        claims = self.store.claim("worker", count, LEASE, self.now)
+        claims = self.store.jobs.claim("worker", count, LEASE, self.now)
         assert [(claim.view.id, claim.recipe.id) for claim in claims] == [(v.id, job.recipe) for *_, v, job in expected]
         for claim, (*_, job) in zip(claims, expected, strict=True):
             job.attempts += 1
@@ -168,13 +168,13 @@ class StoreMachine(RuleBasedStateMachine):
             finish(self.store, claim, self.now)
             view.described.add(job.recipe)
         else:
-            self.store.fail(claim, "nothing-static", "only cars", self.now)
+            self.store.jobs.fail(claim, "nothing-static", "only cars", self.now)
         view.jobs.remove(job)
         of.change_over_if_done()
 
     @rule(claim=consumes(claims))
     def release(self, claim: Claim) -> None:
-        self.store.release(claim)
+        self.store.jobs.release(claim)
         held = self.held(claim)
         if held is not None:
             job = held[2]
@@ -191,14 +191,14 @@ class StoreMachine(RuleBasedStateMachine):
         name, shown = data.draw(st.sampled_from([(n, p) for n, of in self.maps.items() for p in of.views]))
         view = self.maps[name].views.pop(shown)
         others = sum(shown in of.views for of in self.maps.values())
-        assert self.store.delete_view(view.id).images == (0 if others else 1)
+        assert self.store.removals.delete_view(view.id).images == (0 if others else 1)
         self.maps[name].change_over_if_done()
 
     @precondition(lambda self: self.maps)
     @rule(data=st.data())
     def delete_map(self, data: st.DataObject) -> None:
         name = data.draw(st.sampled_from(sorted(self.maps)))
-        assert self.store.delete_map(name).views == len(self.maps.pop(name).views)
+        assert self.store.removals.delete_map(name).views == len(self.maps.pop(name).views)
         self.followers.pop(name, None)
 
     @precondition(lambda self: self.maps)
@@ -208,12 +208,12 @@ class StoreMachine(RuleBasedStateMachine):
         of = self.maps[name]
         if of.following:
             with pytest.raises(Conflict):
-                self.store.switch_recipe(name, to, self.now)
+                self.store.jobs.switch_recipe(name, to, self.now)
             return
         before = self.queued
         for view in of.views.values():
             self.queue(view, to.id, background=True)
-        assert self.store.switch_recipe(name, to, self.now) == self.queued - before
+        assert self.store.jobs.switch_recipe(name, to, self.now) == self.queued - before
         if to.id != of.recipe:
             of.following = to.id
             of.change_over_if_done()
@@ -230,26 +230,26 @@ class StoreMachine(RuleBasedStateMachine):
     def an_index_that_follows_equals_the_store(self) -> None:
         for name, of in self.maps.items():
             follower = self.followers.setdefault(name, Follower(self.store, name))
-            views, _ = self.store.views(name, Filters(), state="ready")
+            views, _ = self.store.views.list(name, Filters(), state="ready")
             expected = {view.seq: vector(view, of.recipe) for view in views}
             assert follower.catch_up().vectors == expected
             assert Follower(self.store, name).catch_up().vectors == expected
 
     @invariant()
     def store_and_dict_agree(self) -> None:
-        assert [record.name for record in self.store.maps()] == sorted(self.maps)
+        assert [record.name for record in self.store.maps.all()] == sorted(self.maps)
         for name, of in self.maps.items():
-            assert self.store.map(name).recipe.id == of.recipe
-            views, _ = self.store.views(name, Filters())
+            assert self.store.maps.get(name).recipe.id == of.recipe
+            views, _ = self.store.views.list(name, Filters())
             expected = sorted(of.views.values(), key=lambda view: view.seq)
             assert [(v.id, v.attributes.place, v.state) for v in views] == [
                 (v.id, v.place, v.state(of.recipe)) for v in expected
             ]
             for shown, view in of.views.items():
-                assert self.store.image(view.id) == image(shown)
+                assert self.store.views.image(view.id) == image(shown)
         unfinished = [job for _, view in self.everything() for job in view.jobs]
-        assert self.store.waiting(redescriptions=True) == len(unfinished)
-        assert self.store.waiting() == sum(not job.background for job in unfinished)
+        assert self.store.jobs.count_waiting(redescriptions=True) == len(unfinished)
+        assert self.store.jobs.count_waiting() == sum(not job.background for job in unfinished)
 
     @invariant()
     def no_picture_is_kept_without_a_view(self) -> None:

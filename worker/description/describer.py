@@ -2,18 +2,19 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from schemas.description import Appearance, Booleans, ContextGraph, Description, Floats, LocalFeatures, PixelField
 from schemas.errors import NothingStatic
 from schemas.image import Image
-from schemas.ports import Encoder
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe
 from worker.description.local_features import local_features
-from worker.description.regions import components
+from worker.description.ports import Encoder
 from worker.description.vocabularies import Vocabulary
 from worker.method import context_graph, dense_cells, labels, sampling, static_mask, vocabulary
 from worker.method.byte_vectors import Product, float_product, quantise
+from worker.method.context_graph import Regions
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,20 +38,22 @@ class Describer:
     ----------
     encoder : Encoder
         Whose fields it will be given; only its text vectors are used here.
-    recipe : Recipe
+    recipe : DescriptionRecipe
     words : Vocabulary
         The one that the recipe names.
     product : Product
     """
 
-    def __init__(self, encoder: Encoder, recipe: Recipe, words: Vocabulary, product: Product = float_product) -> None:
+    def __init__(
+        self, encoder: Encoder, recipe: DescriptionRecipe, words: Vocabulary, product: Product = float_product
+    ) -> None:
         self.recipe = recipe
         self.vocabulary = words
         self._product = product
         self._text = encoder.text_vectors(recipe.labels)
         self._dynamic = np.isin(np.array(recipe.labels), np.array(recipe.dynamic))
 
-    def see(self, field: PixelField) -> Segmentation:
+    def segment(self, field: PixelField) -> Segmentation:
         """Label map and static cells of a field."""
         parameters = self.recipe.parameters.dynamic
         scores = labels.scores(field.semantic, self._text)
@@ -61,13 +64,13 @@ class Describer:
         """The context graph of a field."""
         least = self.recipe.parameters.graph.min_region_cells
         return context_graph.build(
-            segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
+            segmentation.labels, segmentation.static, field.semantic, field.extent, _components, least
         )
 
     def keypoints(self, image: Image) -> LocalFeatures | None:
         """Local features for verification, if the recipe has one; they do not need the field."""
-        verification = self.recipe.parameters.verification
-        return local_features(image.pixels, verification.keypoints) if verification else None
+        wanted = self.recipe.parameters.local_features
+        return None if wanted is None else local_features(image.pixels, wanted)
 
     def describe(self, image: Image, field: PixelField, found: LocalFeatures | None) -> Description:
         """Everything the recipe wants to know about a picture, of which `found` is what `keypoints` found.
@@ -78,7 +81,7 @@ class Describer:
             Every cell is dynamic.
         """
         parameters = self.recipe.parameters
-        segmentation = self.see(field)
+        segmentation = self.segment(field)
         if not segmentation.static.any():
             shown = ", ".join(self.recipe.labels[i] for i in np.unique(segmentation.labels))
             raise NothingStatic(f"every part of the picture is something that moves ({shown}); show more of the place")
@@ -96,7 +99,7 @@ class Describer:
             if parameters.dense is not None and learned.cells is not None:
                 grid = dense_cells.grid(layer, parameters.dense.rows, parameters.dense.columns)
                 parts[name] = dense_cells.reduce(grid, learned.cells)
-        cells = quantise(dense_cells.join(parts, parameters.dense.shares if parameters.dense else {}))
+        cells = quantise(dense_cells.join(parts, parameters.dense.channel_weights if parameters.dense else {}))
         return Description(
             vectors=vectors,
             appearance=Appearance(quantise(dense_cells.halve(cells)), self.graph(field, segmentation), field.extent),
@@ -106,3 +109,9 @@ class Describer:
             static_share=float(segmentation.static.mean()),
             descriptor_count=count,
         )
+
+
+def _components(mask: Booleans) -> Regions:
+    """8-connected components; see `context_graph.Components`."""
+    numbered: Regions = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1]
+    return numbered

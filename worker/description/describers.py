@@ -5,9 +5,9 @@ from collections import OrderedDict
 from collections.abc import Iterable
 
 from schemas.errors import NotFound, SetupError
-from schemas.ports import Encoder, Store
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe
 from worker.description.describer import Describer
+from worker.description.ports import Encoder, VocabularyReader
 from worker.description.vocabularies import Vocabulary
 from worker.method.byte_vectors import Product, float_product
 
@@ -21,24 +21,28 @@ class Describers:
     Parameters
     ----------
     encoder : Encoder
-    store : Store
-        Keeps the vocabularies that maps have trained.
+    vocabularies : VocabularyReader
+        Those vocabularies that maps have trained.
     general : iterable of Vocabulary
         Those that ship with the encoder.
     product : Product
     """
 
     def __init__(
-        self, encoder: Encoder, store: Store, general: Iterable[Vocabulary], product: Product = float_product
+        self,
+        encoder: Encoder,
+        vocabularies: VocabularyReader,
+        general: Iterable[Vocabulary],
+        product: Product = float_product,
     ) -> None:
         self._encoder = encoder
-        self._store = store
+        self._vocabularies = vocabularies
         self._product = product
         self._general = {vocabulary.digest: vocabulary for vocabulary in general}
         self._made: OrderedDict[str, Describer] = OrderedDict()
         self._lock = threading.Lock()
 
-    def of(self, recipe: Recipe) -> Describer:
+    def of(self, recipe: DescriptionRecipe) -> Describer:
         """The describer of a recipe.
 
         Raises
@@ -68,6 +72,6 @@ class Describers:
         if digest in self._general:
             return self._general[digest]
         try:
-            return Vocabulary.read(self._store.vocabulary(digest), f"vocabulary {digest[:12]}")
+            return Vocabulary.read(self._vocabularies.get(digest), f"vocabulary {digest[:12]}")
         except NotFound:
             raise SetupError(f"the vocabulary {digest[:12]} is not kept here; train the map another one") from None

@@ -1,33 +1,43 @@
-"""Named presets, and how a recipe is made of a preset, an encoder and what the user changed."""
+"""Named presets, and how both halves of a recipe are made of a preset, an encoder and what the user changed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from schemas.description import SEMANTIC
+from schemas.description import DETAIL, SEMANTIC
 from schemas.errors import InvalidParameters, ParameterError, SetupError
-from schemas.ports import Encoder
-from schemas.recipe import Channel, DenseCells, Dynamic, Graph, Parameters, Recipe, Verification
+from schemas.recipe import (
+    CellGrid,
+    Channel,
+    DescriptionParameters,
+    DescriptionRecipe,
+    DynamicFilter,
+    GraphNodes,
+    MapRecipe,
+    RankingConfig,
+    TermWeights,
+)
 from worker.description import vocabularies
+from worker.description.ports import Encoder
 from worker.description.vocabularies import Vocabulary
 
-PAPER_WORDS = (
+PAPER_LABELS = (
     "road", "sidewalk", "building", "vehicle", "car", "bicycle", "motorcycle", "vegetation", "trunk", "terrain",
     "cyclist", "pole", "sky", "other",
 )  # fmt: skip
-"""The 14 words of the paper (after Semantic-KITTI)."""
+"""The 14 labels of the paper (after Semantic-KITTI)."""
 
 PAPER_DYNAMIC = ("vehicle", "car", "bicycle", "motorcycle", "cyclist", "other")
-"""The paper's words for things that move."""
+"""The paper's labels of things that move."""
 
-CODE_WORDS = (
+CODE_LABELS = (
     "ground", "road", "sidewalk", "parking", "structure", "building", "house", "vehicle", "car", "truck", "van",
     "bicycle", "motorcycle", "nature", "vegetation", "trunk", "terrain", "tree", "human", "person", "cyclist",
     "bicyclist", "motorcyclist", "object", "fence", "pole", "traffic sign", "sky", "other",
 )  # fmt: skip
-"""The 29 words of the authors' program."""
+"""The 29 labels of the authors' program."""
 
 CODE_DYNAMIC = (
     "vehicle", "car", "truck", "van", "bicycle", "motorcycle", "human", "person", "cyclist", "bicyclist",
@@ -39,7 +49,7 @@ STREET_AND_ROOM = (
     "grass", "terrain", "water", "mountain", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle",
     "window", "door", "floor", "ceiling", "cabinet", "chair", "table", "sofa", "bed", "stairs", "other",
 )  # fmt: skip
-"""Words of the default preset: the street outside, the country around it, and the room inside."""
+"""Labels of the default preset: the street outside, the country around it, and the room inside."""
 
 STREET_AND_ROOM_DYNAMIC = ("person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle")
 
@@ -51,103 +61,123 @@ class Preset:
     Parameters
     ----------
     labels, dynamic : tuple of str
-        Words, and those of them that move.
-    parameters : Parameters
+        Labels, and those of them that move.
+    parameters : DescriptionParameters
+    ranking : RankingConfig
     """
 
     labels: tuple[str, ...]
     dynamic: tuple[str, ...]
-    parameters: Parameters
+    parameters: DescriptionParameters
+    ranking: RankingConfig
 
 
-_PAPER = Parameters(
-    channels={SEMANTIC: Channel(layer=SEMANTIC, words=10, descriptors=1000, normalisation="l1")},
-    candidates=20,
-    graph=Graph(min_region_cells=1, cosine=0.95, tau=70 / 520),
-    ranking="graph",
+_PAPER = DescriptionParameters(
+    channels={SEMANTIC: Channel(layer=SEMANTIC, vocabulary_size=10, descriptors=1000, normalisation="l1")},
+    graph=GraphNodes(min_region_cells=1),
 )
 
-_DEFAULT = Parameters(
+_PAPER_RANKING = RankingConfig(
+    preset="paper",
+    mode="graph",
+    candidates=20,
+    weights=TermWeights(graph=1.0),
+    full_resolution_top_k=0,
+    graph_cosine=0.95,
+    graph_max_edge=70 / 520,
+    verified_top_k=0,
+)
+
+_DEFAULT = DescriptionParameters(
     channels={
-        SEMANTIC: Channel(layer=SEMANTIC, words=512, assignments=3, temperature=0.05, dimensions=128),
-        "detail": Channel(layer="detail", words=512, assignments=3, temperature=0.1, dimensions=128),
+        SEMANTIC: Channel(layer=SEMANTIC, vocabulary_size=512, assignments=3, temperature=0.05, dimensions=128),
+        DETAIL: Channel(layer=DETAIL, vocabulary_size=512, assignments=3, temperature=0.1, dimensions=128),
     },
-    dynamic=Dynamic(margin=0.1, most=0.5),
+    dynamic=DynamicFilter(margin=0.1, most=0.5),
+    dense=CellGrid(rows=16, columns=28, dimensions=32, channel_weights={SEMANTIC: 0.35, DETAIL: 0.65}),
+    graph=GraphNodes(min_region_cells=8),
+    local_features=300,
+)
+
+_DEFAULT_RANKING = RankingConfig(
+    preset="default",
+    mode="weighted",
     candidates=50,
-    dense=DenseCells(
-        rows=16,
-        columns=28,
-        dimensions=32,
-        shares={SEMANTIC: 0.35, "detail": 0.65},
-        full_resolution_top_k=12,
-        alone={"detail": 6},
-        scale_penalty=0.4,
+    weights=TermWeights(
+        dense_full=1.7, dense=0.2, histogram={SEMANTIC: 0.04, DETAIL: 0.04}, graph=0.05, verification=0.2
     ),
-    graph=Graph(min_region_cells=8, cosine=0.7, tau=0.3),
-    verification=Verification(candidates=10, keypoints=300),
-    weights={
-        "close": 1.7,
-        "dense": 0.2,
-        "histogram.words": 0.04,
-        "histogram.detail": 0.04,
-        "graph": 0.05,
-        "verification": 0.2,
-    },
+    full_resolution_top_k=12,
+    detail_only_top_k=6,
+    scale_penalty=0.4,
+    graph_cosine=0.7,
+    graph_max_edge=0.3,
+    verified_top_k=10,
 )
 
 PRESETS: Mapping[str, Preset] = {
-    "default": Preset(STREET_AND_ROOM, STREET_AND_ROOM_DYNAMIC, _DEFAULT),
-    "paper": Preset(PAPER_WORDS, PAPER_DYNAMIC, _PAPER),
-    "code-words": Preset(CODE_WORDS, CODE_DYNAMIC, _PAPER),
+    "default": Preset(STREET_AND_ROOM, STREET_AND_ROOM_DYNAMIC, _DEFAULT, _DEFAULT_RANKING),
+    "paper": Preset(PAPER_LABELS, PAPER_DYNAMIC, _PAPER, _PAPER_RANKING),
+    "code-words": Preset(CODE_LABELS, CODE_DYNAMIC, _PAPER, _PAPER_RANKING.model_copy(update={"preset": "code-words"})),
 }
 """``paper`` is what the paper states, with the authors' numbers where it is silent; ``code-words`` the same with the
-words of their program; ``default`` is what measuring found (docs/evaluation.md)."""
+labels of their program; ``default`` is what measuring found (docs/evaluation.md)."""
 
 
-def carried(name: str, encoder: Encoder) -> Preset:
-    """A preset as far as an encoder can carry it.
+def preset_for(name: str, encoder: Encoder) -> Preset:
+    """A preset that an encoder can serve at once.
 
-    An encoder without an appearance layer searches and ranks by words alone. One that knows only the paper's words
-    labels with those.
+    Where no vocabulary ships for it, the words of its one channel are the label vectors themselves
+    (`vocabularies.of_text`), until the map trains its own.
 
     Raises
     ------
     InvalidParameters
         There is no such preset.
     """
-    if name not in PRESETS:
-        raise InvalidParameters.of("preset", f"{name!r} is not one of {', '.join(PRESETS)}")
-    preset = PRESETS[name]
-    if encoder.name == "color":
-        preset = Preset(PAPER_WORDS, PAPER_DYNAMIC, preset.parameters)
-    layers = encoder.layers
-    return _with_channels(preset, {c: v for c, v in preset.parameters.channels.items() if v.layer in layers})
-
-
-def preset_for(name: str, encoder: Encoder) -> Preset:
-    """A preset that an encoder can serve at once.
-
-    Where no vocabulary ships for it, the words of its one channel are the label words themselves
-    (`vocabularies.of_text`), until the map trains its own.
-    """
     preset = carried(name, encoder)
     if vocabularies.shipped(encoder.name, name) is not None:
         return preset
     words = preset.parameters.channels[SEMANTIC]
-    own = words.model_copy(update={"words": len(preset.labels), "dimensions": None, "assignments": 1})
-    return _with_channels(preset, {SEMANTIC: own}, dense=None)
+    own = words.model_copy(update={"vocabulary_size": len(preset.labels), "dimensions": None, "assignments": 1})
+    return _with_channels(
+        replace(preset, parameters=preset.parameters.model_copy(update={"dense": None})), {SEMANTIC: own}
+    )
 
 
-def _with_channels(preset: Preset, channels: Mapping[str, Channel], **changes: Any) -> Preset:
+def carried(name: str, encoder: Encoder) -> Preset:
+    """A preset as far as an encoder can carry it; raises InvalidParameters.
+
+    An encoder without an appearance layer searches and ranks by the semantic channel alone. One that does not know the
+    preset's labels gets the paper's.
+    """
+    if name not in PRESETS:
+        raise InvalidParameters.of("preset", f"{name!r} is not one of {', '.join(PRESETS)}")
+    preset = PRESETS[name]
+    known = encoder.known_labels
+    if known is not None and not known.issuperset(preset.labels):
+        preset = replace(preset, labels=PAPER_LABELS, dynamic=PAPER_DYNAMIC)
+    layers = encoder.layers
+    return _with_channels(preset, {c: v for c, v in preset.parameters.channels.items() if v.layer in layers})
+
+
+def _with_channels(preset: Preset, channels: Mapping[str, Channel]) -> Preset:
     """A preset with these channels only, and with weights of the terms that they can give."""
-    dense = preset.parameters.dense
-    changes = {"dense": None if dense is None else dense.among(channels), **changes}
-    parameters = preset.parameters.model_copy(update={"channels": dict(channels), **changes})
-    missing = {f"histogram.{name}" for name in preset.parameters.channels.keys() - channels.keys()}
-    if parameters.dense is None:
-        missing |= {"dense", "close"}
-    weights = {term: weight for term, weight in preset.parameters.weights.items() if term not in missing}
-    return Preset(preset.labels, preset.dynamic, parameters.model_copy(update={"weights": weights}))
+    parameters, weights = preset.parameters, preset.ranking.weights
+    dense = parameters.dense
+    if dense is not None:
+        kept = {name: weight for name, weight in dense.channel_weights.items() if name in channels}
+        dense = dense.model_copy(update={"channel_weights": kept})
+    changes: dict[str, Any] = {"histogram": {c: w for c, w in weights.histogram.items() if c in channels}}
+    if dense is None:
+        changes |= {"dense_full": 0.0, "dense": 0.0}
+    ranking: dict[str, Any] = {"weights": weights.model_copy(update=changes)}
+    if len(channels) == 1:
+        ranking["detail_only_top_k"] = 0
+    return replace(
+        preset,
+        parameters=parameters.model_copy(update={"channels": dict(channels), "dense": dense}),
+        ranking=preset.ranking.model_copy(update=ranking),
+    )
 
 
 def general_vocabulary(encoder: Encoder, name: str) -> Vocabulary:
@@ -159,87 +189,156 @@ def general_vocabulary(encoder: Encoder, name: str) -> Vocabulary:
     return vocabularies.of_text(encoder.text_vectors(preset.labels), preset.parameters)
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What a user wants a map to be made with; None leaves it as it is.
+
+    Parameters
+    ----------
+    labels, dynamic : sequence of str, optional
+        Replace the preset's. Without `dynamic`, those of the preset's dynamic labels that are among the labels.
+    preset : str, optional
+    parameters, ranking : mapping, optional
+        Merged into the preset's, key by key at every depth.
+    """
+
+    labels: Sequence[str] | None = None
+    dynamic: Sequence[str] | None = None
+    preset: str | None = None
+    parameters: Mapping[str, Any] | None = None
+    ranking: Mapping[str, Any] | None = None
+
+
 def make_recipe(
     encoder: Encoder,
-    preset_name: str,
+    wanted: Wanted,
     *,
-    labels: Sequence[str] | None = None,
-    dynamic: Sequence[str] | None = None,
-    parameters: Mapping[str, Any] | None = None,
+    preset: str,
+    present: MapRecipe | None = None,
     vocabulary: Vocabulary | None = None,
-    present: Parameters | None = None,
-) -> Recipe:
-    """A recipe from a preset and what the user changed of it.
+) -> MapRecipe:
+    """Both halves of a recipe from a preset and what the user changed of it.
 
     Parameters
     ----------
     encoder : Encoder
-    preset_name : str
-    labels, dynamic : sequence of str, optional
-        Replace the preset's. Without `dynamic`, those of the preset's dynamic words that are among the labels.
-    parameters : mapping, optional
-        Merged into the preset's, key by key at every depth.
+    wanted : Wanted
+    preset : str
+        Where `wanted` names none.
+    present : MapRecipe, optional
+        What the map has: `wanted` is merged into it instead of the preset's.
     vocabulary : Vocabulary, optional
         Instead of the general one.
-    present : Parameters, optional
-        What `parameters` is merged into, instead of the preset's.
 
     Raises
     ------
     InvalidParameters
         Lists everything that is wrong at once.
     """
-    preset = preset_for(preset_name, encoder)
-    words = tuple(preset.labels if labels is None else (word.strip() for word in labels))
-    moving = tuple(w for w in preset.dynamic if w in words) if dynamic is None else tuple(w.strip() for w in dynamic)
-    errors = _label_errors(words, moving)
-    numbers = present or preset.parameters
-    if parameters:
-        merged = _merge(numbers.model_dump(mode="json"), parameters)
-        try:
-            numbers = Parameters.model_validate(merged)
-        except ValidationError as error:
-            errors += [
-                ParameterError(".".join(("parameters", *map(str, e["loc"]))), f"{e['msg']}; seen: {e['input']!r}")
-                for e in error.errors()
-            ]
+    name = wanted.preset or preset
+    base = preset_for(name, encoder)
+    if present is not None:
+        base = Preset(base.labels, base.dynamic, present.description.parameters, present.ranking)
+    labels = tuple(base.labels if wanted.labels is None else (label.strip() for label in wanted.labels))
+    moving = base.dynamic if wanted.dynamic is None else tuple(label.strip() for label in wanted.dynamic)
+    dynamic = tuple(label for label in moving if wanted.dynamic is not None or label in labels)
+    errors = _label_errors(labels, dynamic)
+    numbers = _merged(DescriptionParameters, base.parameters, wanted.parameters, "parameters", errors)
+    ranking = _merged(RankingConfig, base.ranking, wanted.ranking, "ranking", errors)
     errors += [
-        ParameterError(f"parameters.channels.{name}.layer", f"{c.layer!r} is not one of {', '.join(encoder.layers)}")
-        for name, c in numbers.channels.items()
-        if c.layer not in encoder.layers
+        ParameterError(f"parameters.channels.{c}.layer", f"{v.layer!r} is not one of {', '.join(encoder.layers)}")
+        for c, v in numbers.channels.items()
+        if v.layer not in encoder.layers
     ]
+    errors += ranking_errors(ranking, numbers, wanted.ranking or {})
     if errors:
         raise InvalidParameters(errors)
-    encoder.meanings(words)
-    learned = vocabulary or general_vocabulary(encoder, preset_name)
+    encoder.meanings(labels)
+    learned = vocabulary or general_vocabulary(encoder, name)
     try:
         learned.check(numbers, encoder.layers)
     except SetupError as error:
         raise InvalidParameters.of("parameters.channels", error.detail) from None
-    return Recipe(
+    description = DescriptionRecipe(
         encoder=encoder.name,
         weights=encoder.digest,
-        labels=words,
-        dynamic=moving,
-        preset=preset_name,
+        labels=labels,
+        dynamic=dynamic,
         parameters=numbers,
         vocabulary=learned.digest,
     )
+    return MapRecipe(description=description, ranking=ranking.model_copy(update={"preset": name}))
 
 
-def _label_errors(words: Sequence[str], moving: Sequence[str]) -> list[ParameterError]:
+def changed_ranking(present: MapRecipe, changes: Mapping[str, Any]) -> RankingConfig:
+    """A map's ranking with some of its numbers changed; raises InvalidParameters, which lists everything wrong."""
+    errors: list[ParameterError] = []
+    ranking = _merged(RankingConfig, present.ranking, changes, "ranking", errors)
+    errors += ranking_errors(ranking, present.description.parameters, changes)
+    if errors:
+        raise InvalidParameters(errors)
+    return ranking
+
+
+def ranking_errors(
+    ranking: RankingConfig, parameters: DescriptionParameters, changes: Mapping[str, Any]
+) -> list[ParameterError]:
+    """What a ranking asks for that the descriptions do not have."""
     errors = []
-    if not 2 <= len(words) <= 255:
-        errors.append(ParameterError("labels", f"{len(words)} words; a label set has 2 to 255"))
-    if any(not word for word in words):
-        errors.append(ParameterError("labels", "a word is empty"))
-    twice = sorted({word for word in words if words.count(word) > 1})
+    if "preset" in changes:
+        errors.append(ParameterError("ranking.preset", "is set by `preset`, beside `ranking`"))
+    unknown = sorted(ranking.weights.histogram.keys() - parameters.channels.keys())
+    if unknown:
+        known = ", ".join(parameters.channels)
+        detail = f"{', '.join(unknown)} are not among the channels {known}"
+        errors.append(ParameterError("ranking.weights.histogram", detail))
+    channels = parameters.cell_channels()
+    if changes.get("detail_only_top_k") and not (DETAIL in channels and len(channels) > 1):
+        detail = (
+            f"needs dense cells that join {DETAIL!r} with another channel; these join {', '.join(channels) or 'none'}"
+        )
+        errors.append(ParameterError("ranking.detail_only_top_k", detail))
+    return errors
+
+
+Half = TypeVar("Half", DescriptionParameters, RankingConfig)
+
+
+def _merged(
+    model: type[Half], base: Half, changes: Mapping[str, Any] | None, name: str, errors: list[ParameterError]
+) -> Half:
+    """`base` with changes; what is wrong with them is added to `errors`."""
+    if not changes:
+        return base
+    try:
+        return model.model_validate(_merge(base.model_dump(mode="json"), changes))
+    except ValidationError as error:
+        other: type[BaseModel] = RankingConfig if model is DescriptionParameters else DescriptionParameters
+        known = "ranking" if model is DescriptionParameters else "parameters"
+        for found in error.errors():
+            where = ".".join((name, *map(str, found["loc"])))
+            detail = f"{found['msg']}; seen: {found['input']!r}"
+            if found["type"] == "extra_forbidden" and len(found["loc"]) == 1 and found["loc"][0] in other.model_fields:
+                detail = f"belongs to `{known}`, not to `{name}`"
+            elif found["type"] == "extra_forbidden" and len(found["loc"]) == 1:
+                detail = f"is unknown; known are {', '.join(model.model_fields)}"
+            errors.append(ParameterError(where, detail))
+        return base
+
+
+def _label_errors(labels: Sequence[str], dynamic: Sequence[str]) -> list[ParameterError]:
+    errors = []
+    if not 2 <= len(labels) <= 255:
+        errors.append(ParameterError("labels", f"{len(labels)} labels; a label set has 2 to 255"))
+    if any(not label for label in labels):
+        errors.append(ParameterError("labels", "a label is empty"))
+    twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
         errors.append(ParameterError("labels", f"named twice: {', '.join(twice)}"))
-    stray = [word for word in moving if word not in words]
-    if stray:
-        errors.append(ParameterError("dynamic", f"not among the labels: {', '.join(stray)}"))
-    if words and set(words) <= set(moving):
+    unknown = [label for label in dynamic if label not in labels]
+    if unknown:
+        errors.append(ParameterError("dynamic", f"not among the labels: {', '.join(unknown)}"))
+    if labels and set(labels) <= set(dynamic):
         errors.append(ParameterError("dynamic", "every label is dynamic, so nothing could be recognised"))
     return errors
 

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from schemas.description import PixelField
 from schemas.errors import Busy, Unavailable
 from schemas.image import Image
-from schemas.ports import Encoder
+from worker.description.ports import Encoder, Segmenter
 
 T = TypeVar("T")
 Finish = Callable[..., T]
@@ -21,7 +21,7 @@ Finish = Callable[..., T]
 
 QUERY, ENROLMENT, CLOSE = 0, 1, 2
 
-log = logging.getLogger("revisit.desk")
+log = logging.getLogger("revisit.scheduler")
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class _Request:
     finish: Finish[Any] = field(compare=False)
     future: "Future[Timed[Any]]" = field(compare=False)
     since: float = field(compare=False)
-    fine: bool = field(compare=False, default=False)
+    segment: bool = field(compare=False, default=False)
     parallel: Callable[[Image], Any] | None = field(compare=False, default=None)
     made: "Future[Any] | None" = field(compare=False, default=None)
 
@@ -73,8 +73,9 @@ class Scheduler:
         Queries that may wait; more are refused with Busy.
     """
 
-    def __init__(self, encoder: Encoder, batch: int, queries: int) -> None:
+    def __init__(self, encoder: Encoder, batch: int, queries: int, segmenter: Segmenter | None = None) -> None:
         self._encoder = encoder
+        self._segmenter = segmenter
         self._batch = batch
         self._queries = queries
         self._queue: queue.PriorityQueue[_Request] = queue.PriorityQueue()
@@ -83,9 +84,9 @@ class Scheduler:
         self._asked = 0
         self._pace_s = 0.2  # seconds per picture, a moving average; the start is a guess that the first ones correct
         self._closed = False
-        self._thread = threading.Thread(target=self._run, name="revisit-desk", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
-        self._parallel_queries = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-beside-questions")
+        self._parallel_queries = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-parallel-queries")
 
     @property
     def pace_s(self) -> float:
@@ -120,12 +121,12 @@ class Scheduler:
         finish: Finish[T],
         *,
         urgent: bool,
-        fine: bool = False,
+        segment: bool = False,
         parallel: Callable[[Image], Any] | None = None,
     ) -> "Future[Timed[T]]":
         """Have a picture encoded, and `finish` called with it and its field (in a thread of the desk).
 
-        With `fine` the field is that of `Encoder.fine`, which is for drawing. What `parallel` makes of the picture, while
+        With `segment` the field is the segmenter's, which is for drawing. What `parallel` makes of the picture, while
         the network works on it, is the third argument of `finish`.
 
         Raises
@@ -146,7 +147,7 @@ class Scheduler:
                 future.add_done_callback(self._answered)
             urgency = QUERY if urgent else ENROLMENT
             self._queue.put(
-                _Request(urgency, next(self._numbers), image, finish, future, time.perf_counter(), fine, parallel)
+                _Request(urgency, next(self._numbers), image, finish, future, time.perf_counter(), segment, parallel)
             )
         return future
 
@@ -203,9 +204,12 @@ class Scheduler:
             self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
 
     def _fields(self, batch: list[_Request]) -> Iterator[PixelField]:
-        for fine, alike in groupby(batch, key=lambda request: request.fine):
+        for segment, alike in groupby(batch, key=lambda request: request.segment):
             images = [request.image for request in alike]
-            yield from map(self._encoder.fine, images) if fine else self._encoder.encode(images)
+            if segment and self._segmenter is not None:
+                yield from map(self._segmenter.segment, images)
+            else:
+                yield from self._encoder.encode(images)
 
 
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:

@@ -10,14 +10,17 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from schemas.description import Booleans, Floats, PixelField
+from schemas.description import SEMANTIC, Booleans, Floats, PixelField
 from schemas.errors import SetupError
-from schemas.recipe import Channel, Parameters
+from schemas.recipe import Channel, DescriptionParameters
 from worker.method import dense_cells, sampling, vocabulary
 from worker.method.vocabulary import ChannelVocabulary, Projection
 
 SHIPPED = Path(__file__).parents[1] / "encoders" / "weights"
 """Folder of the general vocabularies, ``ENCODER-PRESET.vocabulary.safetensors``."""
+
+NAMES_IN_FILES = {SEMANTIC: "words"}
+"""What files call channels, where that differs: recipes name files by their SHA-256, so they stay as they are."""
 
 PER_IMAGE = 200
 """Descriptors of a picture that take part in training, so that no picture counts more than another."""
@@ -36,7 +39,7 @@ class Vocabulary:
     def tensors(self) -> bytes:
         """As safetensors; equal vocabularies give equal bytes."""
         named: dict[str, Floats] = {}
-        for name, channel in sorted(self.channels.items()):
+        for name, channel in sorted((NAMES_IN_FILES.get(n, n), c) for n, c in self.channels.items()):
             named[f"{name}.words"] = channel.words
             if channel.projection is not None:
                 named[f"{name}.mean"] = channel.projection.mean
@@ -64,15 +67,18 @@ class Vocabulary:
         except SafetensorError as error:
             raise SetupError(f"{source} is no vocabulary: {error}") from None
         channels = {}
+        ours = {theirs: name for name, theirs in NAMES_IN_FILES.items()}
         for name in sorted(key.removesuffix(".words") for key in named if key.endswith(".words")):
             mean = named.get(f"{name}.mean")
             projection = None if mean is None else Projection(mean, named[f"{name}.projection"])
-            channels[name] = ChannelVocabulary(named[f"{name}.words"], projection, named.get(f"{name}.cells"))
+            channels[ours.get(name, name)] = ChannelVocabulary(
+                named[f"{name}.words"], projection, named.get(f"{name}.cells")
+            )
         if not channels:
             raise SetupError(f"{source} is no vocabulary: it has the tensors {sorted(named)}")
         return cls(channels)
 
-    def check(self, parameters: Parameters, layers: Mapping[str, int]) -> None:
+    def check(self, parameters: DescriptionParameters, layers: Mapping[str, int]) -> None:
         """Refuse to serve a recipe that this vocabulary does not fit.
 
         Raises
@@ -84,7 +90,7 @@ class Vocabulary:
             learned = self.channels.get(name)
             if learned is None:
                 raise SetupError(f"the vocabulary has no channel {name!r}; it has {sorted(self.channels)}")
-            want = (channel.words, layers[channel.layer])
+            want = (channel.vocabulary_size, layers[channel.layer])
             if learned.words.shape != want:
                 raise SetupError(
                     f"channel {name!r}: the vocabulary has (words, channels) {learned.words.shape}, "
@@ -103,7 +109,7 @@ def shipped(encoder: str, preset: str) -> Vocabulary | None:
     return Vocabulary.read(path.read_bytes(), path.name) if path.exists() else None
 
 
-def of_text(text_vectors: Floats, parameters: Parameters) -> Vocabulary:
+def of_text(text_vectors: Floats, parameters: DescriptionParameters) -> Vocabulary:
     """A vocabulary for an encoder that nothing has been trained for: the text vectors themselves are the words.
 
     Every channel must take its descriptors from the language-aligned layer and have as many words as there are
@@ -115,7 +121,9 @@ def of_text(text_vectors: Floats, parameters: Parameters) -> Vocabulary:
 StaticCells = Callable[[PixelField], Booleans]
 
 
-def train(fields: Iterable[PixelField], static_cells: StaticCells, parameters: Parameters, seed: int = 0) -> Vocabulary:
+def train(
+    fields: Iterable[PixelField], static_cells: StaticCells, parameters: DescriptionParameters, seed: int = 0
+) -> Vocabulary:
     """Train the vocabulary of every channel on pictures (paper, "Visual-Language Vocabulary").
 
     Parameters
@@ -125,7 +133,7 @@ def train(fields: Iterable[PixelField], static_cells: StaticCells, parameters: P
         most MOST_PICTURES are read.
     static_cells : function
         Field to bool (rows, columns): the cells that do not move.
-    parameters : Parameters
+    parameters : DescriptionParameters
     seed : int
 
     Raises
@@ -159,12 +167,12 @@ def _train_channel(
     channel: Channel,
     images: Sequence[Floats],
     grids: Sequence[Floats],
-    parameters: Parameters,
+    parameters: DescriptionParameters,
     random: np.random.Generator,
 ) -> ChannelVocabulary:
     sample = np.concatenate([p[random.permutation(len(p))[:PER_IMAGE]] for p in images]).astype(np.float32)
     # Soft assignment compares cosines, so its words are kept on the sphere; counting the nearest is plain k-means.
-    words = vocabulary.train_words(sample, channel.words, random, spherical=channel.assignments > 1)
+    words = vocabulary.train_words(sample, channel.vocabulary_size, random, spherical=channel.assignments > 1)
     plain = ChannelVocabulary(words)
     projection = None
     if channel.dimensions is not None:

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 import cv2
 import numpy as np
 
-from schemas.description import SEMANTIC, Floats, PixelField
+from schemas.description import DETAIL, SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.image import Image
 from schemas.records import Meaning
 from worker.method.unit_length import unit
 
-WORDS: Mapping[str, tuple[int, int, int]] = {
+COLORS: Mapping[str, tuple[int, int, int]] = {
     "road": (90, 90, 95),
     "sidewalk": (170, 165, 160),
     "building": (165, 95, 70),
@@ -28,7 +28,7 @@ WORDS: Mapping[str, tuple[int, int, int]] = {
     "sky": (140, 185, 235),
     "other": (240, 230, 60),
 }
-"""RGB that stands for each of the paper's words."""
+"""RGB that stands for each of the paper's labels."""
 
 CELL = 8
 """Pixels per cell, at a longer side of LONGEST."""
@@ -39,23 +39,20 @@ LONGEST = 480
 class ColorEncoder:
     """Embeds a cell by its mean colour and its contrast to its neighbours.
 
-    The layer ``words`` is the colour as a unit vector of eight numbers; ``detail`` adds local gradients. A word's
+    The layer ``semantic`` is the colour as a unit vector of eight numbers; ``detail`` adds local gradients. A label's
     vector is that of its colour.
     """
 
     name = "color"
 
     def __init__(self) -> None:
-        self.digest = hashlib.sha256(repr((sorted(WORDS.items()), CELL, LONGEST)).encode()).hexdigest()
-        self.layers: Mapping[str, int] = {SEMANTIC: 8, "detail": 12}
+        self.digest = hashlib.sha256(repr((sorted(COLORS.items()), CELL, LONGEST)).encode()).hexdigest()
+        self.layers: Mapping[str, int] = {SEMANTIC: 8, DETAIL: 12}
+        self.known_labels: frozenset[str] | None = frozenset(COLORS)
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per picture; see `Encoder.encode`."""
         return (self._encode(image) for image in images)
-
-    def fine(self, image: Image) -> PixelField:
-        """See `Encoder.fine`: its fields have no finer grid."""
-        return self._encode(image)
 
     def _encode(self, image: Image) -> PixelField:
         width, height = image.extent
@@ -63,27 +60,27 @@ class ColorEncoder:
         mean = cv2.resize(image.pixels, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32) / np.float32(
             255
         )
-        words = unit(_spread(mean))
+        semantic = unit(_spread(mean))
         across = np.gradient(mean, axis=1)
         down = np.gradient(mean, axis=0)
         detail = unit(np.concatenate([_spread(mean) * 0.5, across.mean(-1, keepdims=True) * 4,
                                        down.mean(-1, keepdims=True) * 4, np.abs(across).mean(-1, keepdims=True) * 4,
                                        np.abs(down).mean(-1, keepdims=True) * 4], axis=-1))  # fmt: skip
-        return PixelField({SEMANTIC: words, "detail": detail}, image.extent)
+        return PixelField({SEMANTIC: semantic, DETAIL: detail}, image.extent)
 
-    def text_vectors(self, words: Sequence[str]) -> Floats:
+    def text_vectors(self, labels: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""
-        self.meanings(words)
-        colours = np.array([WORDS[word] for word in words], np.float32).reshape(-1, 3) / np.float32(255)
+        self.meanings(labels)
+        colours = np.array([COLORS[label] for label in labels], np.float32).reshape(-1, 3) / np.float32(255)
         return unit(_spread(colours))
 
-    def meanings(self, words: Sequence[str]) -> list[Meaning]:
+    def meanings(self, labels: Sequence[str]) -> list[Meaning]:
         """See `Encoder.meanings`."""
-        unknown = [word for word in words if word not in WORDS]
+        unknown = [label for label in labels if label not in COLORS]
         if unknown:
-            known = ", ".join(WORDS)
+            known = ", ".join(COLORS)
             raise InvalidParameters([ParameterError("labels", f"{w!r} is not known; known: {known}") for w in unknown])
-        return [Meaning(word, (word,), trained=True) for word in words]
+        return [Meaning(label, (label,), trained=True) for label in labels]
 
 
 def _spread(colours: Floats) -> Floats:

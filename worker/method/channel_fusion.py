@@ -14,7 +14,7 @@ from worker.method import dense_cells
 from worker.method.byte_vectors import Product, float_product, scale
 from worker.method.hough import Doubles
 
-HIGH = 0.85
+REFERENCE_QUANTILE = 0.85
 """Share of the candidates that look less alike than what a candidate has to stand out from: enough for rare kinds of
 places, and below the other views of the right place, which are few."""
 
@@ -23,7 +23,7 @@ LARGEST_RATE = 2.0
 channel, as with a blank wall or thick fog, what little does would stand out without bound."""
 
 
-def part(cells: Int8s, channels: Collection[str], channel: str) -> Int8s:
+def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8s:
     """Cut one channel out of joined cells.
 
     Parameters
@@ -56,7 +56,7 @@ def length(cells: Int8s) -> float:
     return float(np.sqrt(squares.mean())) * scale(cells) or 1.0
 
 
-def alone(
+def single_channel_similarity(
     query: Int8s,
     candidates: Int8s,
     channels: Collection[str],
@@ -72,7 +72,7 @@ def alone(
     query : int8 of shape (rows, columns, dimensions)
     candidates : int8 of shape (candidates, rows, columns, dimensions)
     channels, channel
-        As `part` takes them.
+        As `slice_channel` takes them.
     product : Product
     cell_aspect : float64 of shape (candidates, 2), optional
         As in `worker.method.dense_cells.compare`.
@@ -82,11 +82,11 @@ def alone(
     float32 of shape (candidates,)
         0..1, as in `worker.method.hough.Agreement`.
     """
-    ours, theirs = (part(cells, channels, channel) for cells in (query, candidates))
+    ours, theirs = (slice_channel(cells, channels, channel) for cells in (query, candidates))
     return dense_cells.compare(ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False).scores
 
 
-def align_scale(joined: Floats, alone: Floats, high: float = HIGH) -> float:
+def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE) -> float:
     """What a similarity in one reading is multiplied by to be held against one in another.
 
     Parameters

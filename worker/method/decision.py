@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from worker.description.vocabularies import SHIPPED
 from worker.method.calibration import Calibration, Logistic, Thresholds, Verdict
-from worker.search.searcher import ScoredView
+from worker.method.cascade import RankedCandidate
 
 UNCALIBRATED = Calibration(
     ("score",),
@@ -40,7 +38,7 @@ class Decision:
     confidences: tuple[float, ...]
 
 
-def features(found: Sequence[ScoredView]) -> Mapping[str, npt.NDArray[np.float64]]:
+def features(found: Sequence[RankedCandidate]) -> Mapping[str, npt.NDArray[np.float64]]:
     """What a calibration may read of each match, float64 (matches,) each.
 
     ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``standing``, by
@@ -56,7 +54,7 @@ def features(found: Sequence[ScoredView]) -> Mapping[str, npt.NDArray[np.float64
         "standing": np.array(
             [0.0 if f.dense is None else f.dense.similarity - f.dense.median_similarity for f in found]
         ),
-        "margin": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.high for f in found]),
+        "margin": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.p85_similarity for f in found]),
         "inliers": np.log1p([0 if f.verified is None else f.verified.inliers for f in found]),
     }
     for term in sorted({term for f in found for term in f.parts}):
@@ -64,12 +62,12 @@ def features(found: Sequence[ScoredView]) -> Mapping[str, npt.NDArray[np.float64
     return read
 
 
-def decide(found: Sequence[ScoredView], calibration: Calibration) -> Decision:
+def decide(found: Sequence[RankedCandidate], calibration: Calibration) -> Decision:
     """Confidence of each match and the verdict on the answer.
 
     Parameters
     ----------
-    found : sequence of ScoredView
+    found : sequence of RankedCandidate
         Best first.
     calibration : Calibration
     """
@@ -81,9 +79,3 @@ def decide(found: Sequence[ScoredView], calibration: Calibration) -> Decision:
     probabilities = np.minimum.accumulate(np.clip(calibration.curve.probability(columns), 0, 1))
     first = float(probabilities[0])
     return Decision(calibration.thresholds.verdict(first), first, tuple(float(p) for p in probabilities))
-
-
-def shipped_calibration(encoder: str, preset: str) -> Calibration:
-    """The calibration that comes with an encoder and a preset, or UNCALIBRATED."""
-    path: Path = SHIPPED / f"{encoder}-{preset}.calibration.json"
-    return Calibration.from_json(path.read_text()) if path.exists() else UNCALIBRATED

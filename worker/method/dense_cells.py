@@ -224,8 +224,8 @@ def compare(
     length : float
         Of the vectors of both, where they are part of longer ones.
     cell_aspect : float64 of shape (candidates, 2), optional
-        Height and width of the candidates' cells, in those of the query (`worker.method.hough.cell_aspects`); all 1 where
-        the pictures have one shape.
+        Height and width of the candidates' cells, in those of the query (`worker.method.hough.cell_aspects`); all 1
+        where the images have one shape.
     measured : bool
         Whether scales are asked for.
 
@@ -239,27 +239,27 @@ def compare(
     return agreement(pairs, distinct, shape, len(candidates), cell_aspect=cell_aspect, measured=measured)
 
 
-def nearness(scales: Floats, penalty: float) -> Floats:
+def scale_penalty(scales: Floats, exponent: float) -> Floats:
     """What a similarity is multiplied by for showing the place larger or smaller than the query does.
 
     Parameters
     ----------
     scales : float32 of shape (candidates,)
         As in `worker.method.hough.Agreement`.
-    penalty : float
+    exponent : float
         At least 0.
 
     Returns
     -------
     float32 of shape (candidates,)
-        min(s, 1 / s) ** penalty: 1 at the same scale.
+        min(s, 1 / s) ** exponent: 1 at the same scale.
 
     Notes
     -----
     Along a path several views show the same things, and their cells agree nearly as well. The one taken nearest to the
     query is the one that shows them at the same size.
     """
-    near: Floats = np.minimum(scales, 1 / scales) ** np.float32(penalty)
+    near: Floats = np.minimum(scales, 1 / scales) ** np.float32(exponent)
     return near
 
 

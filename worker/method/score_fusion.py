@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats
-from schemas.recipe import Channel, Parameters
+from schemas.recipe import Channel, RankingConfig
 
 Rows = npt.NDArray[np.intp]
 
@@ -54,26 +54,26 @@ def weigh(terms: Mapping[str, Floats], weights: Mapping[str, float]) -> tuple[Fl
     return sum(parts.values(), start=nothing), parts
 
 
-def score(terms: Mapping[str, Floats], parameters: Parameters, reranked: Rows) -> tuple[Floats, dict[str, Floats]]:
+def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) -> tuple[Floats, dict[str, Floats]]:
     """Score of every candidate, and the parts it is made of.
 
-    With ``ranking="graph"`` (the paper) the graph similarity is the score, and the histogram only settles ties; with
+    With ``mode="graph"`` (the paper) the graph similarity is the score, and the histogram only settles ties; with
     nothing re-ranked the histograms are the score. A candidate that was not re-ranked never scores above one that was.
 
     Parameters
     ----------
     terms : mapping of term to float32 of shape (n,)
-    parameters : Parameters
+    config : RankingConfig
     reranked : intp of shape (m,)
 
     Returns
     -------
     As `weigh`.
     """
-    weights: Mapping[str, float] = parameters.weights
+    weights = config.weights.terms()
     if len(reranked) == 0:
-        weights = {name: parameters.weights.get(name) or 1.0 for name in terms}
-    elif parameters.ranking == "graph":
+        weights = {name: weights.get(name, 1.0) for name in terms}
+    elif config.mode == "graph":
         weights = {"graph": 1.0}
     total, parts = weigh(terms, weights)
     others = np.setdiff1d(np.arange(len(total)), reranked)

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 
-from schemas.ports import Index, Store
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe
+from schemas.records import MapRecord
+from worker.search.ports import DescriptionReader, Index, MapReader
 
-MakeIndex = Callable[[Recipe], Index]
+MakeIndex = Callable[[DescriptionRecipe], Index]
 
 
 @dataclass(frozen=True)
@@ -22,20 +23,21 @@ class Catalogue:
 
     Parameters
     ----------
-    store : Store
+    maps, descriptions
+        Parts of the store.
     make : function
         An empty index for a recipe.
     """
 
-    def __init__(self, store: Store, make: MakeIndex) -> None:
-        self._store = store
+    def __init__(self, maps: MapReader, descriptions: DescriptionReader, make: MakeIndex) -> None:
+        self._maps, self._descriptions = maps, descriptions
         self._make = make
         self._indexes: dict[str, _Held] = {}
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
 
-    def index(self, name: str) -> tuple[Index, Recipe]:
-        """The index of a map, holding everything acknowledged before this call, and the recipe it belongs to.
+    def index(self, name: str) -> tuple[Index, MapRecord]:
+        """The index of a map, holding everything acknowledged before this call, and the map as it was then.
 
         Raises
         ------
@@ -46,18 +48,18 @@ class Catalogue:
             lock = self._locks.setdefault(name, threading.Lock())
         with lock:
             while True:
-                record = self._store.map(name)
+                record = self._maps.get(name)
                 held = self._indexes.get(name)
                 # A map of the same name that was deleted and made again is another map.
-                if held is None or held.made_at != record.created_at or held.index.recipe != record.recipe.id:
-                    held = _Held(self._make(record.recipe), record.created_at)
+                if held is None or held.made_at != record.created_at or held.index.recipe != record.description.id:
+                    held = _Held(self._make(record.description), record.created_at)
                 if held.index.revision < record.revision:
-                    changes = self._store.since(name, held.index.revision)
+                    changes = self._descriptions.since(name, held.index.revision)
                     if changes.recipe != held.index.recipe:
                         continue  # the map changed over between the two reads
                     held.index.apply(changes)
                 self._indexes[name] = held
-                return held.index, record.recipe
+                return held.index, record
 
     def forget(self, name: str) -> None:
         """Drop a deleted map's index."""
@@ -67,4 +69,4 @@ class Catalogue:
     def lag(self, name: str) -> int:
         """By how many revisions the index in memory is behind the store."""
         held = self._indexes.get(name)
-        return self._store.revision(name) - (0 if held is None else held.index.revision)
+        return self._maps.revision(name) - (0 if held is None else held.index.revision)

@@ -17,7 +17,7 @@ KEPT = timedelta(hours=24)
 class Calls(Part):
     """The promises of `schemas.ports.Store` about Idempotency-Keys."""
 
-    def begin_call(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
+    def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
         """Claim an Idempotency-Key; see `Store.begin_call`."""
         with self._database.writing() as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.begun_at <= now - KEPT))
@@ -31,7 +31,7 @@ class Calls(Part):
             raise Conflict(f"the first call with the Idempotency-Key {key!r} still runs; try again when it has ended")
         return Replay(row.status, json.loads(row.headers), row.body)
 
-    def end_call(self, key: str, replay: Replay, now: datetime) -> None:
+    def end(self, key: str, replay: Replay, now: datetime) -> None:
         """Remember the answer of a call."""
         with self._database.writing(in_turn=False) as connection:
             connection.execute(
@@ -45,7 +45,7 @@ class Calls(Part):
                 )
             )
 
-    def abandon_call(self, key: str) -> None:
+    def abandon(self, key: str) -> None:
         """Forget a call that failed, so that it can be tried again."""
         with self._database.writing(in_turn=False) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None)))
@@ -54,13 +54,13 @@ class Calls(Part):
 class Vocabularies(Part):
     """The promises of `schemas.ports.Store` about vocabularies."""
 
-    def keep_vocabulary(self, digest: str, tensors: bytes) -> None:
+    def keep(self, digest: str, tensors: bytes) -> None:
         """Keep a map's own vocabulary; the same one twice is kept once."""
         with self._database.writing() as connection:
             if connection.scalar(sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == digest)) is None:
                 connection.execute(sa.insert(VOCABULARIES).values(digest=digest, tensors=bytes(tensors)))
 
-    def vocabulary(self, digest: str) -> bytes:
+    def get(self, digest: str) -> bytes:
         """A kept vocabulary; raises NotFound."""
         with self._database.reading() as connection:
             tensors = connection.scalar(sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == digest))

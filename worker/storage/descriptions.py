@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures
 from schemas.image import extent_of
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe
 from schemas.records import Changes, Sequence64
 from worker.storage import packing
 from worker.storage.part import Part
@@ -21,7 +21,7 @@ ROWS = 4096
 
 
 def keep_description(
-    connection: sa.Connection, job: sa.Row[Any], recipe: Recipe, description: Description, revision: int
+    connection: sa.Connection, job: sa.Row[Any], recipe: DescriptionRecipe, description: Description, revision: int
 ) -> None:
     """Keep what a job found out about its view, as of a revision."""
     key = {"seq": job.seq, "recipe": job.recipe}

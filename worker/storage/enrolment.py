@@ -9,7 +9,7 @@ from uuid6 import uuid7
 
 from schemas.errors import Conflict, NotFound
 from schemas.image import ImageFacts
-from schemas.recipe import Recipe
+from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes
 from worker.storage import switching
 from worker.storage.filtering import metadata_pairs
@@ -65,7 +65,7 @@ class Enrolment(Part):
     """The promise of `schemas.ports.Store` about enrolment."""
 
     def submit(
-        self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: Recipe, now: datetime
+        self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: MapRecipe, now: datetime
     ) -> Submitted:
         """Keep a picture and queue its description; see `Store.submit`."""
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:

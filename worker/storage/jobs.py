@@ -1,4 +1,4 @@
-"""Jobs: claimed under a lease, finished once, given up after three attempts."""
+"""Describe jobs: claimed under a lease, finished once, given up after three attempts."""
 
 import secrets
 from datetime import datetime, timedelta
@@ -7,8 +7,8 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.description import Description
-from schemas.errors import Conflict, LeaseLost, NotFound
-from schemas.records import Claim, JobRecord
+from schemas.errors import LeaseLost
+from schemas.records import Claim
 from worker.storage import clock, switching
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
@@ -24,8 +24,9 @@ WORKER_DIED = (
 
 
 # Statements that every enrolment runs are made once: making one takes longer than running it.
-_IS_LEFT = (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
-_ANY_WAITING = sa.select(JOBS.c.id).where(JOBS.c.state == "waiting").limit(1)
+_DESCRIBES = JOBS.c.kind == "describe"
+_IS_LEFT = _DESCRIBES & (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
+_ANY_WAITING = sa.select(JOBS.c.id).where(_DESCRIBES, JOBS.c.state == "waiting").limit(1)
 _LEFT = sa.select(JOBS.c.id, JOBS.c.attempts).where(_IS_LEFT)
 _OLDEST = (
     sa.select(JOBS)
@@ -33,10 +34,10 @@ _OLDEST = (
     .limit(sa.bindparam("most", type_=sa.Integer))
     .with_for_update(skip_locked=True)
 )
-_OLDEST_WAITING = _OLDEST.where(JOBS.c.state == "waiting")
+_OLDEST_WAITING = _OLDEST.where(_DESCRIBES, JOBS.c.state == "waiting")
 _OLDEST_LEFT = _OLDEST.where(_IS_LEFT, JOBS.c.attempts < ATTEMPTS)
 _LEASED = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of")).values(attempts=JOBS.c.attempts + 1)
-_UNFINISHED = sa.select(sa.func.count()).select_from(JOBS).where(JOBS.c.state.in_(switching.UNFINISHED))
+_UNFINISHED = sa.select(sa.func.count()).select_from(JOBS).where(_DESCRIBES, JOBS.c.state.in_(switching.UNFINISHED))
 _ENROLMENTS = _UNFINISHED.where(JOBS.c.background.is_(False))
 _RECIPE_OF_MAP = sa.select(MAPS.c.recipe).where(MAPS.c.id == sa.bindparam("of"))
 _JOB_LOCKED = sa.select(JOBS).where(JOBS.c.id == sa.bindparam("of")).with_for_update()
@@ -45,10 +46,13 @@ _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 
 
 class Jobs(Part):
-    """The promises of `schemas.ports.Store` about work."""
+    """The queue of images to be described."""
 
     def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
-        """Take up to `count` jobs; see `Store.claim`."""
+        """Take up to `count` of the oldest waiting jobs, or jobs whose lease has ended; never more than thrice.
+
+        Enrolments, for which somebody may be waiting, go before the jobs of a recipe switch.
+        """
         with self._database.reading() as connection:  # a worker that asks in vain keeps no writer waiting
             waits = connection.execute(_ANY_WAITING).first()
             left = list(connection.execute(_LEFT, {"moment": now}))
@@ -84,10 +88,10 @@ class Jobs(Part):
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
             # Its last worker may have been late rather than dead.
             if job is not None and job.state == "running" and job.lease_until <= now:
-                self._settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
+                self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
-        """Keep a description; see `Store.finish`."""
+        """Keep a description: the view is searchable from the returned revision on; raises LeaseLost."""
         with self._database.writing() as connection:
             job = self._held(connection, claim)
             current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
@@ -96,12 +100,12 @@ class Jobs(Part):
             else:  # nobody sees it before the map changes over
                 revision = int(connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == job.map_id)) or 0)
             keep_description(connection, job, claim.recipe, description, revision)
-            return self._settle(connection, job, "done", now) or revision
+            return self.settle(connection, job, "done", now) or revision
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
-        """Give a job up; see `Store.fail`."""
+        """Give a job up; the view stays, `failed`, with this reason; raises LeaseLost."""
         with self._database.writing() as connection:
-            self._settle(connection, self._held(connection, claim), "failed", now, (code, detail))
+            self.settle(connection, self._held(connection, claim), "failed", now, (code, detail))
 
     def _held(self, connection: sa.Connection, claim: Claim) -> sa.Row[Any]:
         """The job of a claim that is still valid; raises LeaseLost."""
@@ -113,7 +117,7 @@ class Jobs(Part):
             raise LeaseLost(f"the lease of job {claim.job_id} ended and the job is {job.state} without this worker")
         return job
 
-    def _settle(
+    def settle(
         self,
         connection: sa.Connection,
         job: sa.Row[Any],
@@ -130,7 +134,7 @@ class Jobs(Part):
         if job.recipe == current:
             view_state = "ready" if state == "done" else "failed"
             connection.execute(_VIEW_SETTLES, {"of": job.seq, "state": view_state, **outcome})
-        return switching.finish_if_done(connection, job.map_id)
+        return switching.finish_if_done(connection, job.map_id, now)
 
     def release(self, claim: Claim) -> None:
         """Put a job back unharmed; one that is no longer this worker's is left alone."""
@@ -141,44 +145,13 @@ class Jobs(Part):
                 .values(state="waiting", worker=None, token=None, lease_until=None, attempts=JOBS.c.attempts - 1)
             )
 
-    def waiting(self, *, redescriptions: bool = False) -> int:
-        """Jobs not yet finished; see `Store.waiting`."""
+    def count_waiting(self, *, redescriptions: bool = False) -> int:
+        """Enrolments not yet described.
+
+        Parameters
+        ----------
+        redescriptions : bool
+            Count the jobs of a recipe switch too. Enrolments go before them, so they delay none.
+        """
         with self._database.reading() as connection:
             return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)
-
-    def job(self, job_id: str) -> JobRecord:
-        """One job; raises NotFound."""
-        with self._database.reading() as connection:
-            return self._record(connection, job_id)
-
-    def cancel(self, job_id: str, now: datetime) -> JobRecord:
-        """Cancel a job that is waiting; its view is then failed. See `Store.cancel`."""
-        with self._database.writing() as connection:
-            job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
-            if job is None:
-                raise NotFound("job", job_id)
-            if job.state != "waiting":
-                raise Conflict(f"the job {job_id} is {job.state}; only a waiting job can be cancelled")
-            reason = "its description was cancelled; enrol the picture again to have it described"
-            self._settle(connection, job, "cancelled", now, ("cancelled", reason))
-            return self._record(connection, job_id)
-
-    def _record(self, connection: sa.Connection, job_id: str) -> JobRecord:
-        rows = (
-            sa.select(JOBS, MAPS.c.name.label("map"), VIEWS.c.id.label("view_id"))
-            .join(VIEWS, VIEWS.c.seq == JOBS.c.seq)
-            .join(MAPS, MAPS.c.id == JOBS.c.map_id)
-        )
-        row = connection.execute(rows.where(JOBS.c.id == job_id)).one_or_none()
-        if row is None:
-            raise NotFound("job", job_id)
-        return JobRecord(
-            id=row.id,
-            state=row.state,
-            map=row.map,
-            view_id=row.view_id,
-            attempts=row.attempts,
-            created_at=row.created_at,
-            finished_at=row.finished_at,
-            failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
-        )

@@ -1,44 +1,53 @@
 """Maps: made, counted, given another recipe."""
 
+from collections.abc import Callable
 from datetime import datetime
 
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, NotFound
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
 from worker.storage.part import Part
-from worker.storage.rows import COORDINATES, find_map, find_recipe, keep_recipe, map_record
+from worker.storage.rows import COORDINATES, find_map, keep_recipe, map_record, ranking_of
 from worker.storage.tables import MAPS, RECIPES, VIEWS
 
 STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
 
 
-def make_map(connection: sa.Connection, name: str, recipe: Recipe, now: datetime) -> None:
+def make_map(connection: sa.Connection, name: str, recipe: MapRecipe, now: datetime) -> None:
     """Add an empty map, inside a transaction that is written in turn."""
     born = clock.read(connection)
     connection.execute(
         sa.insert(MAPS).values(
-            name=name, recipe=keep_recipe(connection, recipe), revision=born, anew=born, created_at=now
+            name=name,
+            recipe=keep_recipe(connection, recipe.description),
+            ranking=recipe.ranking.model_dump_json(),
+            revision=born,
+            anew=born,
+            created_at=now,
         )
     )
 
 
 class Maps(Part):
-    """The promises of `schemas.ports.Store` about maps."""
+    """Maps by name."""
 
-    def maps(self) -> list[MapRecord]:
+    def all(self) -> list[MapRecord]:
         """All maps, by name."""
         with self._database.reading() as connection:
             recipes = {
-                row.id: Recipe.model_validate_json(row.body)
+                row.id: DescriptionRecipe.model_validate_json(row.body)
                 for row in connection.execute(sa.select(RECIPES).where(RECIPES.c.id.in_(sa.select(MAPS.c.recipe))))
             }
             rows = connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.name))
-            return [MapRecord(row.name, row.revision, recipes[row.recipe], row.created_at) for row in rows]
+            return [
+                MapRecord(row.name, row.revision, recipes[row.recipe], ranking_of(row.ranking), row.created_at)
+                for row in rows
+            ]
 
-    def map(self, name: str) -> MapRecord:
+    def get(self, name: str) -> MapRecord:
         """One map; raises NotFound."""
         with self._database.reading() as connection:
             return map_record(connection, find_map(connection, name))
@@ -74,29 +83,38 @@ class Maps(Part):
             highest=Position(**{axis: row[f"highest_{axis}"] for axis in axes}),
         )
 
-    def put_map(self, name: str, recipe: Recipe, now: datetime) -> tuple[MapRecord, bool]:
-        """Make a map, or give an empty one another recipe; see `Store.put_map`."""
+    def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
+        """Make a map, or give an empty one another recipe; returns it and whether it is new.
+
+        Raises
+        ------
+        Conflict
+            The map has views and another recipe.
+        """
         with self._database.writing() as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
             if row is None:
                 make_map(connection, name, recipe, now)
-            elif row.recipe != recipe.id:
+            elif (row.recipe, row.ranking) != (recipe.description.id, recipe.ranking.model_dump_json()):
                 if connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)) is not None:
                     raise Conflict(
                         f"the map {name!r} has views that were described by the recipe {row.recipe}; "
-                        f"POST /maps/{name}/recipe describes them anew"
+                        f"POST /maps/{name}/recipe describes them anew, PATCH /maps/{name} changes the ranking alone"
                     )
-                switching.change_over(connection, row.id, keep_recipe(connection, recipe))
+                kept = keep_recipe(connection, recipe.description)
+                switching.change_over(connection, row.id, kept, recipe.ranking.model_dump_json(), now)
             return map_record(connection, find_map(connection, name)), row is None
 
-    def switch_recipe(self, name: str, recipe: Recipe, now: datetime) -> int:
-        """Begin to re-describe a map's views; see `Store.switch_recipe`."""
+    def change_ranking(self, name: str, change: Callable[[MapRecipe], RankingConfig]) -> MapRecord:
+        """Replace a map's ranking by what `change` makes of its recipe, in one transaction; raises NotFound.
+
+        What `change` raises leaves the map as it was.
+        """
         with self._database.writing() as connection:
             row = find_map(connection, name)
-            if row.next_recipe is not None:
-                target = find_recipe(connection, row.next_recipe)
-                raise Conflict(
-                    f"the map {name!r} is being described anew already, by the recipe {target.id} "
-                    f"(preset {target.preset}); wait until that has finished"
-                )
-            return switching.begin(connection, row, keep_recipe(connection, recipe), now)
+            ranking = change(map_record(connection, row).recipe).model_dump_json()
+            if ranking != row.ranking:
+                switching.set_ranking(connection, row.id, ranking)
+            if row.next_ranking is not None:  # the change outlasts a recipe switch that is under way
+                connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
+            return map_record(connection, find_map(connection, name))

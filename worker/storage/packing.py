@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe
 
 FLOAT, SHORT, BYTE = np.dtype("<f4"), np.dtype("<i2"), np.dtype("i1")
 
@@ -35,7 +35,7 @@ def unpack_floats(body: bytes | bytearray) -> Floats:
     return np.frombuffer(body, FLOAT)
 
 
-def pack_vectors(description: Description, recipe: Recipe) -> bytes:
+def pack_vectors(description: Description, recipe: DescriptionRecipe) -> bytes:
     """The vectors of a description side by side, in the order of the recipe's channels.
 
     Raises

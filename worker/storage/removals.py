@@ -1,6 +1,7 @@
 """Deletion: complete, and in portions, so that a large one does not keep every other writer waiting."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 import sqlalchemy as sa
@@ -90,6 +91,6 @@ class Removals(Part):
                 tombstones = [{"seq": row.seq, "map_id": map_id, "revision": revision} for row in rows]
                 connection.execute(sa.insert(TOMBSTONES), tombstones)
                 connection.execute(sa.delete(VIEWS).where(which))
-                switching.finish_if_done(connection, map_id)
+                switching.finish_if_done(connection, map_id, datetime.now(UTC))
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
         return _Gone(len(rows), self._images.discard(row.sha256 for row in rows), int(revision))

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import NotFound
 from schemas.image import ImageFacts
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import DescriptionRecord, MapRecord, Position, ViewAttributes, ViewRecord
 from worker.storage.packing import unpack_floats
 from worker.storage.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
@@ -54,26 +54,33 @@ def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
     return row
 
 
-def keep_recipe(connection: sa.Connection, recipe: Recipe) -> str:
+def keep_recipe(connection: sa.Connection, recipe: DescriptionRecipe) -> str:
     """Make sure that a recipe is kept; returns its id."""
     if connection.scalar(_RECIPE, {"of": recipe.id}) is None:
         connection.execute(sa.insert(RECIPES).values(id=recipe.id, body=recipe.model_dump_json()))
     return recipe.id
 
 
-def find_recipe(connection: sa.Connection, recipe: str) -> Recipe:
+def find_recipe(connection: sa.Connection, recipe: str) -> DescriptionRecipe:
     """A kept recipe by its id."""
     return _recipe_of(str(connection.scalar(_RECIPE, {"of": recipe})))
 
 
 @lru_cache(maxsize=64)
-def _recipe_of(body: str) -> Recipe:
-    return Recipe.model_validate_json(body)
+def _recipe_of(body: str) -> DescriptionRecipe:
+    return DescriptionRecipe.model_validate_json(body)
 
 
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
     """A map's row with its recipe."""
-    return MapRecord(row.name, row.revision, find_recipe(connection, row.recipe), row.created_at)
+    recipe = find_recipe(connection, row.recipe)
+    return MapRecord(row.name, row.revision, recipe, ranking_of(row.ranking), row.created_at)
+
+
+@lru_cache(maxsize=64)
+def ranking_of(body: str) -> RankingConfig:
+    """A ranking from its JSON."""
+    return RankingConfig.model_validate_json(body)
 
 
 # views

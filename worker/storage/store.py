@@ -12,34 +12,48 @@ from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
 from worker.storage.image_files import Images
-from worker.storage.jobs import Jobs
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
+from worker.storage.map_jobs import MapJobs
 from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
+from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
 from worker.storage.rows import batches
 from worker.storage.tables import CALLS, CLOCK, VIEWS
 from worker.storage.views import Views
 
 
-class SqlStore(Maps, Enrolment, Jobs, Views, Removals, Listings, Descriptions, Calls, Vocabularies):
-    """Keeps the promises of `schemas.ports.Store`; each part of it is a module beside this one.
+class SqlStore:
+    """Maps, views, descriptions, jobs, vocabularies and calls: the truth. What a method has returned from is durable.
+
+    Composed of parts, each a module beside this one; who uses a part names what it needs in a Protocol of its own.
 
     Parameters
     ----------
     database : Database
         With the tables that this version needs.
     data : Path
-        Folder whose ``images`` hold the originals.
+        Folder whose ``pictures`` hold the originals.
     share : FolderLock
         Keeps others from migrating the database; let go of by `close`.
     """
 
     def __init__(self, database: Database, data: Path, share: FolderLock) -> None:
-        super().__init__(database, Images(data / "pictures", self._owned))
+        self._database = database
         self._data = data
         self._share = share
+        self._images = images = Images(data / "pictures", self._owned)
+        self.maps = Maps(database, images)
+        self.enrolment = Enrolment(database, images)
+        self.jobs = MapJobs(database, images)
+        self.views = Views(database, images)
+        self.removals = Removals(database, images)
+        self.listings = Listings(database, images)
+        self.descriptions = Descriptions(database, images)
+        self.vocabularies = Vocabularies(database, images)
+        self.calls = Calls(database, images)
+        self.pruning = Pruning(database, images)
 
     def _owned(self, digests: list[str]) -> set[str]:
         """Those of these pictures that views need."""
@@ -57,7 +71,7 @@ class SqlStore(Maps, Enrolment, Jobs, Views, Removals, Listings, Descriptions, C
         """
         with self._database.writing(in_turn=False) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now))
-        self.clear_deleted_maps()
+        self.removals.clear_deleted_maps()
         self._images.sweep()
 
     def check(self) -> str:

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from uuid6 import uuid7
 
 from worker.storage import clock
-from worker.storage.rows import inserting
+from worker.storage.rows import as_json, inserting
 from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, VIEWS
 
 UNFINISHED = ("waiting", "running")
@@ -20,7 +20,7 @@ UNFINISHED = ("waiting", "running")
 _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
     JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
 )
-_NEXT_RECIPE = sa.select(MAPS.c.next_recipe).where(MAPS.c.id == sa.bindparam("of"))
+_NEXT = sa.select(MAPS.c.next_recipe, MAPS.c.next_ranking).where(MAPS.c.id == sa.bindparam("of"))
 
 
 def queue(
@@ -30,6 +30,7 @@ def queue(
     rows = [
         {
             "id": str(uuid7()),
+            "kind": "describe",
             "map_id": map_id,
             "seq": seq,
             "recipe": recipe,
@@ -56,41 +57,91 @@ def is_described(recipe: str) -> sa.ColumnElement[bool]:
     return sa.exists().where(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == recipe)
 
 
-def begin(connection: sa.Connection, row: sa.Row[Any], recipe: str, now: datetime) -> int:
-    """Begin to change a map over; returns how many views must be described first."""
+def begin(
+    connection: sa.Connection, row: sa.Row[Any], recipe: str, ranking: str, job: str | None, now: datetime
+) -> int:
+    """Begin to change a map over; returns how many views must be described first.
+
+    Parameters
+    ----------
+    row
+        Of the map.
+    recipe : str
+        Id of a kept description recipe.
+    ranking : str
+        JSON of the ranking that begins with it.
+    job : str or None
+        Id of the job of the map that goes on until the change; None makes one of the kind ``recipe``.
+    """
+    if job is None:
+        job = str(uuid7())
+        new = {"id": job, "kind": "recipe", "map_id": row.id, "recipe": recipe, "background": True}
+        connection.execute(inserting(JOBS), {**new, "state": "running", "attempts": 1, "created_at": now})
     under_way = sa.exists().where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED))
     lacking = [VIEWS.c.map_id == row.id, ~is_described(recipe), ~under_way]
     seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*lacking).order_by(VIEWS.c.seq)))
     queue(connection, row.id, seqs, recipe, now, background=True)
     if recipe == row.recipe:  # nothing to change over to: only what failed is tried again
         settle(connection, row.id, recipe)
+        if ranking != row.ranking:
+            set_ranking(connection, row.id, ranking)
+        end_jobs(connection, row.id, recipe, now)
     else:
-        connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_recipe=recipe))
-        finish_if_done(connection, row.id)
+        following = {"next_recipe": recipe, "next_ranking": ranking}
+        connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**following))
+        finish_if_done(connection, row.id, now)
     return len(seqs)
 
 
-def finish_if_done(connection: sa.Connection, map_id: int) -> int | None:
+def set_ranking(connection: sa.Connection, map_id: int, ranking: str) -> None:
+    """Give a map another ranking: queries notice, so it is a revision."""
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(ranking=ranking))
+    clock.tick(connection, map_id)
+
+
+def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int | None:
     """Change a map over when no view is left to be described; returns the revision if that happened."""
-    recipe = connection.scalar(_NEXT_RECIPE, {"of": map_id})
-    if recipe is None:
+    row = connection.execute(_NEXT, {"of": map_id}).one_or_none()
+    if row is None or row.next_recipe is None:
         return None
     left = sa.select(JOBS.c.number).where(
-        JOBS.c.map_id == map_id, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED)
-    )
+        JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == row.next_recipe,
+        JOBS.c.state.in_(UNFINISHED),
+    )  # fmt: skip
     if connection.execute(left.limit(1)).first() is not None:
         return None
-    return change_over(connection, map_id, recipe)
+    return change_over(connection, map_id, row.next_recipe, row.next_ranking, now)
 
 
-def change_over(connection: sa.Connection, map_id: int, recipe: str) -> int:
+def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: str, now: datetime) -> int:
     """Give a map the recipe whose descriptions are there; returns the map's new revision."""
     revision = clock.tick(connection, map_id)
-    connection.execute(
-        sa.update(MAPS).where(MAPS.c.id == map_id).values(recipe=recipe, next_recipe=None, anew=revision)
-    )
+    present = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == map_id))
+    after = {"recipe": recipe, "ranking": ranking, "next_recipe": None, "next_ranking": None, "anew": revision}
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(previous_recipe=present, **after))
     settle(connection, map_id, recipe)
+    end_jobs(connection, map_id, recipe, now)
     return revision
+
+
+def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> None:
+    """End the jobs of a map that were to bring it to a recipe."""
+    connection.execute(
+        sa.update(JOBS)
+        .where(JOBS.c.map_id == map_id, JOBS.c.kind != "describe", JOBS.c.recipe == recipe, JOBS.c.state == "running")
+        .values(state="done", finished_at=now, token=None, lease_until=None, result=as_json({"recipe": recipe}))
+    )
+
+
+def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> None:
+    """Let a map keep its recipe: nothing more is described by the one it was to get."""
+    connection.execute(
+        sa.update(JOBS)
+        .where(JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == recipe)
+        .where(JOBS.c.state.in_(UNFINISHED))
+        .values(state="cancelled", finished_at=now, token=None, lease_until=None)
+    )
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(next_recipe=None, next_ranking=None))
 
 
 def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:

@@ -40,7 +40,10 @@ MAPS = sa.Table(
     sa.Column("id", big_key(), primary_key=True),
     sa.Column("name", ordered_text(), unique=True),  # NULL while it is being deleted
     sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
+    sa.Column("ranking", sa.Text, nullable=False, server_default="{}"),  # JSON
     sa.Column("next_recipe", sa.Text, sa.ForeignKey("recipes.id")),  # while its views are described anew
+    sa.Column("next_ranking", sa.Text),  # JSON, with next_recipe
+    sa.Column("previous_recipe", sa.Text),  # whose descriptions are kept, for a way back
     sa.Column("revision", sa.BigInteger, nullable=False),
     sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision needs everything
     sa.Column("created_at", UtcDateTime, nullable=False),
@@ -132,20 +135,24 @@ JOBS = sa.Table(
     METADATA,
     sa.Column("number", big_key(), primary_key=True),  # in the order they were queued
     sa.Column("id", sa.Text, nullable=False, unique=True),
+    sa.Column("kind", sa.Text, nullable=False),  # describe (a view), recipe or vocabulary (a map)
     sa.Column("map_id", sa.BigInteger, nullable=False),
-    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE"), nullable=False),
-    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
+    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE")),  # NULL: the job is a map's
+    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL: not known yet
     sa.Column("background", sa.Boolean, nullable=False),  # describes anew; enrolments go first
     sa.Column("state", sa.Text, nullable=False),
     sa.Column("attempts", sa.Integer, nullable=False),
     sa.Column("worker", sa.Text),
     sa.Column("token", sa.Text),
     sa.Column("lease_until", UtcDateTime),
+    sa.Column("progress_done", sa.Integer),  # of a vocabulary's training; describing is counted
+    sa.Column("progress_total", sa.Integer),
+    sa.Column("result", sa.Text),  # JSON
     sa.Column("created_at", UtcDateTime, nullable=False),
     sa.Column("finished_at", UtcDateTime),
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
-    sa.Index("jobs_in_order", "state", "background", "number"),
+    sa.Index("jobs_in_order", "kind", "state", "background", "number"),
     sa.Index("jobs_by_recipe", "map_id", "recipe", "state"),
     sa.Index("jobs_by_view", "seq", "recipe"),
     sqlite_autoincrement=True,

@@ -1,6 +1,6 @@
 """Views: shown, listed, corrected."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import sqlalchemy as sa
 
@@ -11,19 +11,28 @@ from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
-from worker.storage.rows import attribute_columns, batches, find_map, find_view, view_record, view_rows, views_of
+from worker.storage.rows import (
+    attribute_columns,
+    attributes_of,
+    batches,
+    find_map,
+    find_view,
+    view_record,
+    view_rows,
+    views_of,
+)
 from worker.storage.tables import VIEWS
 
 
 class Views(Part):
     """The promises of `schemas.ports.Store` about views."""
 
-    def view(self, view_id: str) -> ViewRecord:
+    def get(self, view_id: str) -> ViewRecord:
         """One view; raises NotFound."""
         with self._database.reading() as connection:
             return view_record(find_view(connection, view_id))
 
-    def views_at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
+    def at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
         """Views by sequence number; those deleted meanwhile are absent."""
         found: dict[int, ViewRecord] = {}
         with self._database.reading() as connection:
@@ -32,7 +41,7 @@ class Views(Part):
                 found.update({row.seq: view_record(row) for row in rows})
         return found
 
-    def views(
+    def list(
         self,
         name: str | None,
         filters: Filters,
@@ -41,7 +50,7 @@ class Views(Part):
         newest_first: bool = False,
         cursor: str | None = None,
         limit: int = 50,
-    ) -> tuple[list[ViewRecord], str | None]:
+    ) -> "tuple[list[ViewRecord], str | None]":
         """A page of views in enrolment order, and the cursor of the next; see `Store.views`."""
         order = "newest" if newest_first else "oldest"
         page = view_rows().order_by(VIEWS.c.seq.desc() if newest_first else VIEWS.c.seq).limit(limit + 1)
@@ -55,14 +64,18 @@ class Views(Part):
             if name is not None:
                 map_id = find_map(connection, name).id
                 page = page.where(VIEWS.c.map_id == map_id)
-            rows = list(connection.execute(page.where(*fitting(connection, filters, map_id))))
+            rows = [*connection.execute(page.where(*fitting(connection, filters, map_id)))]
         following = cursor_after(order, rows[limit - 1].seq) if len(rows) > limit else None
         return [view_record(row) for row in rows[:limit]], following
 
-    def patch(self, view_id: str, attributes: ViewAttributes) -> ViewRecord:
-        """Replace what was said about a view; raises NotFound."""
+    def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
+        """Replace what was said about a view by what `change` makes of it, in one transaction; raises NotFound.
+
+        What `change` raises leaves the view as it was.
+        """
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
+            attributes = change(attributes_of(before))
             columns = attribute_columns(attributes)
             if any(value != getattr(before, column) for column, value in columns.items()):
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**columns))

@@ -1,21 +1,37 @@
 """`/jobs`: work in the background."""
 
-from fastapi import APIRouter
+from typing import Annotated
 
-from app.http.dependencies import Curates, no_parameters
-from app.http.openapi import refusals
-from schemas.wire import Job
+from fastapi import APIRouter, Depends
 
-router = APIRouter(tags=["jobs"], dependencies=[no_parameters])
+from app.http.dependencies import Curates, in_url, no_parameters
+from app.http.openapi import asks, refusals
+from app.http.parameters import ListJobs
+from schemas.wire import Job, Jobs
+
+router = APIRouter(tags=["jobs"])
 
 
-@router.get("/jobs/{job_id}", response_model=Job, responses=refusals("not-found"))
+@router.get("/jobs", response_model=Jobs, openapi_extra=asks(ListJobs), responses=refusals("not-found"))
+async def list_jobs(params: Annotated[ListJobs, Depends(in_url(ListJobs))], curator: Curates) -> Jobs:
+    """A page of jobs, newest first."""
+    return await curator.jobs(
+        params.map, kind=params.kind, state=params.state, cursor=params.cursor, limit=params.limit
+    )
+
+
+@router.get("/jobs/{job_id}", response_model=Job, dependencies=[no_parameters], responses=refusals("not-found"))
 async def get_job(job_id: str, curator: Curates) -> Job:
     """One job: what it does, and how far it is."""
     return await curator.job(job_id)
 
 
-@router.delete("/jobs/{job_id}", response_model=Job, responses=refusals("not-found", "conflict"))
+@router.delete(
+    "/jobs/{job_id}",
+    response_model=Job,
+    dependencies=[no_parameters],
+    responses=refusals("not-found", "conflict"),
+)
 async def cancel_job(job_id: str, curator: Curates) -> Job:
-    """Cancel a job that is waiting."""
+    """Cancel a describe job that is waiting, or a job of a map that has not finished."""
     return await curator.cancel_job(job_id)

@@ -8,10 +8,10 @@ from pydantic import ValidationError
 
 from app.http.body import json_object
 from app.http.dependencies import Curates, map_in_path, no_parameters
-from app.http.openapi import refusals, takes_map
+from app.http.openapi import refusals, takes_json, takes_map
 from app.http.parameters import problems_of
 from schemas.errors import InvalidParameters
-from schemas.wire import Deleted, Job, MapFacts, Maps, PutMap
+from schemas.wire import Deleted, Job, MapFacts, Maps, PatchMap, PutMap
 
 router = APIRouter(tags=["maps"], dependencies=[no_parameters])
 
@@ -37,6 +37,14 @@ async def wanted_map(request: Request) -> PutMap:
         return PutMap.model_validate(await json_object(request), strict=True)
     except ValidationError as error:
         raise InvalidParameters(problems_of(error, PutMap)) from None
+
+
+async def map_changes(request: Request) -> PatchMap:
+    """The body of a change of a map; raises as `wanted_map`."""
+    try:
+        return PatchMap.model_validate(await json_object(request), strict=True)
+    except ValidationError as error:
+        raise InvalidParameters(problems_of(error, PatchMap)) from None
 
 
 Wanted = Annotated[PutMap, Depends(wanted_map)]
@@ -68,6 +76,22 @@ async def put_map(name: Name, wanted: Wanted, curator: Curates) -> Response:
     """Make a map, or give an empty one other labels, preset or parameters."""
     facts, created = await curator.put_map(name, wanted)
     return JSONResponse(facts.model_dump(mode="json"), 201 if created else 200)
+
+
+@router.patch(
+    "/maps/{map}",
+    response_model=MapFacts,
+    openapi_extra=_PATH
+    | takes_json(
+        {"$ref": "#/components/schemas/PatchMap"},
+        media_types=("application/merge-patch+json", "application/json"),
+        example={"ranking": {"candidates": 100}},
+    ),
+    responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
+)
+async def patch_map(name: Name, changes: Annotated[PatchMap, Depends(map_changes)], curator: Curates) -> MapFacts:
+    """Change how a map ranks, from the next query on; nothing is described anew."""
+    return await curator.change_ranking(name, changes.ranking)
 
 
 @router.delete("/maps/{map}", response_model=Deleted, openapi_extra=_PATH, responses=refusals("not-found"))

@@ -48,7 +48,6 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures) -> 
         candidates=params.candidates,
         filters=params.filters(),
         explain=params.explain,
-        drive=params.drive,
     )
     metrics.stages("query", answer.timing_ms)
     return Response(answer.model_dump_json(), media_type="application/json")

@@ -1,6 +1,5 @@
 """`/views`: list, look at, correct and delete what is enrolled."""
 
-import asyncio
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -79,10 +78,7 @@ async def get_view(view_id: str, curator: Curates) -> View:
 async def patch_view(view_id: str, request: Request, curator: Curates) -> View:
     """Correct what was said about a view: place, position, captured_at, metadata."""
     patch = await json_object(request)
-    # Between reading what was said and writing it anew, no other patch may come: its change would be lost.
-    lock: asyncio.Lock = request.app.state.patching
-    async with lock:
-        return await curator.patch_view(view_id, _patched(await curator.attributes_of(view_id), patch))
+    return await curator.patch_view(view_id, lambda attributes: _patched(attributes, patch))
 
 
 @router.delete(

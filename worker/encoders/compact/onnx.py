@@ -40,8 +40,8 @@ class OnnxEngine:
         words, detail = self._fields.run(["words", "detail"], {"pictures": images})
         return words, detail
 
-    def segmentation(self, images: Bytes2D, member: int) -> Floats:
-        """See `Engine.segmentation`."""
+    def segment(self, images: Bytes2D, member: int) -> Floats:
+        """See `Engine.segment`."""
         words: Floats = self._fine[member].run(["fine_words"], {"pictures": images})[0]
         return words
 

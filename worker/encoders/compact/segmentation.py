@@ -1,15 +1,15 @@
-"""Segmentation network: the words of every 4 x 4 pixels, which segmentations are drawn from.
+"""Networks that segmentations are drawn from: the semantic layer of every 4 x 4 pixels.
 
-`SegmentationNetwork` shares the shallow layers of `CompactNetwork` and has deep layers of its own, so that what tells road from
-pavement need not be what stays the same by night and in snow. Its embeddings lie in the space of the words field: the
-same text vectors belong to both. It runs when somebody looks at a segmentation; places are recognised without it.
+`SegmentationNetwork` shares the shallow layers of `CompactNetwork` and has deep layers of its own, so that what tells
+road from pavement need not be what stays the same by night and in snow. Its embeddings lie in the space of the semantic
+layer: the same text vectors belong to both. It runs when somebody looks at a segmentation, never for a description.
 
-`IndependentSegmentationNetwork` share nothing with the network: every layer is their own, so they err elsewhere, and the mean of
-several readers is better than each.
+`IndependentSegmentationNetwork` shares no layer with `CompactNetwork`, so it errs elsewhere, and the mean of several
+members is better than each.
 
-What ships lies in ``weights/compact-fine.safetensors`` (float16: the state dict of ``FineWords(97)``) and, of two
-``SecondFineWords(97)``, in ``compact-second.safetensors`` and ``compact-third.safetensors`` beside it, written by
-``training/export_fine.py``.
+What ships lies in ``weights/compact-fine.safetensors`` (float16: the state dict of ``SegmentationNetwork(97)``) and, of
+two ``IndependentSegmentationNetwork(97)``, in ``compact-second.safetensors`` and ``compact-third.safetensors`` beside
+it, written by ``training/commands/export_segmentation.py``.
 """
 
 from collections.abc import Mapping
@@ -54,7 +54,7 @@ class SegmentationNetwork(DeepWords):
 
 
 class IndependentSegmentationNetwork(nn.Module):
-    """Segmentation network that share no layer with `CompactNetwork`: a second opinion, from pictures straight to embeddings."""
+    """A segmentation network that shares no layer with `CompactNetwork`: images straight to embeddings."""
 
     def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ class IndependentSegmentationNetwork(nn.Module):
         self.fine = SegmentationNetwork(word_channels)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Embed every 4 x 4 pixels of RGB pictures in 0..1: as `SegmentationNetwork.forward` from `ShallowLayers.levels`."""
+        """Embed every 4 x 4 pixels of RGB images in 0..1; see `SegmentationNetwork.forward`."""
         words: Tensor = self.fine(*self.shallow.levels(images))
         return words
 

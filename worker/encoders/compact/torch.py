@@ -42,8 +42,8 @@ class TorchEngine:
         return _cells(words), _cells(detail)
 
     @torch.inference_mode()
-    def segmentation(self, images: Bytes2D, member: int) -> Floats:
-        """See `Engine.segmentation`."""
+    def segment(self, images: Bytes2D, member: int) -> Floats:
+        """See `Engine.segment`."""
         return _cells(self._members[member](self._batch(images)))
 
     def _batch(self, images: Bytes2D) -> Tensor:

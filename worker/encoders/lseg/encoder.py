@@ -129,6 +129,11 @@ class LsegEncoder:
         """The language-aligned layer alone."""
         return {SEMANTIC: self._network.config.channels}
 
+    @property
+    def known_labels(self) -> None:
+        """Any label has a vector: the text network makes it."""
+        return
+
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per picture, in order, each made when it is asked for.
 
@@ -139,10 +144,6 @@ class LsegEncoder:
         for image in images:
             # No name is bound to a field here: it would keep half a gigabyte alive while the next one is made.
             yield PixelField({SEMANTIC: unit_length(next(raw))}, image.extent)
-
-    def fine(self, image: Image) -> PixelField:
-        """See `Encoder.fine`: its fields have no finer grid."""
-        return next(self.encode([image]))
 
     def raw(self, images: Sequence[Image]) -> Iterator[Tensor]:
         """Embeddings as the reference returns them.

@@ -1,0 +1,214 @@
+"""A vocabulary for a map, trained on its own views, as a job that survives a restart."""
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from schemas.description import PixelField
+from schemas.errors import LeaseLost, RevisitError
+from schemas.image import Image
+from schemas.recipe import DescriptionRecipe
+from schemas.records import Filters, JobProgress, MapClaim, MapRecord, ViewRecord
+from worker.description import vocabularies
+from worker.description.describers import Describers
+from worker.description.scheduler import Scheduler
+
+log = logging.getLogger("revisit.worker")
+
+PAGE = 500
+"""Views listed at a time."""
+
+
+class Stop(Exception):
+    """The worker is stopping: the job goes back unharmed."""
+
+
+class MapReader(Protocol):
+    """Maps by name."""
+
+    def get(self, name: str) -> MapRecord:
+        """One map; raises NotFound."""
+        ...
+
+
+class ViewReader(Protocol):
+    """Views and their images."""
+
+    def list(
+        self,
+        name: str | None,
+        filters: Filters,
+        *,
+        state: str | None = None,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> tuple[list[ViewRecord], str | None]:
+        """A page of views."""
+        ...
+
+    def image(self, view_id: str) -> bytes:
+        """The enrolled image; raises NotFound."""
+        ...
+
+
+class VocabularyWriter(Protocol):
+    """Keeps vocabularies."""
+
+    def keep(self, digest: str, tensors: bytes) -> None:
+        """Keep safetensors bytes under their SHA-256."""
+        ...
+
+
+class TrainingJobs(Protocol):
+    """Jobs of maps, under a lease."""
+
+    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta, now: datetime) -> None:
+        """Say how far a job is, and renew its lease; raises LeaseLost."""
+        ...
+
+    def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
+        """Have the map's views described by the trained vocabulary; raises LeaseLost."""
+        ...
+
+    def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
+        """Give a job up; raises LeaseLost."""
+        ...
+
+    def release_map_job(self, claim: MapClaim) -> None:
+        """Put a job back unharmed."""
+        ...
+
+
+class VocabularyTrainer:
+    """Carries out jobs of the kind ``vocabulary``.
+
+    Parameters
+    ----------
+    maps, views, vocabularies, jobs
+        Parts of the store.
+    describers : Describers
+    scheduler : Scheduler
+    decode : function
+        Bytes to Image; raises BadImage.
+    lease : timedelta
+    """
+
+    def __init__(
+        self,
+        *,
+        maps: MapReader,
+        views: ViewReader,
+        vocabularies: VocabularyWriter,
+        jobs: TrainingJobs,
+        describers: Describers,
+        scheduler: Scheduler,
+        decode: Callable[[bytes], Image],
+        lease: timedelta,
+    ) -> None:
+        self._maps, self._views, self._vocabularies, self._jobs = maps, views, vocabularies, jobs
+        self._describers, self._scheduler, self._decode, self._lease = describers, scheduler, decode, lease
+
+    def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
+        """Train, and leave the rest to the describe jobs that this queues; what goes wrong ends in the job."""
+        try:
+            recipe = self._maps.get(claim.map).description
+            describer = self._describers.of(recipe)
+            with _Heartbeat(
+                lambda progress: self._jobs.report(claim, progress, self._lease, _now()), self._lease
+            ) as beat:
+                learned = vocabularies.train(
+                    self._fields(claim, recipe.parameters.seed, beat, stopping),
+                    lambda field: describer.segment(field).static,
+                    recipe.parameters,
+                    recipe.parameters.seed,
+                )
+            self._vocabularies.keep(learned.digest, learned.tensors)
+            self._jobs.finish_training(claim, recipe.model_copy(update={"vocabulary": learned.digest}), _now())
+        except Stop:
+            self._jobs.release_map_job(claim)
+        except LeaseLost:
+            log.info("job %s was cancelled, or given to another worker", claim.job_id)
+        except ValueError as error:
+            self._fail(claim, "too-few-pictures", f"{error}; enrol more views of different places first")
+        except RevisitError as error:
+            self._fail(claim, error.code, error.detail)
+        except Exception as error:
+            log.exception("training a vocabulary for the map %s failed", claim.map)
+            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
+
+    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
+        try:
+            self._jobs.fail_map_job(claim, code, detail, _now())
+        except LeaseLost:
+            log.info("job %s was cancelled, or given to another worker", claim.job_id)
+
+    def _fields(
+        self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]
+    ) -> Iterator[PixelField]:
+        """Fields of the map's views, in a random order that the seed decides; behind all queries."""
+        ids: list[str] = []
+        cursor: str | None = None
+        while True:
+            page, cursor = self._views.list(claim.map, Filters(), state="ready", cursor=cursor, limit=PAGE)
+            ids += [view.id for view in page]
+            if cursor is None:
+                break
+        chosen = np.random.default_rng(seed).permutation(len(ids))[: vocabularies.MOST_IMAGES]
+        for done, number in enumerate(chosen):
+            if stopping():
+                raise Stop
+            beat.tell(JobProgress(done, len(chosen)))
+            image = self._decode(self._views.image(ids[number]))
+            yield self._scheduler.submit(image, lambda _, field: field, urgent=False).result().value
+
+
+class _Heartbeat:
+    """Renews a lease while its block runs, however long one step takes.
+
+    Parameters
+    ----------
+    report : function
+        Of the progress; raises LeaseLost.
+    lease : timedelta
+    """
+
+    def __init__(self, report: Callable[[JobProgress], None], lease: timedelta) -> None:
+        self._report, self._every_s = report, lease.total_seconds() / 3
+        self._progress = JobProgress(0, 0)
+        self._ended = threading.Event()
+        self._lost: LeaseLost | None = None
+        self._thread = threading.Thread(target=self._run, name="revisit-heartbeat", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def tell(self, progress: JobProgress) -> None:
+        """Report progress; raises LeaseLost."""
+        if self._lost is not None:
+            raise self._lost
+        self._progress = progress
+        self._report(progress)
+
+    def _run(self) -> None:
+        while not self._ended.wait(self._every_s):
+            try:
+                self._report(self._progress)
+            except LeaseLost as lost:
+                self._lost = lost
+                return
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)

@@ -1,0 +1,365 @@
+"""The ranking of a query's candidates: every stage, in order, on what was described and fetched.
+
+1. Histogram similarity of all candidates (the search has measured the distances).
+2. Of the best of each channel: dense cells at half size and the context graph (paper, "Context Graph").
+3. Of the best so far: dense cells in full.
+4. Of the best so far: geometric verification by local features.
+5. Fusion of all terms into a score and an order.
+
+Nothing here reads or writes anything: what lies in a database comes through `Fetch`.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import DETAIL, Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
+from schemas.recipe import DescriptionRecipe, RankingConfig
+from schemas.records import Candidates
+from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, verification
+from worker.method.byte_vectors import Product, float_product
+from worker.method.context_graph import GraphComparison
+from worker.method.hough import Doubles
+from worker.method.score_fusion import Rows
+from worker.method.verification import Verified
+
+
+class ViewGone(Exception):
+    """A candidate was deleted between the search and the fetch: search again."""
+
+
+class Fetch(Protocol):
+    """What re-ranking reads of candidates, by sequence number. Each raises `ViewGone` when one is missing."""
+
+    def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
+        """Cells at half size, graphs and extents, in the order of `seqs`."""
+        ...
+
+    def cells(self, seqs: Sequence[int]) -> list[Int8s]:
+        """Cells in full, int8 (rows, columns, dimensions) each, in the order of `seqs`."""
+        ...
+
+    def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
+        """Local features, in the order of `seqs`."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DenseEvidence:
+    """Comparison of dense cells.
+
+    Parameters
+    ----------
+    similarity : float
+        Of the cells at half size, of all channels or of detail alone, whichever has the view stand out more; 0..1.
+    median_similarity : float
+        Over all candidates that were compared: what a wrong view gets for this query.
+    p85_similarity : float
+        85th percentile over the candidates: what the wrong views get that look most like the query.
+    shift : (int, int)
+        (rows, columns) by which the view's grid moved, in cells of the query's whole grid.
+    scale : float or None
+        How much larger the view shows the place than the query does, 0.5..2; None where not compared in full.
+    """
+
+    similarity: float
+    median_similarity: float
+    p85_similarity: float
+    shift: tuple[int, int]
+    scale: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class GraphEvidence:
+    """Comparison of context graphs.
+
+    Parameters
+    ----------
+    similarity : float
+        S of the paper, 0..1.
+    view : ContextGraph
+    pairs : tuple of (int, int)
+        Corresponding nodes of query and view.
+    cosines : tuple of float
+        Of the pairs.
+    edges_agreeing : int
+        Edges present in both graphs between corresponding nodes.
+    """
+
+    similarity: float
+    view: ContextGraph
+    pairs: tuple[tuple[int, int], ...]
+    cosines: tuple[float, ...]
+    edges_agreeing: int
+
+
+@dataclass(frozen=True, eq=False)
+class RankedCandidate:
+    """A candidate with its score and the evidence for it.
+
+    Parameters
+    ----------
+    seq : int
+        Sequence number of the view.
+    score : float
+        0..1, never rising with rank.
+    parts : mapping of term to float
+        Sum to the score.
+    distances : mapping of channel to float
+        L2 between histogram vectors.
+    ranks : mapping of channel to int or None
+        In that channel's search, from 1; None when the channel did not find it.
+    dense, graph, verified
+        Evidence; None where the recipe or the rank asks for none.
+    """
+
+    seq: int
+    score: float
+    parts: Mapping[str, float]
+    distances: Mapping[str, float]
+    ranks: Mapping[str, int | None]
+    dense: DenseEvidence | None
+    graph: GraphEvidence | None
+    verified: Verified | None
+
+
+@dataclass(eq=False)
+class Evidence:
+    """What is known about the candidates of one query so far.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    config : RankingConfig
+    terms : dict of term to float32 of shape (candidates,)
+        0..1; zero where a candidate was not compared.
+    rows : intp of shape (reranked,)
+        The candidates that are re-ranked.
+    appearances : list of Appearance
+        Of `rows`.
+    cell_aspect : float64 of shape (reranked, 2)
+        Size of their cells, in those of the query.
+    shifts : intp of shape (reranked, 2), or None without dense cells
+        Of their grids, in cells of the query's whole grid.
+    align_scale : float
+        Factor between similarities of detail alone and of all channels.
+    scales : dict of candidate to float
+        Relative size, of those compared in full.
+    graph : GraphComparison or None
+        Of `rows`.
+    verified : dict of candidate to Verified
+    """
+
+    candidates: Candidates
+    config: RankingConfig
+    terms: dict[str, Floats]
+    rows: Rows
+    appearances: list[Appearance] = field(default_factory=list)
+    cell_aspect: Doubles = field(default_factory=lambda: np.ones((0, 2)))
+    shifts: npt.NDArray[np.intp] | None = None
+    align_scale: float = 0.0
+    scales: dict[int, float] = field(default_factory=dict)
+    graph: GraphComparison | None = None
+    verified: dict[int, Verified] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.place = {int(row): place for place, row in enumerate(self.rows)}
+
+    def put(self, term: str, rows: Rows, values: Floats) -> None:
+        """Set a term of some candidates; it is 0 for the others."""
+        whole = np.zeros(len(self.candidates.seqs), np.float32)
+        whole[rows] = values
+        self.terms[term] = whole
+
+    def seqs(self, rows: Rows) -> list[int]:
+        """Sequence numbers of some candidates."""
+        return [int(seq) for seq in self.candidates.seqs[rows]]
+
+    def best(self, count: int) -> Rows:
+        """At most `count` of the re-ranked candidates, best first by what is known so far."""
+        score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
+        return score_fusion.order(score, self.distance, self.rows)[: min(count, len(self.rows))]
+
+    @property
+    def distance(self) -> Floats:
+        """Sum of the channels' histogram distances, float32 (candidates,): settles equal scores."""
+        total: Floats = np.sum(list(self.candidates.distances.values()), axis=0, dtype=np.float32)
+        return total
+
+
+Observe = Callable[[str, Evidence], None]
+"""Called after each stage with its name, for who measures stages."""
+
+STAGES = ("histograms", "coarse", "full", "verification")
+"""Names that `Observe` is called with, in order."""
+
+
+def rank(
+    query: Description,
+    candidates: Candidates,
+    recipe: DescriptionRecipe,
+    config: RankingConfig,
+    fetch: Fetch,
+    *,
+    top: int,
+    reranked: int | None = None,
+    product: Product = float_product,
+    observe: Observe = lambda stage, evidence: None,
+) -> list[RankedCandidate]:
+    """Rank the candidates of a query.
+
+    Parameters
+    ----------
+    query : Description
+    candidates : Candidates
+        What the channels' searches found.
+    recipe : DescriptionRecipe
+        By which query and candidates were described.
+    config : RankingConfig
+    fetch : Fetch
+    top : int
+        How many are returned at most.
+    reranked : int, optional
+        How many of each channel are re-ranked, instead of the config's number; 0 ranks by histograms alone.
+    product : Product
+        Multiplies dense cells; how changes the time it takes, not the result.
+    observe : function
+        Called after each of `STAGES`.
+
+    Raises
+    ------
+    ViewGone
+        A candidate is no longer there.
+    """
+    evidence = compare_histograms(candidates, recipe, config, config.candidates if reranked is None else reranked)
+    observe("histograms", evidence)
+    if len(evidence.rows):
+        compare_coarse(query, recipe, evidence, fetch, product)
+        observe("coarse", evidence)
+        compare_full(query, recipe, evidence, fetch, product)
+        observe("full", evidence)
+        verify(query, evidence, fetch)
+    observe("verification", evidence)
+    return fuse(evidence, top)
+
+
+def compare_histograms(
+    candidates: Candidates, recipe: DescriptionRecipe, config: RankingConfig, reranked: int
+) -> Evidence:
+    """Stage 1: histogram similarity of all candidates, and which of them are re-ranked: the best of each channel."""
+    terms = {
+        f"histogram.{name}": score_fusion.histogram_similarity(candidates.distances[name], channel)
+        for name, channel in recipe.parameters.channels.items()
+    }
+    chosen = np.zeros(len(candidates.seqs), np.bool_)
+    for ranks in candidates.ranks.values():
+        chosen |= (ranks > 0) & (ranks <= reranked)
+    return Evidence(candidates, config, terms, np.flatnonzero(chosen))
+
+
+def compare_coarse(
+    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
+) -> None:
+    """Stage 2: cells at half size, by all channels and by detail alone, and the context graph, of the re-ranked."""
+    evidence.appearances = fetch.appearances(evidence.seqs(evidence.rows))
+    ours, config = query.appearance, evidence.config
+    if ours.coarse.size:
+        coarse = np.stack([a.coarse for a in evidence.appearances])
+        aspect = hough.cell_aspects(ours.extent, [a.extent for a in evidence.appearances])
+        agreement = dense_cells.compare(ours.coarse, coarse, product, cell_aspect=aspect, measured=False)
+        scores = agreement.scores
+        if config.detail_only(recipe):
+            channels = recipe.parameters.cell_channels()
+            alone = channel_fusion.single_channel_similarity(
+                ours.coarse, coarse, channels, DETAIL, product, cell_aspect=aspect
+            )
+            evidence.align_scale = channel_fusion.align_scale(scores, alone)
+            scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
+        evidence.put("dense", evidence.rows, scores)
+        evidence.shifts, evidence.cell_aspect = agreement.shifts * 2, aspect
+    graphs = [a.graph for a in evidence.appearances]
+    evidence.graph = context_graph.compare(ours.graph, graphs, config.graph_cosine, config.graph_max_edge)
+    evidence.put("graph", evidence.rows, evidence.graph.similarity)
+
+
+def compare_full(
+    query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
+) -> None:
+    """Stage 3: cells in full, of the best so far."""
+    config = evidence.config
+    if evidence.shifts is None or config.full_resolution_top_k == 0:
+        return
+    first = evidence.best(config.full_resolution_top_k)
+    cells = np.stack(fetch.cells(evidence.seqs(first)))
+    places = [evidence.place[int(row)] for row in first]
+    aspect = evidence.cell_aspect[places]
+    agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect)
+    scores = agreement.scores
+    if some := config.detail_only(recipe):
+        channels = recipe.parameters.cell_channels()
+        alone = channel_fusion.single_channel_similarity(
+            query.cells, cells[:some], channels, DETAIL, product, cell_aspect=aspect[:some]
+        )
+        scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
+    evidence.put("dense_full", first, scores * dense_cells.scale_penalty(agreement.scales, config.scale_penalty))
+    evidence.shifts[places] = agreement.shifts
+    evidence.scales = dict(zip(first.tolist(), agreement.scales.tolist(), strict=True))
+
+
+def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
+    """Stage 4: geometric verification of the best so far."""
+    if query.keypoints is None or evidence.config.verified_top_k == 0:
+        return
+    first = evidence.best(evidence.config.verified_top_k)
+    verified = verification.verify(query.keypoints, fetch.local_features(evidence.seqs(first)))
+    evidence.verified.update(zip(first.tolist(), verified, strict=True))
+    evidence.put("verification", first, verification.gated_bonus([one.inliers for one in verified]))
+
+
+def fuse(evidence: Evidence, top: int) -> list[RankedCandidate]:
+    """Stage 5: the first `top` candidates by score; those that were re-ranked come first."""
+    candidates = evidence.candidates
+    score, parts = score_fusion.score(evidence.terms, evidence.config, evidence.rows)
+    order = score_fusion.order(score, evidence.distance, evidence.rows)[:top]
+    return [
+        RankedCandidate(
+            seq=int(candidates.seqs[row]),
+            score=float(score[row]),
+            parts={name: float(part[row]) for name, part in parts.items()},
+            distances={name: float(distances[row]) for name, distances in candidates.distances.items()},
+            ranks={name: int(ranks[row]) or None for name, ranks in candidates.ranks.items()},
+            dense=_dense_of(evidence, int(row)),
+            graph=_graph_of(evidence, int(row)),
+            verified=evidence.verified.get(int(row)),
+        )
+        for row in order
+    ]
+
+
+def _dense_of(evidence: Evidence, row: int) -> DenseEvidence | None:
+    """The comparison of one candidate's dense cells, if it was made."""
+    if row not in evidence.place or evidence.shifts is None:
+        return None
+    down, across = evidence.shifts[evidence.place[row]].tolist()
+    compared = evidence.terms["dense"]
+    median, high = np.quantile(compared[evidence.rows], (0.5, channel_fusion.REFERENCE_QUANTILE)).tolist()
+    return DenseEvidence(float(compared[row]), median, high, (down, across), evidence.scales.get(row))
+
+
+def _graph_of(evidence: Evidence, row: int) -> GraphEvidence | None:
+    """The comparison of one candidate's graph, if it was made."""
+    if row not in evidence.place or evidence.graph is None:
+        return None
+    place = evidence.place[row]
+    matched = evidence.graph.matched[place]
+    nodes = np.flatnonzero(matched >= 0)
+    return GraphEvidence(
+        similarity=float(evidence.graph.similarity[place]),
+        view=evidence.appearances[place].graph,
+        pairs=tuple((int(node), int(matched[node])) for node in nodes),
+        cosines=tuple(float(c) for c in evidence.graph.cosines[place, nodes]),
+        edges_agreeing=int(evidence.graph.edges_agreeing[place]),
+    )

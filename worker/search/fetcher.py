@@ -1,0 +1,42 @@
+"""What re-ranking reads of candidates, from the store: the one window of `worker.method.cascade`."""
+
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+from schemas.description import Appearance, Int8s, LocalFeatures
+from worker.method.cascade import ViewGone
+from worker.search.ports import DescriptionReader
+
+T = TypeVar("T")
+
+
+class Fetcher:
+    """Descriptions by one recipe; see `worker.method.cascade.Fetch`.
+
+    Parameters
+    ----------
+    descriptions : DescriptionReader
+    recipe : str
+        Id of the description recipe.
+    """
+
+    def __init__(self, descriptions: DescriptionReader, recipe: str) -> None:
+        self._descriptions, self._recipe = descriptions, recipe
+
+    def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
+        """Cells at half size, graphs and extents."""
+        return _in_order(self._descriptions.appearances(seqs, self._recipe), seqs)
+
+    def cells(self, seqs: Sequence[int]) -> list[Int8s]:
+        """Cells in full."""
+        return _in_order(self._descriptions.cells(seqs, self._recipe), seqs)
+
+    def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
+        """Local features."""
+        return _in_order(self._descriptions.local_features(seqs, self._recipe), seqs)
+
+
+def _in_order(found: Mapping[int, T], seqs: Sequence[int]) -> list[T]:
+    if len(found) < len(seqs):
+        raise ViewGone
+    return [found[seq] for seq in seqs]

@@ -1,0 +1,166 @@
+"""Enrol an image: keep it, have it described, say what came of it."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+from schemas.errors import Busy, NothingStatic, RevisitError
+from schemas.image import Image, ImageFacts
+from schemas.recipe import MapRecipe
+from schemas.records import Submitted, ViewAttributes, ViewRecord
+from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
+from worker.service.settlements import Settlements
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """An image that is durable.
+
+    Parameters
+    ----------
+    submitted : Submitted
+    began : float
+        Reading of `time.perf_counter` when it came.
+    timing_ms : mapping of stage to milliseconds
+    """
+
+    submitted: Submitted
+    began: float
+    timing_ms: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Enrolled:
+    """What came of an image.
+
+    Parameters
+    ----------
+    view : ViewRecord
+    labels : tuple of str
+        Label set of the view's map; empty while the view is not described.
+    created : bool
+        False when these bytes were in the map already.
+    revision : int
+        The map's, after this.
+    job_id : str or None
+        The job that describes it, while it is pending.
+    timing_ms : mapping of stage to milliseconds
+    """
+
+    view: ViewRecord
+    labels: tuple[str, ...]
+    created: bool
+    revision: int
+    job_id: str | None
+    timing_ms: dict[str, float]
+
+
+class EnrollService:
+    """The use-case `enroll`.
+
+    Parameters
+    ----------
+    maps, enrolment, views, removals, queue
+        Parts of the store.
+    settlements : Settlements
+        Tells when a view is described.
+    decode : function
+        Bytes to Image; raises BadImage.
+    default_recipe : MapRecipe
+        Of maps that are made by their first enrolment.
+    limit : int
+        Enrolments that may wait before more are refused.
+    pace_s : function
+        Measured seconds per image.
+    wake : function
+        Called when there is something to describe.
+    """
+
+    def __init__(
+        self,
+        *,
+        maps: Maps,
+        enrolment: Enrolment,
+        views: Views,
+        removals: Removals,
+        queue: JobQueue,
+        settlements: Settlements,
+        decode: Callable[[bytes], Image],
+        default_recipe: MapRecipe,
+        limit: int,
+        pace_s: Callable[[], float],
+        wake: Callable[[], None],
+    ) -> None:
+        self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
+        self._queue, self._settlements = queue, settlements
+        self._decode, self._default_recipe = decode, default_recipe
+        self._limit, self._pace_s, self._wake = limit, pace_s, wake
+
+    def submit(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Accepted:
+        """Make an image durable and queue its description.
+
+        Raises
+        ------
+        BadImage, Busy, Conflict, DiskFull
+            Nothing is left behind.
+        """
+        began = time.perf_counter()
+        image = self._decode(data)
+        decoded = time.perf_counter()
+        waiting = self._queue.count_waiting()
+        if waiting >= self._limit:
+            raise Busy.queue(waiting, self._pace_s(), "enrolments")
+        facts = ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
+        submitted = self._enrolment.submit(map_name, data, facts, attributes, self._default_recipe, datetime.now(UTC))
+        if submitted.job_id is not None:
+            self._wake()
+        return Accepted(submitted, began, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
+
+    def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
+        """What came of an accepted image; without `view` nobody waited for its description.
+
+        Raises
+        ------
+        NothingStatic
+            The view is kept, `failed`.
+        RevisitError
+            Describing it failed; a view that this call made is removed.
+        """
+        submitted = accepted.submitted
+        record = submitted.view if view is None else view
+        if view is not None and record.state == "failed" and record.failure is not None:
+            code, detail = record.failure
+            if code == NothingStatic.code:
+                raise NothingStatic(f"{detail} (kept as view {record.id}, which no search will return)")
+            if submitted.created:  # a view that an earlier call acknowledged stays, whatever becomes of this one
+                self._removals.delete_view(record.id)
+            raise RevisitError(detail)
+        revision = submitted.revision
+        labels: tuple[str, ...] = ()
+        if record.state == "ready":
+            owner = self._maps.get(record.map)
+            revision, labels = owner.revision, owner.description.labels
+        return Enrolled(
+            view=record,
+            labels=labels,
+            created=submitted.created,
+            revision=revision,
+            job_id=submitted.job_id if record.state == "pending" else None,
+            timing_ms={**accepted.timing_ms, "total": _since(accepted.began)},
+        )
+
+    def enroll(self, data: bytes, map_name: str, attributes: ViewAttributes, *, patience_s: float) -> Enrolled:
+        """Submit an image, wait for its description, and say what came of it; raises as `submit` and `outcome`."""
+        accepted = self.submit(data, map_name, attributes)
+        if accepted.submitted.job_id is None:
+            return self.outcome(accepted)
+        describing = time.perf_counter()
+        view = self._settlements.wait(accepted.submitted.view.id, patience_s)
+        timing = {**accepted.timing_ms, "describe": _since(describing)}
+        return self.outcome(replace(accepted, timing_ms=timing), view)
+
+
+def _since(moment: float) -> float:
+    """Milliseconds since a reading of `time.perf_counter`."""
+    return (time.perf_counter() - moment) * 1000

@@ -1,0 +1,33 @@
+"""Jobs: shown, listed, cancelled."""
+
+from datetime import UTC, datetime
+
+from schemas.records import JobKind, JobRecord, JobState
+from worker.service.ports import Jobs
+
+
+class JobService:
+    """The use-cases around jobs.
+
+    Parameters
+    ----------
+    jobs : Jobs
+        The store's.
+    """
+
+    def __init__(self, jobs: Jobs) -> None:
+        self._jobs = jobs
+
+    def get(self, job_id: str) -> JobRecord:
+        """One job; raises NotFound."""
+        return self._jobs.get(job_id)
+
+    def page(
+        self, map_name: str | None, *, kind: JobKind | None, state: JobState | None, cursor: str | None, limit: int
+    ) -> tuple[list[JobRecord], str | None]:
+        """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map."""
+        return self._jobs.list(map_name, kind=kind, state=state, cursor=cursor, limit=limit)
+
+    def cancel(self, job_id: str) -> JobRecord:
+        """Cancel a job; raises NotFound, or Conflict when it is past that."""
+        return self._jobs.cancel(job_id, datetime.now(UTC))

@@ -1,0 +1,295 @@
+"""Query a map: which of its views show the place of an image, and how sure that is."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from uuid6 import uuid7
+
+from schemas.description import Description
+from schemas.errors import Unavailable
+from schemas.image import Image
+from schemas.recipe import DescriptionRecipe, MapRecipe
+from schemas.records import Filters, ViewRecord
+from worker.description.describer import Describer
+from worker.description.describers import Describers
+from worker.description.scheduler import Scheduler, Timed
+from worker.method import cascade
+from worker.method.byte_vectors import Product
+from worker.method.calibration import Calibration
+from worker.method.cascade import Evidence, RankedCandidate, ViewGone
+from worker.method.decision import Decision, decide
+from worker.search.catalogue import Catalogue
+from worker.search.fetcher import Fetcher
+from worker.search.ports import DescriptionReader
+from worker.service.explanations import Explained, Explanations
+from worker.service.ports import Listings, Maps, Views
+
+ROUNDS = 5
+"""How often a search may start anew because a view it found was deleted meanwhile."""
+
+AT_LEAST = 2
+"""Views ranked at least: how sure the first is depends on how far it leads, however many are wanted."""
+
+
+class RecipeChanged(Exception):
+    """The map changed over to another recipe: the query must be described by that one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredView(RankedCandidate):
+    """A ranked candidate, and the view that it is."""
+
+    view: ViewRecord
+
+
+@dataclass(frozen=True, eq=False)
+class RankedResults:
+    """What a search found, best first, at one revision of the map and by one recipe.
+
+    Parameters
+    ----------
+    views : tuple of ScoredView
+    revision : int
+    recipe : MapRecipe
+    searched : int
+        How many views the search looked at.
+    timing_ms : mapping of stage to milliseconds
+        ``search``, ``rerank``, ``verify``.
+    """
+
+    views: tuple[ScoredView, ...]
+    revision: int
+    recipe: MapRecipe
+    searched: int
+    timing_ms: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class QueryResult:
+    """The answer to a query.
+
+    Parameters
+    ----------
+    id : str
+        Of the query.
+    image : Image
+    description : Description
+    results : RankedResults
+        As many as were wanted.
+    decision : Decision
+    explained : bool
+        Whether its explanation can be drawn.
+    timing_ms : mapping of stage to milliseconds
+    """
+
+    id: str
+    image: Image
+    description: Description
+    results: RankedResults
+    decision: Decision
+    explained: bool
+    timing_ms: Mapping[str, float]
+
+
+class QueryService:
+    """The use-case `query`. The answer depends on the image, the map's revision and the request only.
+
+    Parameters
+    ----------
+    maps, views, listings, descriptions
+        Parts of the store.
+    describers : Describers
+    scheduler : Scheduler
+    catalogue : Catalogue
+    decode : function
+        Bytes to Image; raises BadImage.
+    shrink : function
+        Image to one small enough to keep.
+    calibration : function
+        Recipe to what makes confidences of its evidence.
+    explanations : Explanations
+        Where the latest explained queries are kept.
+    product : Product
+        Multiplies dense cells; how changes the time it takes, not the answer.
+    """
+
+    def __init__(
+        self,
+        *,
+        maps: Maps,
+        views: Views,
+        listings: Listings,
+        descriptions: DescriptionReader,
+        describers: Describers,
+        scheduler: Scheduler,
+        catalogue: Catalogue,
+        decode: Callable[[bytes], Image],
+        shrink: Callable[[Image], Image],
+        calibration: Callable[[MapRecipe], Calibration],
+        explanations: Explanations,
+        product: Product,
+    ) -> None:
+        self._maps, self._views, self._listings, self._descriptions = maps, views, listings, descriptions
+        self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
+        self._decode, self._shrink = decode, shrink
+        self._calibration, self._explanations, self._product = calibration, explanations, product
+
+    def query(
+        self,
+        data: bytes,
+        map_name: str,
+        *,
+        top: int = 5,
+        candidates: int | None = None,
+        filters: Filters | None = None,
+        explain: bool = False,
+    ) -> QueryResult:
+        """Which views of a map show the place of an image.
+
+        Parameters
+        ----------
+        data : bytes
+            The encoded image.
+        map_name : str
+        top : int
+            How many views at most.
+        candidates : int, optional
+            How many of each channel are re-ranked; None takes the map's number, 0 ranks by histograms alone.
+        filters : Filters, optional
+        explain : bool
+            Keep what drawing an explanation takes.
+
+        Raises
+        ------
+        BadImage, NotFound, NothingStatic, Busy, Unavailable
+        """
+        began = time.perf_counter()
+        describer = self.describer(map_name)  # an unknown map is refused before any work is done
+        image = self._decode(data)
+        decoded = time.perf_counter()
+        described, results = self._describe_and_search(
+            image, map_name, describer, filters or Filters(), max(top, AT_LEAST), candidates
+        )
+        decision = decide(results.views, self._calibration(results.recipe))
+        results = replace(results, views=results.views[:top])
+        decision = replace(decision, confidences=decision.confidences[:top])
+        query_id = str(uuid7())
+        if explain:
+            self._explanations.keep(query_id, Explained(self._shrink(image), described.value, results))
+        return QueryResult(
+            id=query_id,
+            image=image,
+            description=described.value,
+            results=results,
+            decision=decision,
+            explained=explain,
+            timing_ms={
+                "decode": (decoded - began) * 1000,
+                "queue": described.queue_ms,
+                "encode": described.encode_ms,
+                "describe": described.finish_ms,
+                **results.timing_ms,
+                "total": (time.perf_counter() - began) * 1000,
+            },
+        )
+
+    def describer(self, map_name: str) -> Describer:
+        """The describer of a map's recipe; raises NotFound."""
+        return self._describers.of(self._maps.get(map_name).description)
+
+    def describe(self, image: Image, describer: Describer) -> Timed[Description]:
+        """Describe an image, before all enrolments that wait; raises NothingStatic, Busy."""
+        return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
+
+    def _describe_and_search(
+        self, image: Image, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None
+    ) -> tuple[Timed[Description], RankedResults]:
+        """Describe by the map's recipe and search; anew if the map changed over to another recipe in between."""
+        while True:
+            described = self.describe(image, describer)
+            try:
+                return described, self.search(
+                    map_name, describer.recipe, described.value, filters=filters, top=top, candidates=candidates
+                )
+            except RecipeChanged:
+                describer = self.describer(map_name)
+
+    def search(
+        self,
+        map_name: str,
+        recipe: DescriptionRecipe,
+        description: Description,
+        *,
+        filters: Filters,
+        top: int,
+        candidates: int | None = None,
+        observe: cascade.Observe = lambda stage, evidence: None,
+    ) -> RankedResults:
+        """The `top` best views of a map for a description by `recipe`.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        RecipeChanged
+            The map's recipe is no longer `recipe`.
+        Unavailable
+            Views are deleted faster than they can be ranked.
+        """
+        for _ in range(ROUNDS):
+            watch = _Stopwatch(observe)
+            index, record = self._catalogue.index(map_name)
+            if record.description.id != recipe.id:
+                raise RecipeChanged
+            config = record.ranking
+            reranked = config.candidates if candidates is None else candidates
+            selection = self._listings.select(map_name, filters)
+            found = index.search(description.vectors, max(top, reranked), selection)
+            try:
+                ranked = cascade.rank(
+                    description,
+                    found,
+                    recipe,
+                    config,
+                    Fetcher(self._descriptions, recipe.id),
+                    top=top,
+                    reranked=reranked,
+                    product=self._product,
+                    observe=watch.observe,
+                )
+                views = self._views.at([candidate.seq for candidate in ranked])
+                if len(views) < len(ranked):
+                    raise ViewGone
+            except ViewGone:
+                continue
+            return RankedResults(
+                views=tuple(ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in ranked),
+                revision=found.revision,
+                recipe=record.recipe,
+                searched=found.searched,
+                timing_ms=watch.timing_ms(),
+            )
+        raise Unavailable("the map is being emptied faster than it can be searched; query again", 1)
+
+
+class _Stopwatch:
+    """Times the stages of a search: ``search`` ends with the histograms, ``rerank`` with the cells in full."""
+
+    def __init__(self, observe: cascade.Observe) -> None:
+        self._observe = observe
+        self._ends = {"began": time.perf_counter()}
+
+    def observe(self, stage: str, evidence: Evidence) -> None:
+        self._ends[stage] = time.perf_counter()
+        self._observe(stage, evidence)
+
+    def timing_ms(self) -> dict[str, float]:
+        ends = self._ends
+        searched = ends["histograms"]
+        compared = ends.get("full", searched)
+        return {
+            "search": (searched - ends["began"]) * 1000,
+            "rerank": (compared - searched) * 1000,
+            "verify": (time.perf_counter() - compared) * 1000,
+        }

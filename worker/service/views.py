@@ -1,0 +1,71 @@
+"""Views: shown, listed, corrected, deleted; and the places they belong to."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+
+from schemas.records import Filters, Position, Removal, ViewAttributes, ViewRecord
+from worker.service.ports import Listings, Maps, Removals, Views
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledView:
+    """A view and the label set of its map, which its label shares are about."""
+
+    record: ViewRecord
+    labels: tuple[str, ...]
+
+
+class ViewService:
+    """The use-cases around views.
+
+    Parameters
+    ----------
+    maps, views, removals, listings
+        Parts of the store.
+    """
+
+    def __init__(self, *, maps: Maps, views: Views, removals: Removals, listings: Listings) -> None:
+        self._maps, self._views, self._removals, self._listings = maps, views, removals, listings
+
+    def get(self, view_id: str) -> LabelledView:
+        """One view; raises NotFound."""
+        return self._labelled(self._views.get(view_id))
+
+    def page(
+        self,
+        map_name: str | None,
+        filters: Filters,
+        *,
+        state: str | None,
+        newest_first: bool,
+        cursor: str | None,
+        limit: int,
+    ) -> tuple[list[LabelledView], str | None]:
+        """A page of views in enrolment order, and the cursor of the next."""
+        records, following = self._views.list(
+            map_name, filters, state=state, newest_first=newest_first, cursor=cursor, limit=limit
+        )
+        labels = {name: self._maps.get(name).description.labels for name in {record.map for record in records}}
+        return [LabelledView(record, labels[record.map]) for record in records], following
+
+    def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> LabelledView:
+        """Replace what was said about a view, in one transaction; raises NotFound, and what `change` raises."""
+        return self._labelled(self._views.change(view_id, change))
+
+    def delete(self, view_id: str) -> Removal:
+        """Remove a view; raises NotFound."""
+        return self._removals.delete_view(view_id)
+
+    def delete_matching(self, map_name: str, filters: Filters) -> Removal:
+        """Remove the views of a map that fit; raises NotFound."""
+        return self._removals.delete_views(map_name, filters)
+
+    def places(
+        self, map_name: str | None, cursor: str | None, limit: int
+    ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
+        """A page of (map, place, views, mean position, last enrolment), and the cursor of the next."""
+        return self._listings.places(map_name, cursor, limit)
+
+    def _labelled(self, record: ViewRecord) -> LabelledView:
+        return LabelledView(record, self._maps.get(record.map).description.labels)

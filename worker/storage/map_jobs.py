@@ -1,0 +1,258 @@
+"""Jobs of whole maps, and what all jobs have in common: shown, listed, cancelled.
+
+A job of the kind ``recipe`` runs until the last of the map's views is described. One of the kind ``vocabulary`` is
+claimed under a lease and trained by a worker first, and then runs on as one of the kind ``recipe``.
+"""
+
+import json
+import secrets
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from functools import cache
+from typing import Any
+
+import sqlalchemy as sa
+from uuid6 import uuid7
+
+from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.recipe import DescriptionRecipe, MapRecipe
+from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
+from worker.storage import switching
+from worker.storage.jobs import ATTEMPTS, Jobs
+from worker.storage.paging import cursor_after, read_cursor
+from worker.storage.rows import find_map, inserting, keep_recipe
+from worker.storage.switching import UNFINISHED
+from worker.storage.tables import JOBS, MAPS, VIEWS
+
+WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before it was finished; see the worker's log"
+
+
+class MapJobs(Jobs):
+    """Jobs of all kinds."""
+
+    # recipe
+
+    def switch_recipe(self, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
+        """Begin to re-describe a map's views by another recipe.
+
+        Searches go on with the old recipe until the last view is described by the new one; then the map changes over
+        in one transaction. Descriptions that the new recipe already has (a way back) are used again.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            A change of the map is under way already.
+        """
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            _refuse_second(connection, row)
+            kept = keep_recipe(connection, recipe.description)
+            switching.begin(connection, row, kept, recipe.ranking.model_dump_json(), None, now)
+            latest = sa.select(JOBS.c.id).where(JOBS.c.map_id == row.id, JOBS.c.kind == "recipe")
+            job_id = connection.scalar(latest.order_by(JOBS.c.number.desc()).limit(1))
+            return _record(connection, str(job_id))
+
+    # vocabulary
+
+    def queue_vocabulary(self, name: str, now: datetime) -> JobRecord:
+        """Queue the training of a vocabulary on a map's views; raises NotFound, or Conflict as `switch_recipe`."""
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            _refuse_second(connection, row)
+            job_id = str(uuid7())
+            new = {"id": job_id, "kind": "vocabulary", "map_id": row.id, "background": True}
+            connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
+            return _record(connection, job_id)
+
+    def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
+        """Take the oldest job of a map that waits for a worker, or whose lease has ended; never more than thrice."""
+        waits = (JOBS.c.kind == "vocabulary") & (JOBS.c.recipe.is_(None))
+        left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
+        mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
+        with self._database.reading() as connection:
+            if connection.execute(mine).first() is None:
+                return None
+        with self._database.writing(in_turn=False) as connection:
+            job = connection.execute(mine.with_for_update(skip_locked=True)).one_or_none()
+            if job is None:
+                return None
+            if job.attempts >= ATTEMPTS:
+                _end(connection, job.number, "failed", now, ("worker-died", WORKER_DIED))
+                return None
+            token = secrets.token_hex(16)
+            held = {"state": "running", "worker": worker, "token": token, "lease_until": now + lease}
+            connection.execute(
+                sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
+            )
+            name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
+            return MapClaim(job.id, job.kind, token, str(name))
+
+    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta, now: datetime) -> None:
+        """Say how far a claimed job is, and renew its lease; raises LeaseLost, also when it was cancelled."""
+        with self._database.writing(in_turn=False) as connection:
+            job = _held(connection, claim)
+            values = {"progress_done": progress.done, "progress_total": progress.total, "lease_until": now + lease}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
+
+    def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
+        """Have the map's views described by the trained vocabulary, as the same job; raises LeaseLost."""
+        with self._database.writing() as connection:
+            job = _held(connection, claim)
+            row = connection.execute(sa.select(MAPS).where(MAPS.c.id == job.map_id)).one()
+            kept = keep_recipe(connection, recipe)
+            running = {"recipe": kept, "token": None, "lease_until": None, "progress_done": None}
+            connection.execute(
+                sa.update(JOBS).where(JOBS.c.number == job.number).values(progress_total=None, **running)
+            )
+            switching.begin(connection, row, kept, row.ranking, job.id, now)
+
+    def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
+        """Give a claimed job up, with this reason; raises LeaseLost."""
+        with self._database.writing() as connection:
+            _end(connection, _held(connection, claim).number, "failed", now, (code, detail))
+
+    def release_map_job(self, claim: MapClaim) -> None:
+        """Put a claimed job back unharmed; one that is no longer this worker's is left alone."""
+        with self._database.writing(in_turn=False) as connection:
+            connection.execute(
+                sa.update(JOBS)
+                .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
+                .values(state="waiting", worker=None, token=None, lease_until=None, attempts=JOBS.c.attempts - 1)
+            )
+
+    # all kinds
+
+    def get(self, job_id: str) -> JobRecord:
+        """One job; raises NotFound."""
+        with self._database.reading() as connection:
+            return _record(connection, job_id)
+
+    def list(
+        self,
+        name: str | None,
+        *,
+        kind: JobKind | None = None,
+        state: JobState | None = None,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> "tuple[list[JobRecord], str | None]":
+        """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map."""
+        page = _job_rows().order_by(JOBS.c.number.desc()).limit(limit + 1)
+        if cursor is not None:
+            [last] = read_cursor("jobs", cursor, int)
+            page = page.where(JOBS.c.number < last)
+        if kind is not None:
+            page = page.where(JOBS.c.kind == kind)
+        if state is not None:
+            page = page.where(JOBS.c.state == state)
+        with self._database.reading() as connection:
+            if name is not None:
+                page = page.where(JOBS.c.map_id == find_map(connection, name).id)
+            rows = [*connection.execute(page)]
+            records = [_of_row(connection, row) for row in rows[:limit]]
+        return records, cursor_after("jobs", rows[limit - 1].number) if len(rows) > limit else None
+
+    def cancel(self, job_id: str, now: datetime) -> JobRecord:
+        """Cancel a describe job that is waiting (its view is then failed), or a job of a map that has not finished.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            It is past that.
+        """
+        with self._database.writing() as connection:
+            job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
+            if job is None:
+                raise NotFound("job", job_id)
+            allowed = ("waiting",) if job.kind == "describe" else UNFINISHED
+            if job.state not in allowed:
+                raise Conflict(f"the job {job_id} is {job.state}; only a {' or '.join(allowed)} job can be cancelled")
+            if job.kind == "describe":
+                reason = "its description was cancelled; enrol the image again to have it described"
+                self.settle(connection, job, "cancelled", now, ("cancelled", reason))
+            else:
+                if job.recipe is not None:
+                    switching.stop(connection, job.map_id, job.recipe, now)
+                _end(connection, job.number, "cancelled", now, ("cancelled", "the map keeps the recipe that it has"))
+            return _record(connection, job_id)
+
+
+def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
+    """Raise Conflict when a job of this map has not finished."""
+    other = sa.select(JOBS.c.id, JOBS.c.kind).where(
+        JOBS.c.map_id == row.id, JOBS.c.kind != "describe", JOBS.c.state.in_(UNFINISHED)
+    )
+    found = connection.execute(other.limit(1)).one_or_none()
+    if found is not None:
+        raise Conflict(
+            f"the map {row.name!r} is being changed already, by the {found.kind} job {found.id}; wait until it has "
+            f"finished, or DELETE /jobs/{found.id}"
+        )
+
+
+def _held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:
+    job = connection.execute(sa.select(JOBS).where(JOBS.c.id == claim.job_id).with_for_update()).one_or_none()
+    if job is None:
+        raise LeaseLost(f"the job {claim.job_id} went with its map {claim.map}, which was deleted")
+    if job.state != "running" or job.token != claim.token:
+        raise LeaseLost(f"the job {claim.job_id} is {job.state} without this worker")
+    return job
+
+
+def _end(connection: sa.Connection, number: int, state: JobState, now: datetime, failure: tuple[str, str]) -> None:
+    ended = {"state": state, "token": None, "lease_until": None, "finished_at": now}
+    reason = {"failure_code": failure[0], "failure_detail": failure[1]}
+    connection.execute(sa.update(JOBS).where(JOBS.c.number == number).values(**ended, **reason))
+
+
+@cache
+def _job_rows() -> sa.Select[Any]:
+    """Jobs with the names of their map and view."""
+    named = sa.and_(MAPS.c.id == JOBS.c.map_id, MAPS.c.name.is_not(None))
+    return (
+        sa.select(JOBS, MAPS.c.name.label("map"), VIEWS.c.id.label("view_id"))
+        .select_from(JOBS.join(MAPS, named))
+        .outerjoin(VIEWS, VIEWS.c.seq == JOBS.c.seq)
+    )
+
+
+def _record(connection: sa.Connection, job_id: str) -> JobRecord:
+    row = connection.execute(_job_rows().where(JOBS.c.id == job_id)).one_or_none()
+    if row is None:
+        raise NotFound("job", job_id)
+    return _of_row(connection, row)
+
+
+def _of_row(connection: sa.Connection, row: sa.Row[Any]) -> JobRecord:
+    result: Mapping[str, Any] | None = None if row.result is None else json.loads(row.result)
+    return JobRecord(
+        id=row.id,
+        kind=row.kind,
+        state=row.state,
+        map=row.map,
+        view_id=row.view_id,
+        attempts=row.attempts,
+        progress=_progress(connection, row),
+        result=result,
+        created_at=row.created_at,
+        finished_at=row.finished_at,
+        failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+    )
+
+
+def _progress(connection: sa.Connection, row: sa.Row[Any]) -> JobProgress | None:
+    """Training tells how far it is; describing is counted in the jobs that were queued for it."""
+    if row.kind == "describe":
+        return None
+    if row.recipe is None:
+        return None if row.progress_total is None else JobProgress(row.progress_done, row.progress_total)
+    queued = sa.select(sa.func.count(), sa.func.count(sa.case((JOBS.c.state.not_in(UNFINISHED), 1)))).where(
+        JOBS.c.map_id == row.map_id,
+        JOBS.c.kind == "describe",
+        JOBS.c.recipe == row.recipe,
+        JOBS.c.number > row.number,
+    )
+    total, done = connection.execute(queued).one()
+    return JobProgress(done, total)
