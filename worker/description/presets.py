@@ -313,17 +313,22 @@ def _merged(
     try:
         return model.model_validate(_merge(base.model_dump(mode="json"), changes))
     except ValidationError as error:
-        other: type[BaseModel] = RankingConfig if model is DescriptionParameters else DescriptionParameters
-        known = "ranking" if model is DescriptionParameters else "parameters"
-        for found in error.errors():
-            where = ".".join((name, *map(str, found["loc"])))
-            detail = f"{found['msg']}; seen: {found['input']!r}"
-            if found["type"] == "extra_forbidden" and len(found["loc"]) == 1 and found["loc"][0] in other.model_fields:
-                detail = f"belongs to `{known}`, not to `{name}`"
-            elif found["type"] == "extra_forbidden" and len(found["loc"]) == 1:
-                detail = f"is unknown; known are {', '.join(model.model_fields)}"
-            errors.append(ParameterError(where, detail))
+        errors += _listed(error, model, name)
         return base
+
+
+def _listed(error: ValidationError, model: type[BaseModel], name: str) -> list[ParameterError]:
+    """What is wrong with one half of a recipe; a parameter of the other half is sent there."""
+    other: type[BaseModel] = RankingConfig if model is DescriptionParameters else DescriptionParameters
+    listed = []
+    for one in error.errors():
+        detail = f"{one['msg']}; seen: {one['input']!r}"
+        if one["type"] == "extra_forbidden" and len(one["loc"]) == 1:
+            detail = f"is unknown; known are {', '.join(model.model_fields)}"
+            if one["loc"][0] in other.model_fields:
+                detail = f"belongs to `{'ranking' if name == 'parameters' else 'parameters'}`, not to `{name}`"
+        listed.append(ParameterError(".".join((name, *map(str, one["loc"]))), detail))
+    return listed
 
 
 def _label_errors(labels: Sequence[str], dynamic: Sequence[str]) -> list[ParameterError]:
