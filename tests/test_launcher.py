@@ -1,24 +1,25 @@
-"""The launcher, with a Python that only notes what it is asked: sets up once, alone, without CUDA, and repairs."""
+"""The launcher sets up once, alone, what the locks list, without CUDA, and repairs; help needs none of it.
+
+Mostly with a Python that only notes what it is asked; what pip and the command line themselves do, with a real one.
+"""
 
 import os
+import re
 import shutil
 import stat
 import subprocess
 import sys
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-CUDA = "[\"nvidia-cudnn-cu13; platform_system != 'Nowhere'\"]"
-CPU = '["filelock", "nvidia-cudnn-cu13; platform_system == \'Nowhere\'"]'
-
 FAKE = """#!/bin/sh
 case $1 in
 -c) echo "$0" ;;
 -V) echo "Python 3.11.9" ;;
--) exec "$REAL" "$@" ;;
 -P) shift; echo "ran $*" ;;
 -m)
     if [ "$2" = venv ]; then
@@ -28,12 +29,12 @@ case $1 in
     fi
     echo "$*" >>"$NOTES"
     case "$*" in *"$BREAKS"*) [ -z "$BREAKS" ] || exit 1 ;; esac
-    needs=$USUAL
-    case "$*" in *--extra-index-url*) needs=$EXTRA ;; esac
-    while [ $# -gt 0 ]; do
-        [ "$1" != --report ] || printf '{"install": [{"metadata": {"requires_dist": %s}}]}' "$needs" >"$2"
-        shift
-    done
+    has=$USUAL
+    case "$*" in *--extra-index-url*) has=$EXTRA ;; esac
+    case "$has $*" in
+    pip*/torch.txt*) exec "$REAL" "$@" --dry-run --ignore-installed ;;
+    cuda*/torch.txt*) exit 1 ;;
+    esac
     sleep 0.2
     ;;
 esac
@@ -66,7 +67,7 @@ class Checkout:
         return path.read_text().splitlines() if path.exists() else []
 
     def installs(self) -> list[str]:
-        return [note for note in self.notes() if " install " in note and "--dry-run" not in note]
+        return [note for note in self.notes() if " install " in note]
 
 
 @pytest.fixture
@@ -80,7 +81,7 @@ def checkout(tmp_path: Path) -> Checkout:
     fake.chmod(fake.stat().st_mode | stat.S_IXUSR)
     environment = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
     environment |= {"PYTHON": str(fake), "REAL": sys.executable, "NOTES": str(tmp_path / "notes")}
-    return Checkout(folder, environment | {"USUAL": CPU, "EXTRA": CPU, "BREAKS": ""})
+    return Checkout(folder, environment | {"USUAL": "cpu", "EXTRA": "cpu", "BREAKS": ""})
 
 
 def test_it_sets_up_once_and_then_only_runs(checkout: Checkout) -> None:
@@ -89,17 +90,18 @@ def test_it_sets_up_once_and_then_only_runs(checkout: Checkout) -> None:
     second = checkout.run("version")
 
     assert first.stdout == "ran -m app.cli version --json\n", first.stderr
-    assert "torch==" in checkout.installs()[-1]
+    assert [re.findall(r"/(\w+)\.txt", note) for note in checkout.installs()] == [["torch"], ["packages"]]
     assert second.stdout == "ran -m app.cli version\n"
     assert second.stderr == ""
     assert checkout.notes() == noted
 
 
-def test_what_is_installed_brings_nothing_along(checkout: Checkout) -> None:
+def test_what_is_installed_is_what_the_lock_lists_and_brings_nothing_along(checkout: Checkout) -> None:
     checkout.run("version")
 
     assert len(checkout.installs()) == 2
-    assert all("--no-deps" in note for note in checkout.installs())
+    for option in ("--require-hashes", "--no-deps", "--no-build-isolation"):
+        assert all(option in note for note in checkout.installs())
 
 
 def test_several_starts_at_once_set_up_once(checkout: Checkout) -> None:
@@ -113,7 +115,7 @@ def test_several_starts_at_once_set_up_once(checkout: Checkout) -> None:
 
 
 def test_a_set_up_that_failed_is_begun_anew(checkout: Checkout) -> None:
-    broken = checkout.run("version", BREAKS="requirements.txt")
+    broken = checkout.run("version", BREAKS="packages.txt")
     again = checkout.run("version")
 
     assert broken.returncode == 1
@@ -151,28 +153,132 @@ def test_a_checkout_that_was_moved_is_set_up_anew(checkout: Checkout) -> None:
     assert checkout.notes().count("venv") == 2
 
 
-def test_cuda_is_never_fetched_unasked(checkout: Checkout) -> None:
-    refused = checkout.run("version", USUAL=CUDA, EXTRA=CUDA)
+def test_where_no_index_has_the_cpu_build_nothing_is_installed(checkout: Checkout) -> None:
+    refused = checkout.run("version", USUAL="cuda", EXTRA="cuda")
 
     assert refused.returncode == 1
     assert "--gpu" in refused.stderr
-    assert checkout.installs() == []
+    assert all("--require-hashes" in note and "/torch.txt" in note for note in checkout.installs())
 
 
 def test_where_the_usual_index_has_only_cuda_another_is_asked(checkout: Checkout) -> None:
-    checkout.run("version", USUAL=CUDA, EXTRA=CPU)
+    assert checkout.run("version", USUAL="cuda", EXTRA="cpu").stdout == "ran -m app.cli version\n"
 
-    assert "--extra-index-url" in checkout.installs()[-1]
+    assert ["--extra-index-url" in note for note in checkout.installs()] == [False, True, False]
+
+
+def test_the_usual_index_is_enough_where_it_has_the_cpu_build(checkout: Checkout) -> None:
+    checkout.run("version", USUAL="cpu", EXTRA="cuda")
+
+    assert not any("--extra-index-url" in note for note in checkout.installs())
 
 
 @pytest.mark.parametrize(("arguments", "environment"), [(["--gpu"], {}), ([], {"REVISIT_GPU": "1"})])
 def test_cuda_is_installed_when_asked_for_and_serves_afterwards(
     checkout: Checkout, arguments: list[str], environment: dict[str, str]
 ) -> None:
-    checkout.run(*arguments, "version", USUAL=CUDA, EXTRA=CUDA, **environment)
+    checkout.run(*arguments, "version", USUAL="cuda", EXTRA="cuda", **environment)
+    packages, torch = checkout.installs()
 
-    assert "--no-deps" not in checkout.installs()[-1]
+    assert "--require-hashes" in packages
+    assert re.search(r" torch==[0-9.]+$", torch)
+    assert "--no-deps" not in torch
     assert checkout.run("version").stderr == ""
+
+
+@pytest.mark.parametrize("local", ["", "+cpu"], ids=["as with CUDA", "another file"])
+def test_a_wheel_of_torch_that_the_lock_does_not_list_is_refused(
+    checkout: Checkout, tmp_path: Path, local: str
+) -> None:
+    version = re.findall(r"^torch==([0-9.]+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE)[0] + local
+    wheel = tmp_path / "wheels" / f"torch-{version}-py3-none-any.whl"
+    wheel.parent.mkdir()
+    about = f"torch-{version}.dist-info"
+    with zipfile.ZipFile(wheel, "w") as file:
+        file.writestr(f"{about}/METADATA", f"Metadata-Version: 2.1\nName: torch\nVersion: {version}\n")
+        file.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        file.writestr(f"{about}/RECORD", "")
+    only = {"PIP_CONFIG_FILE": os.devnull, "PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(wheel.parent)}
+
+    refused = checkout.run("version", USUAL="pip", EXTRA="pip", **only)
+
+    assert refused.returncode == 1
+    assert "DO NOT MATCH THE HASHES" in refused.stderr or "No matching distribution" in refused.stderr
+    assert "--gpu" in refused.stderr
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+def test_a_lock_holds_hashes_and_neither_cuda_nor_a_host(name: str) -> None:
+    lines = (ROOT / name).read_text().replace(" \\\n    ", " ").splitlines()
+    pins = [line for line in lines if not line.startswith("#")]
+
+    assert pins
+    for pin in pins:
+        assert re.fullmatch(r"[a-z0-9-]+==[^ ]+( ; [^:]+)?( --hash=sha256:[0-9a-f]{64})+", pin)
+        assert not re.match("nvidia|cuda|triton", pin)
+
+
+def test_torch_is_locked_to_cpu_builds() -> None:
+    pins = re.findall(r"^torch==(.*) \\$", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+
+    assert [re.sub(r"^[0-9.]+", "", pin) for pin in pins] == [
+        " ; sys_platform == 'darwin'",
+        "+cpu ; sys_platform != 'darwin'",
+    ]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"], ["help"], ["set-up", "--help"], ["--gpu", "--help"]])
+def test_help_is_the_command_lines_own_and_installs_nothing(checkout: Checkout, arguments: list[str]) -> None:
+    helped = with_commands(checkout).run(*arguments)
+
+    assert helped.returncode == 0
+    assert helped.stdout == command_line("--help").stdout
+    assert "not set up" in helped.stderr
+    assert not list(checkout.folder.glob(".venv*"))
+
+
+def test_help_about_a_command_installs_nothing(checkout: Checkout) -> None:
+    with_commands(checkout)
+    helped = [checkout.run("enroll", "--help"), checkout.run("help", "enroll")]
+
+    assert [result.stdout for result in helped] == [command_line("enroll", "--help").stdout] * 2
+    assert not list(checkout.folder.glob(".venv*"))
+
+
+def test_without_a_command_it_says_how_it_is_used_and_installs_nothing(checkout: Checkout) -> None:
+    said = with_commands(checkout).run()
+
+    assert said.returncode == command_line().returncode == 2
+    assert said.stderr.endswith(command_line().stderr)
+    assert not list(checkout.folder.glob(".venv*"))
+
+
+def test_help_after_a_double_dash_is_not_asked_for(checkout: Checkout) -> None:
+    assert checkout.run("enroll", "--", "--help").stdout == "ran -m app.cli enroll -- --help\n"
+    assert len(checkout.installs()) == 2
+
+
+def test_once_set_up_help_comes_from_the_environment(checkout: Checkout) -> None:
+    checkout.run("set-up")
+
+    assert checkout.run("help", "enroll").stdout == "ran -m app.cli enroll --help\n"
+    assert checkout.run("help", "enroll").stderr == ""
+
+
+def with_commands(checkout: Checkout) -> Checkout:
+    """A checkout with the program too, and a real Python."""
+    for folder in ROOT.iterdir():
+        if folder.is_dir() and not folder.name.startswith("."):
+            (checkout.folder / folder.name).symlink_to(folder)
+    checkout.environment["PYTHON"] = sys.executable
+    return checkout
+
+
+def command_line(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    """What the command line says in the environment that the tests run in."""
+    command = [sys.executable, "-m", "app.cli", *arguments]
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'client'}"}
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
 def test_it_can_be_called_by_a_link_from_another_folder(checkout: Checkout, tmp_path: Path) -> None:
