@@ -23,9 +23,9 @@ from typing import Any, Literal, Self, TypeVar
 import httpx
 from pydantic import BaseModel, ValidationError
 
+from revisit_client import wire
 from revisit_client.errors import ClientError, JobFailed, RevisitProblem, Unreachable, problem_of, reason, retry_after
 from revisit_client.parameters import Time, filters, texts, utc, wanted
-from schemas import wire
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 USER_AGENT = "revisit-client"

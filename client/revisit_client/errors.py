@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import httpx
 from pydantic import ValidationError
 
-from schemas import wire
+from revisit_client import wire
 
 
 class ClientError(Exception):

@@ -7,7 +7,7 @@ from typing import Any
 
 import httpx
 import pytest
-from revisit_client.client import ClientError, JobFailed, Revisit, RevisitProblem, Unreachable
+from revisit_client import ClientError, JobFailed, Revisit, RevisitProblem, Unreachable
 
 from tests import answers
 
