@@ -14,21 +14,21 @@ import httpx
 from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed
-from revisit_client.parameters import Time, filters, texts, utc, wanted
+from revisit_client.parameters import Time, filters, recipe_fields, texts, utc
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 Image = bytes | str | os.PathLike[str]
-"""A picture's bytes (JPEG, PNG, WebP, BMP, TIFF), or the path of a file that holds them."""
+"""The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF), or its path."""
 
 
 class Revisit:
-    """A service at an address.
+    """A service at an address. Used in a `with` statement it closes its connections; threads may share it.
 
     Parameters
     ----------
     url : str or None
-        None takes ``REVISIT_URL``, or the address that `./revisit serve` uses by default.
+        None takes ``REVISIT_URL``, or the address where `./revisit serve` listens by default.
     timeout : float
         Seconds that one answer may take.
     patience : float
@@ -37,6 +37,15 @@ class Revisit:
         safe.
     transport : httpx.BaseTransport or None
         For tests.
+    sleep, clock : callable
+        For tests; both in seconds.
+
+    Raises
+    ------
+    RevisitProblem
+        By every call: the service refused it.
+    Unreachable
+        By every call: no service answers.
     """
 
     def __init__(
@@ -64,10 +73,10 @@ class Revisit:
         self.close()
 
     def close(self) -> None:
-        """Let go of the connections."""
+        """Close the connections."""
         self._connection.close()
 
-    # enrol and ask
+    # enrol and query
 
     def enroll(
         self,
@@ -87,11 +96,29 @@ class Revisit:
         wait: bool = True,
         idempotency_key: str | None = None,
     ) -> wire.Enrolled:
-        """Enrol a picture; with `wait` it is searchable when this returns, without it is durable and has a job.
+        """Enrol an image.
 
-        Raises
-        ------
-        RevisitProblem, Unreachable
+        Parameters
+        ----------
+        image : bytes or path
+        map : str or None
+            None for the map ``default``. A map is made by its first enrolment.
+        place : str or None
+            Your own name for the spot.
+        x, y, z : float or None
+            Position in metres, in the map's frame.
+        lat, lon, alt : float or None
+            Position in degrees (WGS 84) and metres above the ellipsoid; not together with `x`, `y`, `z`.
+        heading : float or None
+            Degrees clockwise from north, or from +y.
+        captured_at : datetime or str or None
+            A datetime without a zone is local time; a string is RFC 3339.
+        metadata : mapping or None
+            Your own facts, as JSON.
+        wait : bool
+            True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
+        idempotency_key : str or None
+            Calls with the same key are done once. None makes one for this call and its repetitions.
         """
         attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
@@ -120,24 +147,42 @@ class Revisit:
         exclude_last: int | str | timedelta | None = None,
         exclude: Sequence[str] = (),
     ) -> wire.QueryAnswer:
-        """Ask which views of a map show the place of this picture.
+        """Find the views of a map that show the place of an image.
 
         Parameters
         ----------
-        near : (float, float, float)
-            x, y and radius in metres, or with `geographic` latitude, longitude and radius in metres.
-        exclude_last : int or timedelta
-            Not the newest N views, or not those of this time: for loop closure.
+        image : bytes or path
+        map : str or None
+            None for the map ``default``.
+        top : int or None
+            How many matches at most.
+        candidates : int or None
+            How many views of each channel's search are compared in detail; 0 ranks by the histograms alone.
+        explain : bool or None
+            Whether matches list the pairs that agree, and `explanation` can be drawn.
+        near : (float, float, float) or None
+            Only views near a point: x, y and radius in metres, or with `geographic` latitude, longitude and radius in
+            metres.
+        after, before : datetime or str or None
+            Only views captured from `after` to `before`, both included; as `captured_at` of `enroll`.
+        place : str or None
+            Only views of this place.
+        metadata : mapping or None
+            Only views with these values.
+        exclude_last : int or str or timedelta or None
+            Not the newest N views, or not those of this time (``"30s"``): for loop closure.
+        exclude : sequence of str
+            Not these views, by id.
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
-        asked = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
+        options = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
         name, data = _read(image)
         return self._connection.receive(
-            wire.QueryAnswer, "POST", "/query", data=texts({**asked, **chosen}), files={"image": (name, data)}
+            wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}
         )
 
     def explanation(self, query_id: str, view: str | None = None) -> bytes:
-        """PNG of a query (asked with `explain`) beside a match, with what agrees."""
+        """PNG of a query that was made with `explain`, beside a match, with what agrees."""
         return self._connection.send(
             "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
         ).content
@@ -159,7 +204,7 @@ class Revisit:
         limit: int | None = None,
         page: int = 100,
     ) -> Iterator[wire.View]:
-        """All views that fit, page by page as they are needed; `limit` ends early."""
+        """Iterate over the views that fit, fetched in pages of `page` as they are needed; at most `limit`."""
         chosen = filters(near, geographic, after, before, place, metadata, None, ())
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
@@ -167,9 +212,9 @@ class Revisit:
         given = 0
         while limit is None or given < limit:
             answer = self._connection.receive(wire.Views, "GET", "/views", params=params)
-            wanted = answer.views if limit is None else answer.views[: limit - given]
-            yield from wanted
-            given += len(wanted)
+            views = answer.views if limit is None else answer.views[: limit - given]
+            yield from views
+            given += len(views)
             if answer.next is None:
                 return
             params = {**params, "cursor": answer.next}
@@ -184,24 +229,24 @@ class Revisit:
         return self._connection.receive(wire.View, "PATCH", f"/views/{view_id}", json=attributes)
 
     def delete(self, view_id: str) -> wire.Deleted:
-        """Delete a view and its picture."""
+        """Delete a view and its image."""
         return self._connection.receive(wire.Deleted, "DELETE", f"/views/{view_id}")
 
     def image(self, view_id: str) -> bytes:
-        """The picture as it was enrolled, byte for byte."""
+        """The image as it was enrolled, byte for byte."""
         return self._connection.send("GET", f"/views/{view_id}/image").content
 
     def thumbnail(self, view_id: str) -> bytes:
-        """A small JPEG of the picture."""
+        """A small JPEG of the image."""
         return self._connection.send("GET", f"/views/{view_id}/thumbnail").content
 
     def segmentation(self, view_id: str, *, overlay: bool = False) -> bytes:
-        """PNG whose pixels are indices into the map's labels; with `overlay` blended over the photo."""
+        """PNG whose pixels are indices into the map's labels; with `overlay` their colours blended over the image."""
         params = texts({"overlay": True if overlay else None})
         return self._connection.send("GET", f"/views/{view_id}/segmentation.png", params=params).content
 
     def graph(self, view_id: str) -> bytes:
-        """PNG of the context graph over the photo."""
+        """PNG of the context graph over the image."""
         return self._connection.send("GET", f"/views/{view_id}/graph.png").content
 
     # maps, places, jobs
@@ -224,7 +269,7 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
     ) -> wire.MapFacts:
         """Make a map, or give an empty one other labels, preset or parameters."""
-        recipe = wanted(labels, dynamic, preset, parameters)
+        recipe = recipe_fields(labels, dynamic, preset, parameters)
         return self._connection.receive(wire.MapFacts, "PUT", f"/maps/{name}", json=recipe)
 
     def switch_recipe(
@@ -237,7 +282,7 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
     ) -> wire.Job:
         """Describe all views of a map anew; the old recipe answers until that is done."""
-        recipe = wanted(labels, dynamic, preset, parameters)
+        recipe = recipe_fields(labels, dynamic, preset, parameters)
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
 
     def train_vocabulary(self, name: str) -> wire.Job:
@@ -245,11 +290,11 @@ class Revisit:
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/vocabulary", repeat=False)
 
     def delete_map(self, name: str) -> wire.Deleted:
-        """Delete a map, its views and their pictures."""
+        """Delete a map, its views and their images."""
         return self._connection.receive(wire.Deleted, "DELETE", f"/maps/{name}")
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
-        """All places, page by page as they are needed."""
+        """Iterate over all places, fetched in pages as they are needed."""
         params = texts({"map": map})
         while True:
             answer = self._connection.receive(wire.Places, "GET", "/places", params=params)
@@ -263,13 +308,14 @@ class Revisit:
         return self._connection.receive(wire.Job, "GET", f"/jobs/{job_id}")
 
     def wait_for_job(self, job_id: str, *, timeout: float = 600.0) -> wire.Job:
-        """Wait until a job is done.
+        """Wait until a job is done, at most `timeout` seconds.
 
         Raises
         ------
         JobFailed
             It failed or was cancelled.
         TimeoutError
+            It is still waiting or running.
         """
         deadline, pause = self._clock() + timeout, 0.05
         while True:
@@ -286,7 +332,7 @@ class Revisit:
     # the service
 
     def readyz(self) -> wire.Readiness:
-        """What the service can do at this moment; answers also when it is not ready."""
+        """What the service can do at this moment; an answer also when it is not ready."""
         return self._connection.receive(wire.Readiness, "GET", "/readyz", repeat=False, accept=503)
 
     def version(self) -> wire.Version:
@@ -300,8 +346,8 @@ class Revisit:
 
 
 def _read(image: Image) -> tuple[str, bytes]:
-    """Name and bytes of a picture."""
+    """File name and bytes of an image."""
     if isinstance(image, bytes):
-        return "picture", image
+        return "image", image
     path = Path(image)
     return path.name, path.read_bytes()

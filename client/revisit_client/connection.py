@@ -97,8 +97,8 @@ class Connection:
                 answer = self._http.request(method, path, **request)
             except httpx.TransportError as error:
                 trouble = Unreachable(self.url, reason(error))
-                # Nobody there is said at once. A broken connection may have been heard: then only what is harmless
-                # twice is sent twice.
+                # An address where nobody listens is reported at once. When a connection broke, the service may have got
+                # the request already: then only what is harmless twice is sent twice.
                 again, wait = repeat and not isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol), pause
             else:
                 if answer.status_code < 400 or answer.status_code == accept:
