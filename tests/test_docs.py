@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from revisit_client.client import Revisit
+from revisit_client import Revisit
 
 from app.cli import study
 from app.cli.__main__ import parser

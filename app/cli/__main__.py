@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _foreseen(error: Exception) -> str | None:
     """What to say about an error that needs no traceback; None for a mistake of ours."""
-    from revisit_client.client import ClientError
+    from revisit_client import ClientError
 
     from schemas.errors import RevisitError
 

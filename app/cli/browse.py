@@ -35,7 +35,7 @@ def add(verbs: Verbs) -> None:
 
 def run_maps(arguments: argparse.Namespace) -> int:
     """List maps, or show or delete one."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     from app.cli.console import wrong_use
 
@@ -76,7 +76,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
 
 def run_views(arguments: argparse.Namespace) -> int:
     """List views, or show, draw or delete one."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     from app.cli.console import wrong_use
     from app.cli.query import position_text
@@ -134,7 +134,7 @@ def run_views(arguments: argparse.Namespace) -> int:
 
 def run_places(arguments: argparse.Namespace) -> int:
     """List places."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     from app.cli.query import position_text
 

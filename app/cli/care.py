@@ -12,7 +12,7 @@ from app.cli.console import DONE, FAILED, Progress, Verbs, show, show_json, size
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     from schemas.settings import Settings
 
@@ -135,7 +135,7 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
 
 def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, Any]:
     """What the running service says of itself, and whether enrolled pictures find themselves."""
-    from revisit_client.client import ClientError, Revisit, Unreachable
+    from revisit_client import ClientError, Revisit, Unreachable
 
     with Revisit(arguments.url, patience=10) as revisit:
         try:

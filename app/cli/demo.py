@@ -14,10 +14,10 @@ from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json,
 from app.cli.service import started
 
 if TYPE_CHECKING:
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
+    from revisit_client.wire import QueryAnswer
 
     from app.cli.demo_images import Material, QueryRecord
-    from schemas.wire import QueryAnswer
 
 MOST = 0.75
 """Share of known places that have to be recognised for the demo to count as passed."""
@@ -59,7 +59,7 @@ class Result:
 
 def run(arguments: argparse.Namespace) -> int:
     """Show it; 1 when too few places were recognised."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     photos = None if arguments.photos is None else _photos(arguments.photos)
     output = arguments.output or Path(tempfile.mkdtemp(prefix="revisit-demo-"))

@@ -12,7 +12,7 @@ from app.cli import images
 from app.cli.console import DONE, FAILED, Failure, Progress, Verbs, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
 
 @dataclass
@@ -49,7 +49,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Enrol; 1 when some pictures were refused."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     if not 1 <= arguments.parallel <= 64:
         wrong_use("--parallel takes 1 to 64")
@@ -94,7 +94,7 @@ def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]
 
 def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], parallel: int) -> Summary:
     """Send pictures, several at once: the service describes together what arrives together."""
-    from revisit_client.client import ClientError, RevisitProblem
+    from revisit_client import ClientError, RevisitProblem
 
     waiting: queue.SimpleQueue[tuple[Path, images.Known]] = queue.SimpleQueue()
     for item in work:

@@ -22,7 +22,7 @@ def add(verbs: Verbs) -> None:
 
 def run_healthcheck(arguments: argparse.Namespace) -> int:
     """Ask `/readyz`; from inside a container the service is on this machine, on the port it was told."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     url = arguments.url or os.environ.get("REVISIT_URL") or f"http://127.0.0.1:{os.environ.get('REVISIT_PORT', '8000')}"
     with Revisit(url, timeout=5, patience=0) as revisit:
@@ -47,7 +47,7 @@ def run_version(arguments: argparse.Namespace) -> int:
         else:
             show(f"revisit {VERSION}")
         return DONE
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     with Revisit(arguments.url) as revisit:
         facts = revisit.version().model_dump(mode="json")
@@ -61,7 +61,7 @@ def run_version(arguments: argparse.Namespace) -> int:
 
 def run_openapi(arguments: argparse.Namespace) -> int:
     """Print the OpenAPI document."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     with Revisit(arguments.url) as revisit:
         show_json(revisit.openapi())

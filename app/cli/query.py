@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table, wrong_use
 
 if TYPE_CHECKING:
-    from schemas.wire import Match, Position, QueryAnswer
+    from revisit_client.wire import Match, Position, QueryAnswer
 
 VERDICTS = {
     "matched": "This place is known.",
@@ -34,7 +34,7 @@ def add(verbs: Verbs) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Ask; the exit code does not tell a known place from an unknown one: both are answers."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     with Revisit(arguments.url) as revisit:
         answer = revisit.query(

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 from app.cli.console import DONE, Verbs, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
-    from revisit_client.client import Revisit
-
-    from schemas.wire import Job
+    from revisit_client import Revisit
+    from revisit_client.wire import Job
 
 
 def add(verbs: Verbs) -> None:
@@ -43,7 +42,7 @@ def _waits(parser: argparse.ArgumentParser) -> None:
 
 def run_vocabulary(arguments: argparse.Namespace) -> int:
     """Train."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     with Revisit(arguments.url) as revisit:
         return _finished(revisit, revisit.train_vocabulary(arguments.map), arguments)
@@ -51,7 +50,7 @@ def run_vocabulary(arguments: argparse.Namespace) -> int:
 
 def run_recipe(arguments: argparse.Namespace) -> int:
     """Show the recipe, or switch to another."""
-    from revisit_client.client import Revisit
+    from revisit_client import Revisit
 
     parameters = None
     if arguments.parameters is not None:

@@ -1,15 +1,4 @@
-"""A typed client of the service; the command line is built on it, and so can your program be.
-
-    from revisit_client.client import Revisit
-
-    with Revisit("http://127.0.0.1:8000") as revisit:
-        revisit.enroll("entrance.jpg", map="campus", place="entrance", x=12.0, y=3.5)
-        answer = revisit.query("today.jpg", map="campus")
-        if answer.status == "matched":
-            print(answer.matches[0].view.place, answer.confidence)
-
-Answers are the models of `schemas.wire`. A refusal is a `RevisitProblem`; nobody answering is `Unreachable`.
-"""
+"""The calls of the service, one method each."""
 
 import os
 import time
@@ -18,33 +7,28 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self
 
 import httpx
-from pydantic import BaseModel, ValidationError
 
-from revisit_client.errors import ClientError, JobFailed, RevisitProblem, Unreachable, problem_of, reason, retry_after
-from revisit_client.parameters import Time, filters, texts, utc, wanted
-from schemas import wire
+from revisit_client import wire
+from revisit_client.connection import Connection
+from revisit_client.errors import JobFailed
+from revisit_client.parameters import Time, filters, recipe_fields, texts, utc
 
 DEFAULT_URL = "http://127.0.0.1:8000"
-USER_AGENT = "revisit-client"
 
 Image = bytes | str | os.PathLike[str]
-"""A picture's bytes (JPEG, PNG, WebP, BMP, TIFF), or the path of a file that holds them."""
-
-Answer = TypeVar("Answer", bound=BaseModel)
-
-__all__ = ["ClientError", "JobFailed", "Revisit", "RevisitProblem", "Unreachable"]
+"""The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF), or its path."""
 
 
 class Revisit:
-    """A service at an address.
+    """A service at an address. Used in a `with` statement it closes its connections; threads may share it.
 
     Parameters
     ----------
     url : str or None
-        None takes ``REVISIT_URL``, or the address that `./revisit serve` uses by default.
+        None takes ``REVISIT_URL``, or the address where `./revisit serve` listens by default.
     timeout : float
         Seconds that one answer may take.
     patience : float
@@ -53,6 +37,15 @@ class Revisit:
         safe.
     transport : httpx.BaseTransport or None
         For tests.
+    sleep, clock : callable
+        For tests; both in seconds.
+
+    Raises
+    ------
+    RevisitProblem
+        By every call: the service refused it.
+    Unreachable
+        By every call: no service answers.
     """
 
     def __init__(
@@ -66,12 +59,9 @@ class Revisit:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.url = (url or os.environ.get("REVISIT_URL") or DEFAULT_URL).rstrip("/")
-        self._patience, self._sleep, self._clock = patience, sleep, clock
-        self._http = httpx.Client(
-            base_url=self.url,
-            timeout=httpx.Timeout(timeout, connect=min(5.0, timeout)),
-            transport=transport,
-            headers={"user-agent": USER_AGENT},
+        self._sleep, self._clock = sleep, clock
+        self._connection = Connection(
+            self.url, timeout=timeout, patience=patience, transport=transport, sleep=sleep, clock=clock
         )
 
     def __enter__(self) -> Self:
@@ -83,10 +73,10 @@ class Revisit:
         self.close()
 
     def close(self) -> None:
-        """Let go of the connections."""
-        self._http.close()
+        """Close the connections."""
+        self._connection.close()
 
-    # enrol and ask
+    # enrol and query
 
     def enroll(
         self,
@@ -106,19 +96,38 @@ class Revisit:
         wait: bool = True,
         idempotency_key: str | None = None,
     ) -> wire.Enrolled:
-        """Enrol a picture; with `wait` it is searchable when this returns, without it is durable and has a job.
+        """Enrol an image.
 
-        Raises
-        ------
-        RevisitProblem, Unreachable
+        Parameters
+        ----------
+        image : bytes or path
+        map : str or None
+            None for the map ``default``. A map is made by its first enrolment.
+        place : str or None
+            Your own name for the spot.
+        x, y, z : float or None
+            Position in metres, in the map's frame.
+        lat, lon, alt : float or None
+            Position in degrees (WGS 84) and metres above the ellipsoid; not together with `x`, `y`, `z`.
+        heading : float or None
+            Degrees clockwise from north, or from +y.
+        captured_at : datetime or str or None
+            A datetime without a zone is local time; a string is RFC 3339.
+        metadata : mapping or None
+            Your own facts, as JSON.
+        wait : bool
+            True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
+        idempotency_key : str or None
+            Calls with the same key are done once. None makes one for this call and its repetitions.
         """
         attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
         # One key for all repetitions of this call: the service does the work once, whatever gets lost on the way.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = _read(image)
-        answer = self._send("POST", "/enroll", data=fields, files={"image": (name, data)}, headers=headers)
-        return self._model(wire.Enrolled, answer)
+        return self._connection.receive(
+            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (name, data)}, headers=headers
+        )
 
     def query(
         self,
@@ -138,24 +147,45 @@ class Revisit:
         exclude_last: int | str | timedelta | None = None,
         exclude: Sequence[str] = (),
     ) -> wire.QueryAnswer:
-        """Ask which views of a map show the place of this picture.
+        """Find the views of a map that show the place of an image.
 
         Parameters
         ----------
-        near : (float, float, float)
-            x, y and radius in metres, or with `geographic` latitude, longitude and radius in metres.
-        exclude_last : int or timedelta
-            Not the newest N views, or not those of this time: for loop closure.
+        image : bytes or path
+        map : str or None
+            None for the map ``default``.
+        top : int or None
+            How many matches at most.
+        candidates : int or None
+            How many views of each channel's search are compared in detail; 0 ranks by the histograms alone.
+        explain : bool or None
+            Whether matches list the pairs that agree, and `explanation` can be drawn.
+        near : (float, float, float) or None
+            Only views near a point: x, y and radius in metres, or with `geographic` latitude, longitude and radius in
+            metres.
+        after, before : datetime or str or None
+            Only views captured from `after` to `before`, both included; as `captured_at` of `enroll`.
+        place : str or None
+            Only views of this place.
+        metadata : mapping or None
+            Only views with these values.
+        exclude_last : int or str or timedelta or None
+            Not the newest N views, or not those of this time (``"30s"``): for loop closure.
+        exclude : sequence of str
+            Not these views, by id.
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
-        asked = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
+        options = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
         name, data = _read(image)
-        answer = self._send("POST", "/query", data=texts({**asked, **chosen}), files={"image": (name, data)})
-        return self._model(wire.QueryAnswer, answer)
+        return self._connection.receive(
+            wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}
+        )
 
     def explanation(self, query_id: str, view: str | None = None) -> bytes:
-        """PNG of a query (asked with `explain`) beside a match, with what agrees."""
-        return self._send("GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})).content
+        """PNG of a query that was made with `explain`, beside a match, with what agrees."""
+        return self._connection.send(
+            "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
+        ).content
 
     # views
 
@@ -174,60 +204,60 @@ class Revisit:
         limit: int | None = None,
         page: int = 100,
     ) -> Iterator[wire.View]:
-        """All views that fit, page by page as they are needed; `limit` ends early."""
+        """Iterate over the views that fit, fetched in pages of `page` as they are needed; at most `limit`."""
         chosen = filters(near, geographic, after, before, place, metadata, None, ())
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
         params = texts({"map": map, "state": state, "sort": sort, "limit": page, **chosen})
         given = 0
         while limit is None or given < limit:
-            answer = self._model(wire.Views, self._send("GET", "/views", params=params))
-            wanted = answer.views if limit is None else answer.views[: limit - given]
-            yield from wanted
-            given += len(wanted)
+            answer = self._connection.receive(wire.Views, "GET", "/views", params=params)
+            views = answer.views if limit is None else answer.views[: limit - given]
+            yield from views
+            given += len(views)
             if answer.next is None:
                 return
             params = {**params, "cursor": answer.next}
 
     def view(self, view_id: str) -> wire.View:
         """One view."""
-        return self._model(wire.View, self._send("GET", f"/views/{view_id}"))
+        return self._connection.receive(wire.View, "GET", f"/views/{view_id}")
 
     def patch(self, view_id: str, **attributes: Any) -> wire.View:
         """Change `place`, `position` (a mapping), `captured_at` or `metadata` of a view; None clears."""
         attributes = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in attributes.items()}
-        return self._model(wire.View, self._send("PATCH", f"/views/{view_id}", json=attributes))
+        return self._connection.receive(wire.View, "PATCH", f"/views/{view_id}", json=attributes)
 
     def delete(self, view_id: str) -> wire.Deleted:
-        """Delete a view and its picture."""
-        return self._model(wire.Deleted, self._send("DELETE", f"/views/{view_id}"))
+        """Delete a view and its image."""
+        return self._connection.receive(wire.Deleted, "DELETE", f"/views/{view_id}")
 
     def image(self, view_id: str) -> bytes:
-        """The picture as it was enrolled, byte for byte."""
-        return self._send("GET", f"/views/{view_id}/image").content
+        """The image as it was enrolled, byte for byte."""
+        return self._connection.send("GET", f"/views/{view_id}/image").content
 
     def thumbnail(self, view_id: str) -> bytes:
-        """A small JPEG of the picture."""
-        return self._send("GET", f"/views/{view_id}/thumbnail").content
+        """A small JPEG of the image."""
+        return self._connection.send("GET", f"/views/{view_id}/thumbnail").content
 
     def segmentation(self, view_id: str, *, overlay: bool = False) -> bytes:
-        """PNG whose pixels are indices into the map's labels; with `overlay` blended over the photo."""
+        """PNG whose pixels are indices into the map's labels; with `overlay` their colours blended over the image."""
         params = texts({"overlay": True if overlay else None})
-        return self._send("GET", f"/views/{view_id}/segmentation.png", params=params).content
+        return self._connection.send("GET", f"/views/{view_id}/segmentation.png", params=params).content
 
     def graph(self, view_id: str) -> bytes:
-        """PNG of the context graph over the photo."""
-        return self._send("GET", f"/views/{view_id}/graph.png").content
+        """PNG of the context graph over the image."""
+        return self._connection.send("GET", f"/views/{view_id}/graph.png").content
 
     # maps, places, jobs
 
     def maps(self) -> list[wire.MapFacts]:
         """All maps, by name."""
-        return self._model(wire.Maps, self._send("GET", "/maps")).maps
+        return self._connection.receive(wire.Maps, "GET", "/maps").maps
 
     def map(self, name: str) -> wire.MapFacts:
         """One map."""
-        return self._model(wire.MapFacts, self._send("GET", f"/maps/{name}"))
+        return self._connection.receive(wire.MapFacts, "GET", f"/maps/{name}")
 
     def put_map(
         self,
@@ -239,8 +269,8 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
     ) -> wire.MapFacts:
         """Make a map, or give an empty one other labels, preset or parameters."""
-        recipe = wanted(labels, dynamic, preset, parameters)
-        return self._model(wire.MapFacts, self._send("PUT", f"/maps/{name}", json=recipe))
+        recipe = recipe_fields(labels, dynamic, preset, parameters)
+        return self._connection.receive(wire.MapFacts, "PUT", f"/maps/{name}", json=recipe)
 
     def switch_recipe(
         self,
@@ -252,22 +282,22 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
     ) -> wire.Job:
         """Describe all views of a map anew; the old recipe answers until that is done."""
-        recipe = wanted(labels, dynamic, preset, parameters)
-        return self._model(wire.Job, self._send("POST", f"/maps/{name}/recipe", json=recipe, repeat=False))
+        recipe = recipe_fields(labels, dynamic, preset, parameters)
+        return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
 
     def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on the map's own views, and describe them by it."""
-        return self._model(wire.Job, self._send("POST", f"/maps/{name}/vocabulary", repeat=False))
+        return self._connection.receive(wire.Job, "POST", f"/maps/{name}/vocabulary", repeat=False)
 
     def delete_map(self, name: str) -> wire.Deleted:
-        """Delete a map, its views and their pictures."""
-        return self._model(wire.Deleted, self._send("DELETE", f"/maps/{name}"))
+        """Delete a map, its views and their images."""
+        return self._connection.receive(wire.Deleted, "DELETE", f"/maps/{name}")
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
-        """All places, page by page as they are needed."""
+        """Iterate over all places, fetched in pages as they are needed."""
         params = texts({"map": map})
         while True:
-            answer = self._model(wire.Places, self._send("GET", "/places", params=params))
+            answer = self._connection.receive(wire.Places, "GET", "/places", params=params)
             yield from answer.places
             if answer.next is None:
                 return
@@ -275,16 +305,17 @@ class Revisit:
 
     def job(self, job_id: str) -> wire.Job:
         """One job."""
-        return self._model(wire.Job, self._send("GET", f"/jobs/{job_id}"))
+        return self._connection.receive(wire.Job, "GET", f"/jobs/{job_id}")
 
     def wait_for_job(self, job_id: str, *, timeout: float = 600.0) -> wire.Job:
-        """Wait until a job is done.
+        """Wait until a job is done, at most `timeout` seconds.
 
         Raises
         ------
         JobFailed
             It failed or was cancelled.
         TimeoutError
+            It is still waiting or running.
         """
         deadline, pause = self._clock() + timeout, 0.05
         while True:
@@ -301,63 +332,22 @@ class Revisit:
     # the service
 
     def readyz(self) -> wire.Readiness:
-        """What the service can do at this moment; answers also when it is not ready."""
-        return self._model(wire.Readiness, self._send("GET", "/readyz", repeat=False, also=503))
+        """What the service can do at this moment; an answer also when it is not ready."""
+        return self._connection.receive(wire.Readiness, "GET", "/readyz", repeat=False, accept=503)
 
     def version(self) -> wire.Version:
         """What is running."""
-        return self._model(wire.Version, self._send("GET", "/version"))
+        return self._connection.receive(wire.Version, "GET", "/version")
 
     def openapi(self) -> dict[str, Any]:
         """The service's OpenAPI document."""
-        document: dict[str, Any] = self._send("GET", "/openapi.json").json()
+        document: dict[str, Any] = self._connection.send("GET", "/openapi.json").json()
         return document
-
-    def _model(self, model: type[Answer], answer: httpx.Response) -> Answer:
-        try:
-            # A newer service may say more than this client knows; that is no reason to fail.
-            return model.model_validate(answer.json(), extra="ignore")
-        except (ValidationError, ValueError) as error:
-            raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
-
-    def _send(
-        self, method: str, path: str, *, repeat: bool = True, also: int | None = None, **request: Any
-    ) -> httpx.Response:
-        """Send, and send again while it may help and patience lasts.
-
-        Parameters
-        ----------
-        repeat : bool
-            Whether the request can be sent twice without doing its work twice.
-        also : int or None
-            A status that is an answer here and no refusal.
-        """
-        deadline, pause = self._clock() + self._patience, 0.25
-        while True:
-            trouble: ClientError
-            try:
-                answer = self._http.request(method, path, **request)
-            except httpx.TransportError as error:
-                trouble = Unreachable(self.url, reason(error))
-                # Nobody there is told at once. A broken connection may have been heard: then only what is harmless
-                # twice is sent twice.
-                again, wait = repeat and not isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol), pause
-            else:
-                if answer.status_code < 400 or answer.status_code == also:
-                    return answer
-                told = retry_after(answer)
-                trouble = RevisitProblem(problem_of(answer), told)
-                # A refusal for being busy comes before any work: repeating is safe whatever the request.
-                again, wait = answer.status_code in (429, 503), pause if told is None else told
-            if not again or self._clock() + wait > deadline:
-                raise trouble
-            self._sleep(wait)
-            pause = min(8.0, pause * 2)
 
 
 def _read(image: Image) -> tuple[str, bytes]:
-    """Name and bytes of a picture."""
+    """File name and bytes of an image."""
     if isinstance(image, bytes):
-        return "picture", image
+        return "image", image
     path = Path(image)
     return path.name, path.read_bytes()

@@ -6,15 +6,15 @@ from datetime import UTC, datetime
 import httpx
 from pydantic import ValidationError
 
-from schemas import wire
+from revisit_client import wire
 
 
 class ClientError(Exception):
-    """Something asked of the service did not work."""
+    """A call did not work; base of the exceptions below."""
 
 
 class Unreachable(ClientError):
-    """No service answers at this address, or it stopped answering."""
+    """No service answers at an address, or it stopped answering."""
 
     def __init__(self, url: str, reason: str) -> None:
         super().__init__(
@@ -25,14 +25,22 @@ class Unreachable(ClientError):
 
 
 class RevisitProblem(ClientError):
-    """The service refused, and says why (RFC 9457).
+    """The service refused a call, and says why (RFC 9457).
 
     Attributes
     ----------
     type : str
         Stable URN; `code` is its last part, such as ``picture-too-large``.
-    errors : list of ProblemParameter
+    title, detail : str
+        For people; the text may change.
+    status : int
+        HTTP status.
+    errors : list of wire.ProblemParameter
         Every parameter that cannot be used.
+    request_id : str
+        Finds the call in the service's log.
+    retry_after_s : float or None
+        Seconds after which the service asks to be called again.
     """
 
     def __init__(self, problem: wire.Problem, retry_after_s: float | None = None) -> None:
@@ -50,7 +58,7 @@ class RevisitProblem(ClientError):
 
 
 class JobFailed(ClientError):
-    """A job that was waited for ended without success."""
+    """A job that was waited for failed or was cancelled; `job` says why."""
 
     def __init__(self, job: wire.Job) -> None:
         reason = f"{job.failure.code}: {job.failure.detail}" if job.failure else "no reason given"
@@ -59,7 +67,7 @@ class JobFailed(ClientError):
 
 
 def reason(error: httpx.TransportError) -> str:
-    """Why nobody answered, in words."""
+    """Why nobody answered, for people."""
     if isinstance(error, httpx.ConnectError):
         return "connection refused" if "refused" in str(error).lower() else str(error) or "cannot connect"
     if isinstance(error, httpx.TimeoutException):

@@ -1,11 +1,11 @@
-"""A client's arguments, as they travel."""
+"""Arguments of the client's calls as parameters of HTTP requests."""
 
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from schemas import wire
+from revisit_client import wire
 
 Time = datetime | str
 
@@ -16,20 +16,20 @@ def utc(moment: datetime) -> datetime:
 
 
 def texts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Parameters as they travel; those that are None do not."""
-    travelling: dict[str, str] = {}
+    """Parameters as text; those that are None are left out."""
+    written: dict[str, str] = {}
     for name, value in values.items():
         if value is None:
             continue
         if isinstance(value, bool):
-            travelling[name] = "true" if value else "false"
+            written[name] = "true" if value else "false"
         elif isinstance(value, datetime):
-            travelling[name] = wire.rfc3339(utc(value))
+            written[name] = wire.rfc3339(utc(value))
         elif isinstance(value, Mapping):
-            travelling[name] = json.dumps(value)
+            written[name] = json.dumps(value)
         else:
-            travelling[name] = str(value)
-    return travelling
+            written[name] = str(value)
+    return written
 
 
 def filters(
@@ -42,7 +42,7 @@ def filters(
     exclude_last: int | str | timedelta | None,
     exclude: Sequence[str],
 ) -> dict[str, Any]:
-    """Filters as parameters; None where nothing was asked for."""
+    """Filters as parameters; None where not given."""
     if isinstance(exclude_last, timedelta):
         exclude_last = f"{exclude_last.total_seconds():g}s"
     chosen: dict[str, Any] = {
@@ -57,12 +57,12 @@ def filters(
     return chosen | {f"metadata.{key}": value for key, value in (metadata or {}).items()}
 
 
-def wanted(
+def recipe_fields(
     labels: Sequence[str] | None,
     dynamic: Sequence[str] | None,
     preset: str | None,
     parameters: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """What a map is to be made with; what is None is the service\'s choice."""
-    attributes = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
-    return {name: value for name, value in attributes.items() if value is not None}
+    """The fields of `wire.PutMap` that are given; the service chooses the others."""
+    fields = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
+    return {name: value for name, value in fields.items() if value is not None}

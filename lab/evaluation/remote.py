@@ -6,14 +6,14 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from revisit_client.client import Revisit, RevisitProblem
+from revisit_client import Revisit, RevisitProblem
+from revisit_client.wire import MapFacts
 
 from lab.datasets.dataset import Dataset
 from lab.evaluation.contender import Contender
 from lab.evaluation.querying import Answer
 from schemas.errors import RevisitError
 from schemas.records import Position
-from schemas.wire import MapFacts
 
 
 class ServedRetriever:

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 from PIL import Image as PilImage
+from revisit_client.wire import QueryAnswer
 
 from app.cli import demo, demo_images
 from app.cli.__main__ import main
 from app.cli.demo_images import QueryRecord
-from schemas.wire import QueryAnswer
 from tests import answers
 
 

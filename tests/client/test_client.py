@@ -7,7 +7,7 @@ from typing import Any
 
 import httpx
 import pytest
-from revisit_client.client import ClientError, JobFailed, Revisit, RevisitProblem, Unreachable
+from revisit_client import ClientError, JobFailed, Revisit, RevisitProblem, Unreachable
 
 from tests import answers
 
@@ -40,7 +40,7 @@ def refused(code: str, status: int, **headers: str) -> httpx.Response:
     return httpx.Response(status, json=answers.problem(code, status), headers=headers)
 
 
-def test_a_picture_is_enrolled_with_what_is_said_about_it(tmp_path: Path) -> None:
+def test_an_image_is_enrolled_with_its_attributes(tmp_path: Path) -> None:
     seen: list[httpx.Request] = []
 
     def handler(request: httpx.Request) -> httpx.Response:
@@ -48,7 +48,7 @@ def test_a_picture_is_enrolled_with_what_is_said_about_it(tmp_path: Path) -> Non
         return httpx.Response(201, json=answers.enrolled())
 
     path = tmp_path / "a.png"
-    path.write_bytes(b"bytes of a picture")
+    path.write_bytes(b"bytes of an image")
     when = datetime(2026, 3, 1, 12, tzinfo=UTC)
     with client(handler) as revisit:
         enrolled = revisit.enroll(path, map="campus", place="door", x=1, y=2.5, captured_at=when, metadata={"a": 1})
@@ -56,12 +56,12 @@ def test_a_picture_is_enrolled_with_what_is_said_about_it(tmp_path: Path) -> Non
     assert enrolled.created
     assert enrolled.view.place == "square"
     body = seen[0].read().decode()
-    for part in ("bytes of a picture", "campus", "door", "2.5", "2026-03-01T12:00:00.000000Z", '{"a": 1}', "a.png"):
+    for part in ("bytes of an image", "campus", "door", "2.5", "2026-03-01T12:00:00.000000Z", '{"a": 1}', "a.png"):
         assert part in body
     assert 'name="lat"' not in body
 
 
-def test_a_busy_service_is_asked_again_after_the_time_it_names_with_the_same_key() -> None:
+def test_a_busy_service_is_called_again_after_the_time_it_names_with_the_same_key() -> None:
     keys: list[str] = []
     clock = Clock()
 
@@ -144,7 +144,7 @@ def test_nobody_there_says_how_to_start_one() -> None:
         client(handler).maps()
 
 
-def test_a_lost_answer_is_asked_for_again() -> None:
+def test_a_request_whose_answer_got_lost_is_repeated() -> None:
     tries: list[int] = []
 
     def handler(request: httpx.Request) -> httpx.Response:
@@ -169,7 +169,7 @@ def test_what_would_be_done_twice_is_not_repeated_when_its_answer_was_lost() -> 
     assert len(tries) == 1
 
 
-def test_filters_of_a_question_travel_as_documented() -> None:
+def test_filters_of_a_query_are_sent_as_documented() -> None:
     bodies: list[str] = []
 
     def handler(request: httpx.Request) -> httpx.Response:
@@ -193,21 +193,21 @@ def test_filters_of_a_question_travel_as_documented() -> None:
 
 
 def test_views_are_fetched_page_by_page_as_needed() -> None:
-    asked: list[str | None] = []
+    cursors: list[str | None] = []
 
     def handler(request: httpx.Request) -> httpx.Response:
         cursor = request.url.params.get("cursor")
-        asked.append(cursor)
+        cursors.append(cursor)
         page = int(cursor or 0)
         views = [answers.view(f"v{page}{i}") for i in range(2)]
         return httpx.Response(200, json={"views": views, "next": str(page + 1) if page < 2 else None})
 
     revisit = client(handler)
     assert [v.id for v in revisit.views()] == ["v00", "v01", "v10", "v11", "v20", "v21"]
-    assert asked == [None, "1", "2"]
-    asked.clear()
+    assert cursors == [None, "1", "2"]
+    cursors.clear()
     assert [v.id for v in revisit.views(limit=3)] == ["v00", "v01", "v10"]
-    assert asked == [None, "1"]
+    assert cursors == [None, "1"]
 
 
 def test_a_job_is_waited_for() -> None:
