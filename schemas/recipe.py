@@ -21,6 +21,10 @@ class Frozen(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+
+class Identified(Frozen):
+    """A value that is named by a hash of its content."""
+
     @property
     def id(self) -> str:
         """First 16 hex digits of the SHA-256 of the value as canonical JSON (sorted keys, no blanks)."""
@@ -111,7 +115,7 @@ class DescriptionParameters(Frozen):
         return self.dense.channel_weights or dict.fromkeys(self.channels, 1.0)
 
 
-class DescriptionRecipe(Frozen):
+class DescriptionRecipe(Identified):
     """Encoder, labels, parameters and vocabulary: the same recipe always makes the same description of an image."""
 
     encoder: str
@@ -147,7 +151,7 @@ class TermWeights(Frozen):
         return {term: weight for term, weight in named.items() if weight > 0}
 
 
-class RankingConfig(Frozen):
+class RankingConfig(Identified):
     """How the candidates of a query are ranked. What a description lacks (cells, local features) is left out."""
 
     preset: str = Field("default", description="Named preset it started from; chooses the shipped calibration.")

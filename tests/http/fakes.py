@@ -4,7 +4,7 @@ It keeps what it is told in dictionaries, checks pictures with the real codec, a
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, cast
@@ -121,7 +121,6 @@ class FakeRecogniser:
         candidates: int | None,
         filters: Filters,
         explain: bool,
-        drive: str | None,
     ) -> wire.QueryAnswer:
         self._may_fail("query")
         decode(image, self.limits)
@@ -131,7 +130,6 @@ class FakeRecogniser:
             "candidates": candidates,
             "filters": filters,
             "explain": explain,
-            "drive": drive,
         }
         views = [kept for kept in self.kept.values() if kept.map == map_name]
         if not views:
@@ -157,11 +155,9 @@ class FakeRecogniser:
         self.given = {"map": map_name, "filters": filters, **how}
         return wire.Views(views=[k.view() for k in self.kept.values() if map_name in (None, k.map)], next=None)
 
-    async def attributes_of(self, view_id: str) -> ViewAttributes:
-        return self._view(view_id).attributes
-
-    async def patch_view(self, view_id: str, attributes: ViewAttributes) -> wire.View:
-        self._view(view_id).attributes = attributes
+    async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
+        kept = self._view(view_id)
+        kept.attributes = change(kept.attributes)
         return self._view(view_id).view()
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
@@ -214,6 +210,7 @@ class FakeRecogniser:
             places=1,
             bytes=1,
             recipe={"id": "4c1d9ab02e7f6a35"},
+            ranking={"id": "97b1f2c0d3e4a586"},
             labels=[],
             vocabulary={},
             extent=None,
@@ -244,6 +241,8 @@ class FakeRecogniser:
             map="default",
             view=None,
             attempts=0,
+            progress=None,
+            result=None,
             created_at=NOW,
             finished_at=None,
             failure=None,

@@ -10,27 +10,28 @@ import numpy as np
 from schemas.description import Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.errors import LeaseLost
 from schemas.image import ImageFacts
-from schemas.ports import Store
-from schemas.recipe import Channel, Parameters, Recipe, Verification
+from schemas.recipe import Channel, DescriptionParameters, DescriptionRecipe, MapRecipe, RankingConfig
 from schemas.records import Claim, Submitted, ViewAttributes, ViewRecord
+from worker.storage.store import SqlStore
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 LEASE = timedelta(seconds=60)
 NO_ATTRIBUTES = ViewAttributes()
 
 
-def recipe(preset: str = "default") -> Recipe:
+def recipe(preset: str = "default") -> MapRecipe:
     """A recipe of two channels; another preset makes another recipe."""
-    channel = Channel(layer="words", words=4)
-    return Recipe(
+    channels = {name: Channel(layer=name, vocabulary_size=4) for name in ("semantic", "detail")}
+    seed = int(hashlib.sha256(preset.encode()).hexdigest()[:6], 16)
+    description = DescriptionRecipe(
         encoder="color",
         weights="0" * 64,
         labels=("wall", "car"),
         dynamic=("car",),
-        preset=preset,
-        parameters=Parameters(channels={"words": channel, "detail": channel}, verification=Verification()),
+        parameters=DescriptionParameters(channels=channels, seed=seed, local_features=300),
         vocabulary="0" * 64,
     )
+    return MapRecipe(description=description, ranking=RankingConfig(preset=preset))
 
 
 RECIPE = recipe()
@@ -58,7 +59,7 @@ def description(seed: int) -> Description:
 
     graph = ContextGraph(np.array([0, 1], np.int16), floats(2, 2), floats(2, 3), floats(2))
     return Description(
-        vectors={"words": floats(4), "detail": floats(4)},
+        vectors={"semantic": floats(4), "detail": floats(4)},
         appearance=Appearance(small(1, 2, 4), graph, (1.0, 0.75)),
         cells=small(3, 5, 4),
         keypoints=LocalFeatures(floats(6, 2), small(6, 8)),
@@ -71,7 +72,7 @@ def description(seed: int) -> Description:
 def vector(view: ViewRecord, recipe_id: str) -> list[float]:
     """The vector that `describe` gives a view under a recipe."""
     made = description(seed(view, recipe_id)).vectors
-    return [float(value) for value in np.concatenate([made["words"], made["detail"]])]
+    return [float(value) for value in np.concatenate([made["semantic"], made["detail"]])]
 
 
 def seed(view: ViewRecord, recipe_id: str) -> int:
@@ -80,25 +81,25 @@ def seed(view: ViewRecord, recipe_id: str) -> int:
 
 
 def enroll(
-    store: Store,
+    store: SqlStore,
     name: str,
     *,
     map: str = "campus",
     attributes: ViewAttributes = NO_ATTRIBUTES,
     now: datetime = NOW,
-    by: Recipe = RECIPE,
+    by: MapRecipe = RECIPE,
 ) -> Submitted:
     """Enrol the picture of that name."""
     body = image(name)
     return store.enrolment.submit(map, body, facts(body), attributes, by, now)
 
 
-def finish(store: Store, claim: Claim, now: datetime = NOW) -> int:
+def finish(store: SqlStore, claim: Claim, now: datetime = NOW) -> int:
     """Describe what was claimed."""
     return store.jobs.finish(claim, description(seed(claim.view, claim.recipe.id)), now)
 
 
-def describe_all(store: Store, now: datetime = NOW) -> int:
+def describe_all(store: SqlStore, now: datetime = NOW) -> int:
     """Work until nothing waits; returns how many descriptions that took."""
     done = 0
     while claims := store.jobs.claim("worker", 10, LEASE, now):
@@ -110,9 +111,9 @@ def describe_all(store: Store, now: datetime = NOW) -> int:
 
 
 class Follower:
-    """An index reduced to a dict: it knows of a map what `Store.since` told it, and nothing else."""
+    """An index reduced to a dict: it knows of a map what `Descriptions.since` told it, and nothing else."""
 
-    def __init__(self, store: Store, name: str = "campus") -> None:
+    def __init__(self, store: SqlStore, name: str = "campus") -> None:
         self.store = store
         self._name = name
         self.revision = 0

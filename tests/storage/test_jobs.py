@@ -139,7 +139,7 @@ def test_an_index_that_follows_while_others_write_misses_nothing(reopen: Open) -
             view = enroll(own, f"{writer} {number}").view
             describe_all(own)
             if number % 5 == 4:
-                own.delete_view(view.id)
+                own.removals.delete_view(view.id)
 
     writers = [Thread(target=enroll_and_describe, args=(writer,)) for writer in range(3)]
     for writer in writers:

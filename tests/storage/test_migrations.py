@@ -1,22 +1,33 @@
 """The tables come from migrations alone, and a data folder is used by those who may."""
 
+import json
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
+from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 
 from schemas.errors import SetupError
 from tests.storage.conftest import Open
 from tests.storage.databases import sqlite_url
-from tests.storage.material import NOW, enroll
+from tests.storage.material import LEASE, NOW, enroll
+from worker.description.ports import Encoder
+from worker.description.presets import Wanted, make_recipe
+from worker.encoders.color import ColorEncoder
+from worker.encoders.compact.encoder import CompactEncoder
+from worker.storage import migrating
 from worker.storage.database import Database
 from worker.storage.locks import USE, FolderLock, lock_for_serving
 from worker.storage.migrating import migrate, newest
 from worker.storage.store import open_store
 from worker.storage.tables import METADATA
+
+_MIGRATION = import_module("worker.storage.migrations.versions.0003_two_halves_of_a_recipe")
+halves, identity = _MIGRATION.halves, _MIGRATION.identity
 
 
 def set_revision(database: Database, revision: str) -> None:
@@ -36,10 +47,22 @@ def test_migrations_make_the_tables_of_the_code(reopen: Open, database_url: str)
 def test_migrations_make_them_to_the_letter(data: Path) -> None:
     """Beyond what Alembic compares: actions of foreign keys, AUTOINCREMENT, collations."""
 
-    def schema(database: Database) -> dict[str, str]:
+    def schema(database: Database) -> dict[str, list[str]]:
         with database.reading() as connection:
             rows = connection.execute(sa.text("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
-            return {name: re.sub(r"\s+", " ", sql) for name, sql in rows if not name.startswith("alembic")}
+            return {name: definitions(sql) for name, sql in rows if not name.startswith("alembic")}
+
+    def definitions(sql: str) -> list[str]:
+        """Columns and constraints; in any order, since ALTER TABLE writes new columns behind the constraints."""
+        parts, depth = [""], 0
+        for letter in re.sub(r"\s+", " ", sql):
+            depth += {"(": 1, ")": -1}.get(letter, 0)
+            if letter == "," and depth == 1:
+                parts.append("")
+            else:
+                parts[-1] += letter
+        first, last = parts[0].partition("("), parts[-1].rpartition(")")
+        return sorted(part.strip() for part in [first[0], first[2], *parts[1:-1], last[0], last[2]])
 
     by_code, by_migrations = Database(sqlite_url(data / "code")), Database(sqlite_url(data))
     (data / "code").mkdir()
@@ -70,7 +93,7 @@ def test_migrating_twice_changes_nothing(reopen: Open, database_url: str, data: 
     view = enroll(store, "gate").view
     store.close()
     assert migrate(database_url, data) == migrate(database_url, data) == newest()
-    assert reopen().view(view.id) == view
+    assert reopen().views.get(view.id) == view
 
 
 def test_a_database_of_a_newer_version_is_refused(reopen: Open, database_url: str) -> None:
@@ -120,17 +143,134 @@ def test_what_is_no_database_and_no_folder_is_refused_in_words(data: Path) -> No
         open_store(sqlite_url(data), data / "revisit.db")
 
 
-def test_maps_of_a_build_before_the_first_release_are_refused(reopen: Open, database_url: str, data: Path) -> None:
-    store = reopen()
-    enroll(store, "gate")
-    store.close()
+def test_maps_of_a_build_before_the_first_release_are_refused(database_url: str, data: Path) -> None:
     database = Database(database_url)
+    upgrade(database, "0001")
     with database.writing() as connection:
-        connection.execute(sa.text("DROP TABLE cells"))
-    set_revision(database, "0001")
+        connection.execute(sa.text("INSERT INTO recipes (id, body) VALUES ('old', '{}')"))
+        connection.execute(
+            sa.text("INSERT INTO maps (name, recipe, revision, anew, created_at) VALUES ('campus', 'old', 1, 1, 0)")
+        )
     with pytest.raises(SetupError, match="enrol the pictures again"):
         migrate(database_url, data)
     with database.writing() as connection:
         connection.execute(sa.text("DELETE FROM maps"))
     database.close()
-    reopen().close()
+    open_store(database_url, data).close()
+
+
+# 0003: two halves of a recipe
+
+MOMENT = "2026-03-01 12:00:00.000000"
+
+BEFORE = json.loads(Path(__file__).with_name("recipes_before_0003.json").read_text())
+"""Recipes as the version before made and named them, by encoder and preset."""
+
+ENCODERS: dict[str, Encoder] = {"color": ColorEncoder(), "compact": CompactEncoder()}
+
+
+@pytest.mark.parametrize("name", BEFORE)
+def test_a_recipe_of_before_becomes_the_halves_that_are_made_today(name: str) -> None:
+    """So that maps of before and maps made today share descriptions: nothing is described anew."""
+    encoder, preset, *changed = name.split()
+    ranking = {"candidates": 25, "detail_only_top_k": 0} if changed else None
+    today = make_recipe(ENCODERS[encoder], Wanted(ranking=ranking), preset=preset)
+
+    description, ranked = halves(json.loads(BEFORE[name]["body"]))
+
+    assert (identity(description), description) == (today.description.id, today.description.model_dump(mode="json"))
+    assert ranked == today.ranking.model_dump(mode="json")
+
+
+def test_a_data_folder_of_before_keeps_its_views_descriptions_jobs_and_their_order(
+    database_url: str, data: Path
+) -> None:
+    database = Database(database_url)
+    upgrade(database, "0002")
+    default, changed = BEFORE["compact default"], BEFORE["compact default changed"]
+    with database.writing() as connection:
+        rows = {
+            "recipes": [{"id": r["id"], "body": r["body"]} for r in (default, changed)],
+            "maps": [
+                {"id": number, "name": name, "recipe": recipe, "revision": 5, "anew": 1, "created_at": MOMENT}
+                for number, name, recipe in ((1, "campus", default["id"]), (2, "museum", changed["id"]))
+            ],
+            "views": [_old_view(1, 1), _old_view(2, 1), _old_view(3, 2)],
+            "descriptions": [
+                _old_description(1, default["id"], 3),
+                _old_description(1, changed["id"], 4),  # as a roll-back left it: by what is now the same recipe
+                _old_description(3, changed["id"], 5),
+            ],
+            **{
+                part: [
+                    {"seq": seq, "recipe": recipe, "body": f"{part} {seq} {recipe}".encode()}
+                    for seq, recipe in ((1, default["id"]), (1, changed["id"]), (3, changed["id"]))
+                ]
+                for part in ("vectors", "appearances", "cells", "keypoints")
+            },
+            "jobs": [_old_job(7, 1, 1, default["id"], "done"), _old_job(9, 1, 2, default["id"], "waiting")],
+        }
+        for table, values in rows.items():
+            for value in values:
+                names = ", ".join(value)
+                slots = ", ".join(f":{name}" for name in value)
+                connection.execute(sa.text(f"INSERT INTO {table} ({names}) VALUES ({slots})"), value)
+    database.close()
+
+    migrate(database_url, data)
+
+    store = open_store(database_url, data)
+    campus, museum = store.maps.get("campus"), store.maps.get("museum")
+    assert campus.description == museum.description
+    assert (campus.ranking.candidates, museum.ranking.candidates) == (50, 25)
+    assert (campus.ranking.detail_only_top_k, museum.ranking.detail_only_top_k) == (6, 0)
+    states = [store.views.get(f"view-{seq}").state for seq in (1, 2, 3)]
+    assert states == ["ready", "pending", "ready"]
+    recipe = campus.description.id
+    database = Database(database_url)
+    with database.reading() as connection:
+        for part in ("vectors", "appearances", "cells", "keypoints"):
+            bodies = connection.execute(sa.text(f"SELECT seq, recipe, body FROM {part} ORDER BY seq")).all()
+            assert [(row.seq, row.recipe) for row in bodies] == [(1, recipe), (3, recipe)]
+            assert {bytes(row.body).split()[0] for row in bodies} == {part.encode()}
+        assert connection.scalar(sa.text("SELECT count(*) FROM recipes")) == 1
+    database.close()
+    jobs, _ = store.jobs.list("campus")
+    assert [(job.id, job.kind, job.state) for job in jobs] == [
+        ("job-9", "describe", "waiting"),
+        ("job-7", "describe", "done"),
+    ]
+    [claim] = store.jobs.claim("worker", 5, LEASE, NOW)
+    assert (claim.job_id, claim.recipe) == ("job-9", campus.description)
+    job = store.jobs.queue_vocabulary("museum", NOW)
+    assert store.jobs.list(None)[0][0].id == job.id
+    store.close()
+
+
+def upgrade(database: Database, revision: str) -> None:
+    """Bring an empty database to the tables of an older version."""
+    config = migrating._config()
+    with database.writing() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, revision)
+
+
+def _old_view(seq: int, map_id: int) -> dict[str, object]:
+    return {
+        "seq": seq, "id": f"view-{seq}", "map_id": map_id, "metadata": "{}", "enrolled_at": MOMENT,
+        "sha256": f"{seq:064x}", "width": 640, "height": 480, "byte_count": 9, "format": "png", "state": "pending" if seq == 2 else "ready",
+    }  # fmt: skip
+
+
+def _old_description(seq: int, recipe: str, revision: int) -> dict[str, object]:
+    return {
+        "seq": seq, "recipe": recipe, "map_id": 2 if seq == 3 else 1, "revision": revision, "descriptor_count": 1,
+        "static_share": 1.0, "nodes": 0, "label_shares": b"",
+    }  # fmt: skip
+
+
+def _old_job(number: int, map_id: int, seq: int, recipe: str, state: str) -> dict[str, object]:
+    return {
+        "number": number, "id": f"job-{number}", "map_id": map_id, "seq": seq, "recipe": recipe, "background": False,
+        "state": state, "attempts": 0, "created_at": MOMENT,
+    }  # fmt: skip

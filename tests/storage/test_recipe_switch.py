@@ -3,15 +3,22 @@
 import pytest
 
 from schemas.errors import Conflict
-from schemas.records import Filters
+from schemas.records import Filters, JobRecord
 from tests.storage.material import LEASE, NOW, RECIPE, Follower, describe_all, enroll, finish, recipe, vector
 from worker.storage.store import SqlStore
 
 PAPER = recipe("paper")
+PRESETS = {r.description.id: r.ranking.preset for r in (RECIPE, PAPER)}
+
+
+def queued(job: JobRecord) -> int:
+    """How many views a job has to describe."""
+    assert job.progress is not None
+    return job.progress.total
 
 
 def recipe_of(store: SqlStore) -> str:
-    return store.maps.get("campus").recipe.preset
+    return store.maps.get("campus").ranking.preset
 
 
 def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_one(store: SqlStore) -> None:
@@ -20,12 +27,12 @@ def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_
     follower = Follower(store).catch_up()
     before = dict(follower.vectors)
 
-    assert store.jobs.switch_recipe("campus", PAPER, NOW) == 3
+    assert queued(store.jobs.switch_recipe("campus", PAPER, NOW)) == 3
 
     assert (store.jobs.count_waiting(), store.jobs.count_waiting(redescriptions=True)) == (0, 3)
     claims = store.jobs.claim("worker", 3, LEASE, NOW)
     for claim in claims[:2]:
-        assert claim.recipe == PAPER
+        assert claim.recipe == PAPER.description
         finish(store, claim)
         assert recipe_of(store) == "default"
         assert follower.catch_up().vectors == before
@@ -33,10 +40,10 @@ def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_
 
     assert recipe_of(store) == "paper"
     assert revision == store.maps.revision("campus") > follower.revision
-    assert follower.catch_up().vectors == {view.seq: vector(view, PAPER.id) for view in views}
+    assert follower.catch_up().vectors == {view.seq: vector(view, PAPER.description.id) for view in views}
     described = store.views.get(views[0].id).description
     assert described is not None
-    assert described.recipe == PAPER.id
+    assert described.recipe == PAPER.description.id
 
 
 def test_a_roll_back_uses_the_descriptions_that_are_there(store: SqlStore) -> None:
@@ -48,7 +55,7 @@ def test_a_roll_back_uses_the_descriptions_that_are_there(store: SqlStore) -> No
     describe_all(store)
     new = Follower(store).catch_up()
 
-    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 0
+    assert queued(store.jobs.switch_recipe("campus", RECIPE, NOW)) == 0
 
     assert recipe_of(store) == "default"
     assert old.catch_up().vectors == new.catch_up().vectors == before
@@ -71,7 +78,7 @@ def test_a_second_switch_waits_for_the_first(store: SqlStore) -> None:
     enroll(store, "gate")
     describe_all(store)
     store.jobs.switch_recipe("campus", PAPER, NOW)
-    with pytest.raises(Conflict, match="preset paper"):
+    with pytest.raises(Conflict, match="by the recipe job"):
         store.jobs.switch_recipe("campus", recipe("third"), NOW)
 
 
@@ -83,7 +90,7 @@ def test_a_picture_enrolled_during_a_switch_is_described_by_both_recipes_and_goe
 
     claims = store.jobs.claim("worker", 5, LEASE, NOW)
 
-    assert [(claim.view.id == view.id, claim.recipe.preset) for claim in claims] == [
+    assert [(claim.view.id == view.id, PRESETS[claim.recipe.id]) for claim in claims] == [
         (True, "default"),
         (False, "paper"),
         (True, "paper"),
@@ -110,7 +117,7 @@ def test_a_view_that_the_new_recipe_cannot_describe_fails_when_the_map_changes_o
 
     assert store.views.get(gate.id).failure == ("nothing-static", "only cars")
     assert follower.catch_up().vectors.keys() == {pond.seq}
-    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 0
+    assert queued(store.jobs.switch_recipe("campus", RECIPE, NOW)) == 0
     assert (store.views.get(gate.id).state, store.views.get(gate.id).failure) == ("ready", None)
     assert follower.catch_up().vectors.keys() == {gate.seq, pond.seq}
 
@@ -121,7 +128,7 @@ def test_switching_to_the_recipe_in_use_tries_again_what_failed(store: SqlStore)
     store.jobs.fail(first, "nothing-static", "only cars", NOW)
     finish(store, last)
 
-    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 1
+    assert queued(store.jobs.switch_recipe("campus", RECIPE, NOW)) == 1
 
     assert (store.views.get(gate.id).state, store.views.get(gate.id).failure) == ("pending", None)
     describe_all(store)
@@ -156,10 +163,10 @@ def test_a_picture_still_waiting_for_the_old_recipe_is_ready_by_the_new_one(stor
     before = store.maps.revision("campus")
     finish(store, old)
     assert store.maps.revision("campus") == before
-    assert store.jobs.switch_recipe("campus", RECIPE, NOW) == 0
+    assert queued(store.jobs.switch_recipe("campus", RECIPE, NOW)) == 0
 
 
 def test_a_map_without_views_changes_over_at_once(store: SqlStore) -> None:
     store.maps.put("campus", RECIPE, NOW)
-    assert store.jobs.switch_recipe("campus", PAPER, NOW) == 0
+    assert queued(store.jobs.switch_recipe("campus", PAPER, NOW)) == 0
     assert recipe_of(store) == "paper"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from schemas.errors import Conflict, KeyReused, LeaseLost, NotFound
-from schemas.ports import Store
 from schemas.records import Filters, Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
 from tests.storage.material import (
@@ -32,10 +31,9 @@ from worker.storage.store import SqlStore
 # maps
 
 
-def test_a_store_keeps_the_promises_of_the_port(store: SqlStore) -> None:
-    port: Store = store
-    assert port.check() == "ok"
-    assert port.maps() == []
+def test_a_new_store_is_empty_and_well(store: SqlStore) -> None:
+    assert store.check() == "ok"
+    assert store.maps.all() == []
 
 
 def test_the_first_picture_makes_its_map(store: SqlStore) -> None:
@@ -54,7 +52,7 @@ def test_maps_are_listed_by_name_as_computers_sort(store: SqlStore) -> None:
 def test_an_empty_map_takes_another_recipe_and_one_with_views_refuses(store: SqlStore) -> None:
     assert store.maps.put("campus", RECIPE, NOW)[1] is True
     record, new = store.maps.put("campus", recipe("paper"), NOW)
-    assert (record.recipe.preset, new) == ("paper", False)
+    assert (record.ranking.preset, new) == ("paper", False)
     enroll(store, "gate")
     assert store.maps.put("campus", recipe("paper"), NOW)[1] is False
     with pytest.raises(Conflict, match="POST /maps/campus/recipe"):
@@ -75,7 +73,7 @@ def test_what_is_not_there_is_said_to_be_not_there(store: SqlStore) -> None:
         lambda: store.removals.delete_views("moon", nothing),
         lambda: store.jobs.switch_recipe("moon", RECIPE, NOW),
         lambda: store.views.get("moon"),
-        lambda: store.views.change("moon", ViewAttributes()),
+        lambda: store.views.change("moon", lambda _: ViewAttributes()),
         lambda: store.removals.delete_view("moon"),
         lambda: store.views.image("moon"),
         lambda: store.jobs.get("moon"),
@@ -128,12 +126,12 @@ def test_what_was_enrolled_is_there_after_a_restart_byte_for_byte(reopen: Open) 
     submitted = enroll(store, "gate", attributes=attributes)
     store.close()
 
-    view = reopen().view(submitted.view.id)
+    view = reopen().views.get(submitted.view.id)
 
     assert view == submitted.view
     assert view.attributes == attributes
     assert (view.state, view.failure, view.description) == ("pending", None, None)
-    assert reopen().image(view.id) == image("gate")
+    assert reopen().views.image(view.id) == image("gate")
 
 
 def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlStore) -> None:
@@ -148,7 +146,7 @@ def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlS
     view = store.views.get(submitted.view.id)
     assert view.state == "ready"
     assert view.description is not None
-    assert view.description.recipe == RECIPE.id
+    assert view.description.recipe == RECIPE.description.id
     assert (view.description.descriptor_count, view.description.static_share, view.description.nodes) == (120, 0.75, 2)
     assert view.description.label_shares.tolist() == [0.75, 0.25]
     assert store.descriptions.since("campus", before).seqs.tolist() == [view.seq]
@@ -160,15 +158,15 @@ def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlS
 def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     enroll(store, "gate")
     [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
-    given = description(seed(claim.view, RECIPE.id))
+    given = description(seed(claim.view, RECIPE.description.id))
     store.jobs.finish(claim, given, NOW)
     seqs = cast("list[int]", list(np.array([claim.view.seq, 999])))  # as an index hands them over
 
-    [appearance] = store.descriptions.appearances(seqs, RECIPE.id).values()
-    [cells] = store.descriptions.cells(seqs, RECIPE.id).values()
-    [features] = store.descriptions.local_features(seqs, RECIPE.id).values()
+    [appearance] = store.descriptions.appearances(seqs, RECIPE.description.id).values()
+    [cells] = store.descriptions.cells(seqs, RECIPE.description.id).values()
+    [features] = store.descriptions.local_features(seqs, RECIPE.description.id).values()
 
-    assert store.descriptions.since("campus", 0).vectors.tolist() == [vector(claim.view, RECIPE.id)]
+    assert store.descriptions.since("campus", 0).vectors.tolist() == [vector(claim.view, RECIPE.description.id)]
     np.testing.assert_array_equal(appearance.coarse, given.appearance.coarse, strict=True)
     assert appearance.extent == given.appearance.extent
     np.testing.assert_array_equal(cells, given.cells, strict=True)
@@ -180,14 +178,18 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     np.testing.assert_array_equal(features.positions, given.keypoints.positions, strict=True)
     np.testing.assert_array_equal(features.descriptors, given.keypoints.descriptors, strict=True)
     assert list(store.views.at(seqs)) == [claim.view.seq]
-    assert store.descriptions.appearances(seqs, recipe("paper").id) == store.descriptions.cells(seqs, recipe("paper").id) == {}
+    assert (
+        store.descriptions.appearances(seqs, recipe("paper").description.id)
+        == store.descriptions.cells(seqs, recipe("paper").description.id)
+        == {}
+    )
 
 
 def test_a_recipe_without_verification_has_no_keypoints(store: SqlStore) -> None:
     enroll(store, "gate")
     [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
     store.jobs.finish(claim, replace(description(1), keypoints=None), NOW)
-    assert store.descriptions.local_features([claim.view.seq], RECIPE.id) == {}
+    assert store.descriptions.local_features([claim.view.seq], RECIPE.description.id) == {}
 
 
 def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> None:
@@ -252,7 +254,7 @@ def test_a_correction_replaces_all_that_was_said(store: SqlStore) -> None:
     describe_all(store)
     before = store.maps.revision("campus")
 
-    corrected = store.views.change(view.id, ViewAttributes("door", metadata={"floor": 2}))
+    corrected = store.views.change(view.id, lambda _: ViewAttributes("door", metadata={"floor": 2}))
 
     assert corrected.attributes == ViewAttributes("door", metadata={"floor": 2})
     assert store.views.get(view.id).attributes == corrected.attributes
@@ -268,7 +270,7 @@ def test_a_correction_that_changes_nothing_gives_no_revision(store: SqlStore) ->
     attributes = ViewAttributes("gate", Position(x=1.0, y=2.0), NOW, {"b": 1, "a": [1, 2]})
     view = enroll(store, "gate", attributes=attributes).view
     before = store.maps.revision("campus")
-    assert store.views.change(view.id, attributes) == view
+    assert store.views.change(view.id, lambda _: attributes) == view
     assert store.maps.revision("campus") == before
 
 
@@ -284,8 +286,8 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, dat
     assert follower.catch_up().vectors.keys() == Follower(store).catch_up().vectors.keys()
     assert view.seq not in follower.vectors
     assert store.views.at([view.seq]) == {}
-    assert store.descriptions.appearances([view.seq], RECIPE.id) == {}
-    assert store.descriptions.cells([view.seq], RECIPE.id) == {}
+    assert store.descriptions.appearances([view.seq], RECIPE.description.id) == {}
+    assert store.descriptions.cells([view.seq], RECIPE.description.id) == {}
     assert not list((data / "pictures").rglob(view.image.sha256))
     assert enroll(store, "gate").view.seq > view.seq + 1
 

@@ -21,7 +21,7 @@ from hypothesis.stateful import (
 )
 
 from schemas.errors import Conflict, LeaseLost
-from schemas.recipe import Recipe
+from schemas.recipe import MapRecipe
 from schemas.records import Claim, Filters, ViewAttributes
 from tests.storage.databases import POSTGRES, data_folder, postgres_schema, sqlite_url
 from tests.storage.material import LEASE, NOW, Follower, enroll, finish, image, recipe, vector
@@ -70,7 +70,16 @@ class ModelMap:
 
     recipe: str
     following: str | None = None
+    retrying: int | None = None
     views: dict[str, ModelView] = field(default_factory=dict)
+
+    def is_retrying(self) -> bool:
+        """Whether views that had failed are being described again by the recipe in use."""
+        return self.retrying is not None and any(
+            job.recipe == self.recipe and job.background and job.number > self.retrying
+            for view in self.views.values()
+            for job in view.jobs
+        )
 
     def change_over_if_done(self) -> None:
         if self.following and not any(view.job(self.following) for view in self.views.values()):
@@ -112,7 +121,7 @@ class StoreMachine(RuleBasedStateMachine):
 
     @rule(name=MAPS, shown=IMAGES, place=PLACES)
     def enrol(self, name: str, shown: str, place: str | None) -> None:
-        of = self.maps.setdefault(name, ModelMap(RECIPES[0].id))
+        of = self.maps.setdefault(name, ModelMap(RECIPES[0].description.id))
         known = of.views.get(shown)
         if known is not None and place not in (None, known.place):
             with pytest.raises(Conflict):
@@ -203,19 +212,23 @@ class StoreMachine(RuleBasedStateMachine):
 
     @precondition(lambda self: self.maps)
     @rule(data=st.data(), to=st.sampled_from(RECIPES))
-    def switch_recipe(self, data: st.DataObject, to: Recipe) -> None:
+    def switch_recipe(self, data: st.DataObject, to: MapRecipe) -> None:
         name = data.draw(st.sampled_from(sorted(self.maps)))
         of = self.maps[name]
-        if of.following:
+        if of.following or of.is_retrying():
             with pytest.raises(Conflict):
                 self.store.jobs.switch_recipe(name, to, self.now)
             return
         before = self.queued
         for view in of.views.values():
-            self.queue(view, to.id, background=True)
-        assert self.store.jobs.switch_recipe(name, to, self.now) == self.queued - before
-        if to.id != of.recipe:
-            of.following = to.id
+            self.queue(view, to.description.id, background=True)
+        progress = self.store.jobs.switch_recipe(name, to, self.now).progress
+        assert progress is not None
+        assert progress.total == self.queued - before
+        if to.description.id == of.recipe:
+            of.retrying = before
+        else:
+            of.following = to.description.id
             of.change_over_if_done()
 
     @rule()
@@ -239,7 +252,7 @@ class StoreMachine(RuleBasedStateMachine):
     def store_and_dict_agree(self) -> None:
         assert [record.name for record in self.store.maps.all()] == sorted(self.maps)
         for name, of in self.maps.items():
-            assert self.store.maps.get(name).recipe.id == of.recipe
+            assert self.store.maps.get(name).description.id == of.recipe
             views, _ = self.store.views.list(name, Filters())
             expected = sorted(of.views.values(), key=lambda view: view.seq)
             assert [(v.id, v.attributes.place, v.state) for v in views] == [

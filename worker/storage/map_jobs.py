@@ -246,13 +246,6 @@ def _progress(connection: sa.Connection, row: sa.Row[Any]) -> JobProgress | None
     """Training tells how far it is; describing is counted in the jobs that were queued for it."""
     if row.kind == "describe":
         return None
-    if row.recipe is None:
+    if row.recipe is None or row.state != "running":
         return None if row.progress_total is None else JobProgress(row.progress_done, row.progress_total)
-    queued = sa.select(sa.func.count(), sa.func.count(sa.case((JOBS.c.state.not_in(UNFINISHED), 1)))).where(
-        JOBS.c.map_id == row.map_id,
-        JOBS.c.kind == "describe",
-        JOBS.c.recipe == row.recipe,
-        JOBS.c.number > row.number,
-    )
-    total, done = connection.execute(queued).one()
-    return JobProgress(done, total)
+    return JobProgress(*switching.described(connection, row.map_id, row.recipe, row.number))

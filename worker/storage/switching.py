@@ -20,7 +20,11 @@ UNFINISHED = ("waiting", "running")
 _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
     JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
 )
-_NEXT = sa.select(MAPS.c.next_recipe, MAPS.c.next_ranking).where(MAPS.c.id == sa.bindparam("of"))
+_CHANGING = (  # most maps are not: one look tells
+    sa.select(MAPS.c.recipe, MAPS.c.next_recipe, MAPS.c.next_ranking, JOBS.c.number)
+    .join(JOBS, (JOBS.c.map_id == MAPS.c.id) & (JOBS.c.kind != "describe") & (JOBS.c.state == "running"))
+    .where(MAPS.c.id == sa.bindparam("of"), JOBS.c.recipe.is_not(None))
+)
 
 
 def queue(
@@ -85,11 +89,10 @@ def begin(
         settle(connection, row.id, recipe)
         if ranking != row.ranking:
             set_ranking(connection, row.id, ranking)
-        end_jobs(connection, row.id, recipe, now)
     else:
         following = {"next_recipe": recipe, "next_ranking": ranking}
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**following))
-        finish_if_done(connection, row.id, now)
+    finish_if_done(connection, row.id, now)
     return len(seqs)
 
 
@@ -101,8 +104,16 @@ def set_ranking(connection: sa.Connection, map_id: int, ranking: str) -> None:
 
 def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int | None:
     """Change a map over when no view is left to be described; returns the revision if that happened."""
-    row = connection.execute(_NEXT, {"of": map_id}).one_or_none()
-    if row is None or row.next_recipe is None:
+    row = connection.execute(_CHANGING, {"of": map_id}).one_or_none()
+    if row is None:
+        return None
+    if row.next_recipe is None:  # views that had failed are tried again by the recipe that the map has
+        again = sa.select(JOBS.c.number).where(
+            JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == row.recipe, JOBS.c.background,
+            JOBS.c.number > row.number, JOBS.c.state.in_(UNFINISHED),
+        )  # fmt: skip
+        if connection.execute(again.limit(1)).first() is None:
+            end_jobs(connection, map_id, row.recipe, now)
         return None
     left = sa.select(JOBS.c.number).where(
         JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == row.next_recipe,
@@ -126,11 +137,24 @@ def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: st
 
 def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> None:
     """End the jobs of a map that were to bring it to a recipe."""
-    connection.execute(
-        sa.update(JOBS)
-        .where(JOBS.c.map_id == map_id, JOBS.c.kind != "describe", JOBS.c.recipe == recipe, JOBS.c.state == "running")
-        .values(state="done", finished_at=now, token=None, lease_until=None, result=as_json({"recipe": recipe}))
+    own = JOBS.c.map_id == map_id, JOBS.c.kind != "describe", JOBS.c.recipe == recipe, JOBS.c.state == "running"
+    for number in list(connection.scalars(sa.select(JOBS.c.number).where(*own))):
+        done, total = described(connection, map_id, recipe, number)
+        connection.execute(
+            sa.update(JOBS)
+            .where(JOBS.c.number == number)
+            .values(state="done", finished_at=now, token=None, lease_until=None, result=as_json({"recipe": recipe}))
+            .values(progress_done=done, progress_total=total)
+        )
+
+
+def described(connection: sa.Connection, map_id: int, recipe: str, since: int) -> tuple[int, int]:
+    """How many of the views that were queued for a recipe after a job are settled, and how many there are."""
+    queued = sa.select(sa.func.count(sa.case((JOBS.c.state.not_in(UNFINISHED), 1))), sa.func.count()).where(
+        JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == recipe, JOBS.c.number > since
     )
+    done, total = connection.execute(queued).one()
+    return int(done), int(total)
 
 
 def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> None:
