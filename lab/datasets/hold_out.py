@@ -31,7 +31,7 @@ def hold_out(dataset: Dataset, share: float, generator: np.random.Generator) -> 
         For loop closure, or when nothing would be left to answer with.
     """
     if dataset.allowed is not None:
-        raise ValueError(f"{dataset.name}: pictures cannot be held out of an online loop closure")
+        raise ValueError(f"{dataset.name}: images cannot be held out of an online loop closure")
     answerable = np.flatnonzero(dataset.judged().answerable)
     chosen = np.roll(answerable, -int(generator.integers(max(len(answerable), 1))))[: round(share * len(answerable))]
     gone = np.zeros(len(dataset.database), np.bool_)

@@ -1,4 +1,4 @@
-"""Every baseline finds a picture again, and none sees more than it should."""
+"""Every baseline finds an image again, and none sees more than it should."""
 
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def test_one_query_does_not_change_the_answer_to_another(places: tuple[list[Path
         assert alone == pytest.approx(baseline.rank(noon, dusk, nothing)[2], abs=1e-5)
 
 
-def test_a_featureless_picture_is_far_from_everything(places: tuple[list[Path], list[Path]], tmp_path: Path) -> None:
+def test_a_featureless_image_is_far_from_everything(places: tuple[list[Path], list[Path]], tmp_path: Path) -> None:
     fog = tmp_path / "fog.png"
     assert cv2.imwrite(str(fog), np.full((96, 128), 128, np.uint8))
     distances = OrbWords(words=50).rank([*places[0], fog], [fog], nothing)
@@ -76,7 +76,7 @@ def test_random_differs_by_seed() -> None:
 
 def test_hog_of_a_vertical_edge_by_hand() -> None:
     image = np.zeros((256, 256), np.uint8)
-    image[:, 136:] = 200  # within a cell, in the middle of the picture
+    image[:, 136:] = 200  # within a cell, in the middle of the image
     descriptor = gradients(image).reshape(15, 15, 4, 9)
     # The gradient points along x: angle 0 lies between the last bin and the first, half in each.
     block = descriptor[7, 7]
@@ -96,6 +96,6 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         baselines(["netvlad"], Needs())
     with pytest.raises(InvalidParameters, match="there are random, tiny"):
         baselines(["sift"], Needs())
-    (tmp_path / "text.png").write_text("no picture")
+    (tmp_path / "text.png").write_text("no image")
     with pytest.raises(BadImage):
         TinyImage().rank([tmp_path / "text.png"], [], nothing)
