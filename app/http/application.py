@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
@@ -13,7 +14,9 @@ from app.http.routes import enroll, health, images, jobs, maps, places, query, v
 from app.http.service import Service
 from app.version import VERSION
 from schemas.settings import MEGA
-from worker.runtime import Runtime
+
+if TYPE_CHECKING:
+    from worker.runtime import Runtime
 
 TAGS = [
     {"name": "enrol and ask", "description": "The two questions revisit is for."},
@@ -25,7 +28,7 @@ TAGS = [
 ]
 
 
-def create_app(runtime: Runtime) -> FastAPI:
+def create_app(runtime: "Runtime") -> FastAPI:
     """The application around a house that was built and not yet started: it starts and stops with the application."""
     return application(Service.of(runtime))
 

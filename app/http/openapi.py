@@ -10,7 +10,8 @@ from pydantic import BaseModel
 from app.http import problems
 from app.http.examples import PROBLEM_DETAILS
 from app.http.parameters import Parameters
-from schemas.wire import Problem, PutMap
+from schemas.requests import PatchMap, PutMap
+from schemas.wire import Problem
 
 Json = dict[str, Any]
 
@@ -162,7 +163,7 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, PutMap):
+        for model in (Problem, PutMap, PatchMap):
             schemas.update(_definitions(model))
         # FastAPI's own shape of validation errors is never sent.
         schemas.pop("HTTPValidationError", None)
@@ -172,6 +173,6 @@ def document(app: FastAPI) -> Json:
 
 
 def _definitions(model: type[BaseModel]) -> Json:
-    mode: Any = "validation" if model is PutMap else "serialization"
+    mode: Any = "validation" if model in (PutMap, PatchMap) else "serialization"
     schema = model.model_json_schema(mode=mode, ref_template=_REF + "{model}")
     return {**schema.pop("$defs", {}), model.__name__: schema}

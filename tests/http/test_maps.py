@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from schemas.wire import PutMap
+from schemas.requests import PutMap
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
 from tests.sample_images import photo

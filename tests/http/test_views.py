@@ -1,6 +1,5 @@
 """`/views` and the pictures of a view: list, look, correct, delete."""
 
-import asyncio
 from datetime import UTC, datetime
 from io import BytesIO
 from typing import Any
@@ -199,28 +198,3 @@ def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: Chec
 @pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])
 def test_a_picture_refuses_options_it_does_not_know(client: CheckedClient, view: str, path: str) -> None:
     assert client.get(f"/views/{view}/{path}").status_code == 422
-
-
-def test_two_patches_at_once_lose_nothing(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
-    original = recogniser.attributes_of
-
-    async def slowly(view_id: str) -> ViewAttributes:
-        found = await original(view_id)
-        await asyncio.sleep(0.01)
-        return found
-
-    recogniser.attributes_of = slowly  # type: ignore[method-assign]
-
-    async def both() -> None:
-        import httpx
-
-        transport = httpx.ASGITransport(client.app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://test") as http:
-            await asyncio.gather(
-                http.patch(f"/views/{view}", json={"place": "cellar"}),
-                http.patch(f"/views/{view}", json={"position": {"heading": 5}}),
-            )
-
-    asyncio.run(both())
-    assert recogniser.kept[view].attributes.place == "cellar"
-    assert recogniser.kept[view].attributes.position.heading == 5

@@ -11,7 +11,8 @@ from app.http.dependencies import Curates, map_in_path, no_parameters
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.parameters import problems_of
 from schemas.errors import InvalidParameters
-from schemas.wire import Deleted, Job, MapFacts, Maps, PatchMap, PutMap
+from schemas.requests import PatchMap, PutMap
+from schemas.wire import Deleted, Job, MapFacts, Maps
 
 router = APIRouter(tags=["maps"], dependencies=[no_parameters])
 
