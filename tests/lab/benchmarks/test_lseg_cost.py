@@ -8,7 +8,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from tests.encoders.lseg import small
 from worker.encoders.lseg import linear
 from worker.encoders.lseg.config import PUBLISHED
-from worker.encoders.lseg.cost import multiply_adds
+from lab.benchmarks.lseg_cost import multiply_adds
 
 
 def test_the_transformer_of_one_published_window() -> None:
