@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.export_segmentation", description="Write the fine words.")
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--to", type=Path, default=Path("worker/encoders/weights"))
-    parser.add_argument("--reader", choices=ENSEMBLE, help="which they become; without, the first that they can be")
+    parser.add_argument("--member", choices=ENSEMBLE, help="which they become; without, the first that they can be")
     options = parser.parse_args(arguments)
     export_segmentation(options.checkpoint, options.to, member=options.member)
 

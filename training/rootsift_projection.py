@@ -46,7 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Make the projection of RootSIFT descriptors.")
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--output", type=Path, default=PROJECTION)
-    parser.add_argument("--pictures", type=int, default=700, help="drawn at random when there are more")
+    parser.add_argument("--images", type=int, default=700, help="drawn at random when there are more")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     paths = sorted(p for folder in arguments.folders for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)

@@ -9,12 +9,12 @@ FILES = ["--data", "d", "--trunk", "t.npz", "--pretrained", "p.npz", "--out", "o
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [(["--minutes", "1", "--clear", "0"], "--clear are at least 1"), ([], "say how long: --minutes or --steps")],
 )
 def test_a_run_that_could_teach_nothing_is_refused(
     given: list[str],
-    attributes: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -22,7 +22,7 @@ def test_a_run_that_could_teach_nothing_is_refused(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit):
         main([*FILES, *given])
-    assert attributes in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
