@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from training.start import KEPT_AT_STRIDE4, State
+from training.models.initialization import KEPT_AT_STRIDE4, State
 from worker.encoders.compact.network import CompactNetwork
 
 CLIP_WORDS = (

@@ -7,13 +7,13 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from training import data
-from training.lexicon import ClipWords, Lexicon
+from training.data import batches as data
+from training.data.lexicon import ClipWords, Lexicon
+from training.data.mix import Mix
 from training.loop import Run
-from training.mix import Mix
-from training.network import TrainedNetwork
-from training.two_channels import TwoChannelPlan, TwoChannels
-from training.word_loss import WordLoss
+from training.losses.label_loss import WordLoss
+from training.losses.two_channels import TwoChannelPlan, TwoChannels
+from training.models.network import TrainedNetwork
 
 MIX = Mix(strong=2, mild=2, clear=2, size=(64, 96), clear_size=(64, 96))
 PLAN = TwoChannelPlan(steps=4, log_every=2, checkpoint_every=100)
