@@ -1,12 +1,12 @@
-"""General vocabularies: ``python -m training.commands.train_vocabulary --encoder compact --data DATA`` (or ``--encoder color``).
+"""Train general vocabularies: ``python -m training.commands.train_vocabulary --encoder compact --data DATA``.
 
-They ship with an encoder, so that the very first enrolled picture can be found. Those of ``compact`` are trained on
-pictures of many places and kinds under DATA (streets, facades, country, rooms, webcams, walks indoors) and on none of
-``DATA/places``; those of ``color`` on scenes that the project draws itself.
+General vocabularies ship with an encoder, so that the very first enrolled image can be found. Those of ``compact`` are
+trained on images of many places and kinds below DATA (streets, facades, country, rooms, webcams, walks indoors) and on
+none of ``DATA/places``; those of ``color`` on scenes that the project draws itself.
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from worker.description.presets import PRESETS, Preset, carried
 from worker.description.vocabularies import SHIPPED, Vocabulary, train
 from worker.method import labels, static_mask
 
-KINDS = (
+FOLDERS = (
     ("segmentation/camvid/train", 120),
     ("segmentation/labelmefacade/train", 180),
     ("segmentation/nyuv2/train", 180),
@@ -33,30 +33,36 @@ KINDS = (
     ("pairs/aligned/mefb", 60),
     ("pairs/same_place", 80),
 )
-"""Folders under DATA and how many of their pictures take part: about as many indoors as outdoors."""
+"""Folders below DATA and how many of their images are taken: about as many indoors as outdoors."""
 
 DRAWN: tuple[Kind, ...] = ("street", "park", "corridor")
 """Kinds of scenes for the encoder ``color``."""
 
 
-def photographs(data: Path, seed: int) -> Iterator[Image]:
-    """Pictures of every kind, drawn by a seed; a folder with fewer gives all it has."""
+def general_images(data: Path, seed: int) -> Iterator[Image]:
+    """Images of FOLDERS, drawn by a seed; a folder with fewer gives all it has."""
     random = np.random.default_rng(seed)
-    for folder, count in KINDS:
+    for folder, count in FOLDERS:
         every = (data / folder).rglob("*")
         files = sorted(p for p in every if p.suffix.lower() in {".jpg", ".png"} and "labels" not in p.parts)
         for number in sorted(random.permutation(len(files))[:count]):
             yield Image.of(read_rgb(files[number]))
 
 
-def drawings(seed: int, count: int = 180) -> Iterator[Image]:
+def drawn_images(seed: int, count: int = 180) -> Iterator[Image]:
     """Scenes that the project draws."""
     for number in range(count):
         yield Image.of(scene(f"vocabulary {seed} {number}", DRAWN[number % len(DRAWN)]).pixels)
 
 
-def train_vocabulary(encoder: Encoder, preset: Preset, images: Iterator[Image], seed: int) -> Vocabulary:
-    """The vocabulary of a preset from pictures."""
+def train_vocabulary(encoder: Encoder, preset: Preset, images: Iterable[Image], seed: int) -> Vocabulary:
+    """Train the vocabulary of a preset on images.
+
+    Raises
+    ------
+    ValueError
+        Too few images for the preset's numbers of visual words or dimensions.
+    """
     text = encoder.text_vectors(preset.labels)
     dynamic = np.isin(np.array(preset.labels), np.array(preset.dynamic))
     rule = preset.parameters.dynamic
@@ -70,9 +76,11 @@ def train_vocabulary(encoder: Encoder, preset: Preset, images: Iterator[Image], 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train and write the vocabularies of every preset."""
-    parser = argparse.ArgumentParser(prog="python -m training.commands.train_vocabulary", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m training.commands.train_vocabulary", description="Train general vocabularies."
+    )
     parser.add_argument("--encoder", choices=("compact", "color"), required=True)
-    parser.add_argument("--data", type=Path, help="folder of the pictures; not needed for color")
+    parser.add_argument("--data", type=Path, help="folder of the images; not needed for color")
     parser.add_argument("--preset", choices=tuple(PRESETS), action="append", help="only these; default: all")
     parser.add_argument("--to", type=Path, default=SHIPPED)
     parser.add_argument("--seed", type=int, default=0)
@@ -83,7 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.to.mkdir(parents=True, exist_ok=True)
     encoder = make_encoder(Settings(encoder=options.encoder), options.threads)
     for name in options.preset or PRESETS:
-        images = drawings(options.seed) if options.encoder == "color" else photographs(options.data, options.seed)
+        drawn = options.encoder == "color"
+        images = drawn_images(options.seed) if drawn else general_images(options.data, options.seed)
         learned = train_vocabulary(encoder, carried(name, encoder), images, options.seed)
         path = options.to / f"{encoder.name}-{name}.vocabulary.safetensors"
         path.write_bytes(learned.tensors)

@@ -1,4 +1,4 @@
-"""Words, their CLIP vectors, and what each data set's classes mean in words."""
+"""Text labels: their CLIP vectors, and which of them each data set's classes stand for."""
 
 import json
 from collections.abc import Sequence
@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from schemas.description import Floats
 from worker.method.unit_length import unit
-
-Floats = npt.NDArray[np.float32]
 
 STAND_INS: dict[str, tuple[str, ...]] = {
     "vehicle": ("car", "truck", "bus", "motorcycle"),
@@ -27,9 +26,9 @@ STAND_INS: dict[str, tuple[str, ...]] = {
     "blinds": ("window-blind",),
     "books": ("book",),
 }
-"""Words without a vector of their own, and the words whose unit mean stands for each."""
+"""Labels without a CLIP vector of their own; each is represented by the unit mean of the vectors of others."""
 
-STREET_WORDS = (
+CITYSCAPES_LABELS = (
     "road",
     "sidewalk",
     "building",
@@ -50,154 +49,166 @@ STREET_WORDS = (
     "motorcycle",
     "bicycle",
 )
-"""The trunk's own outputs, in its order."""
+"""The 19 outputs of the pretrained trunk, in its order."""
 
 INDOOR_SETS = ("nyuv2",)
+"""Data sets of rooms; all others show what is outdoors."""
 
-ANYWHERE = frozenset(
+INDOORS_AND_OUTDOORS = frozenset(
     (
         *("wall", "window", "windowpane", "door", "person", "pedestrian", "child", "animal", "box", "bag", "light"),
         *("lamp", "picture", "poster", "painting", "paper", "clothes", "column", "railing", "fence", "signboard"),
         *("plant", "blinds", "curtain", "mirror", "ground", "path", "walkway", "bridge", "bicycle", "pole", "stones"),
     )
 )
-"""Words that can be met both in rooms and outdoors, so that a label of one realm says nothing about them."""
+"""Labels of what is found both indoors and outdoors: a class of an indoor set is no evidence against them, nor the
+other way round."""
 
 SKY = frozenset(("sky", "clouds"))
 
-BEHIND = SKY | frozenset(
+BACKGROUND = SKY | frozenset(
     (
         *("tree", "vegetation", "bush", "hedge", "plant", "grass", "field", "terrain", "earth", "dirt", "ground"),
         *("gravel", "road", "street", "lane marking", "sidewalk", "pavement", "parking", "path", "dirt track", "sand"),
         *("snow", "rock", "mountain", "hill", "water", "river", "lake", "sea", "waterfall", "floor", "ceiling"),
     )
 )
-"""Words of what lies behind: a pixel labelled so shows none of `IN_FRONT`, whether or not its set labels those."""
+"""Labels of surfaces that objects stand before: a pixel annotated so shows none of `FOREGROUND`, even in a data set
+that has no classes for those."""
 
-IN_FRONT = frozenset(
+FOREGROUND = frozenset(
     (
         *("traffic sign", "traffic light", "signboard", "pole", "column", "fence", "railing", "person", "pedestrian"),
         *("animal", "cyclist", "rider", "motorcyclist", "bicycle", "motorcycle", "car", "van", "truck", "bus"),
         *("vehicle", "train"),
     )
 )
-"""Words of what stands in front."""
+"""Labels of objects that stand before the background."""
 
 
-class ClipWords:
-    """CLIP's vectors of English words, centred: raw, they lie in a cone of mean cosine 0.75.
+class ClipVectors:
+    """CLIP text vectors of English labels, centred: raw vectors lie in a narrow cone, of mean cosine 0.75.
 
     Parameters
     ----------
-    path
-        An ``.npz`` with ``words`` and ``vectors``; one CLIP model only, since two models' spaces differ.
+    path : Path
+        An ``.npz`` with ``words`` (n,) and ``vectors`` (n, 512), of one CLIP model.
+
+    Attributes
+    ----------
+    center : float32 of shape (512,)
+        Mean of the unit vectors in the file.
     """
 
     def __init__(self, path: Path) -> None:
         with np.load(path) as arrays:
             vectors = unit(arrays["vectors"].astype(np.float32))
             self._raw = dict(zip(arrays["words"].tolist(), vectors, strict=True))
-        self.centre = vectors.mean(axis=0)
+        self.center = vectors.mean(axis=0)
 
-    def sources(self, word: str) -> tuple[str, ...]:
-        """Name the CLIP words behind `word`: itself, its stand-ins, or none when it is unknown."""
-        if word in self._raw:
-            return (word,)
-        return STAND_INS.get(word, ())
+    def sources(self, label: str) -> tuple[str, ...]:
+        """Name the entries of the file that a label's vector is made of: itself or its stand-ins; none if unknown."""
+        if label in self._raw:
+            return (label,)
+        return STAND_INS.get(label, ())
 
-    def vector(self, word: str) -> Floats:
-        """Give the centred unit vector of a known word: float32 of shape (512,)."""
-        sources = self.sources(word)
+    def vector(self, label: str) -> Floats:
+        """Give the centred vector of a label: float32 of shape (512,), unit length; raises KeyError if unknown."""
+        sources = self.sources(label)
         if not sources:
-            raise KeyError(word)
+            raise KeyError(label)
         mean = unit(np.mean([self._raw[source] for source in sources], axis=0))
-        centred: Floats = unit(mean - self.centre)
+        centred: Floats = unit(mean - self.center)
         return centred
 
-    def matrix(self, words: Sequence[str]) -> Floats:
-        """Give the vectors of several words: float32 of shape (n_words, 512)."""
-        return np.stack([self.vector(word) for word in words])
+    def matrix(self, labels: Sequence[str]) -> Floats:
+        """Give the vectors of several labels: float32 of shape (n_labels, 512); raises as `vector`."""
+        return np.stack([self.vector(label) for label in labels])
 
 
 @dataclass(frozen=True)
-class Meaning:
-    """What one label value of one data set says: the pixel shows one of these words."""
+class DatasetClass:
+    """A class of a data set: its value in label maps, and the text labels of which its pixels show one."""
 
     data_set: str
     value: int
-    words: tuple[str, ...]
+    labels: tuple[str, ...]
 
 
 class Lexicon:
-    """All that the training's labels can say.
+    """All classes that training can learn from, and all text labels that they name.
 
     Parameters
     ----------
-    clip
-        Vectors of the words.
-    classes
-        For each data set, its label values and the words each may mean. Words that CLIP's file has no vector for
-        are left out; a class of which no word is left teaches nothing.
+    clip : ClipVectors
+    classes : dict
+        For each data set, label value to the text labels that the class may stand for. Labels without a CLIP vector
+        are left out, and so are classes that have no other.
 
     Attributes
     ----------
-    words : list of str
-        Every word that some class names, sorted.
-    meanings : list of Meaning
-        One per class of each set.
+    classes : list of DatasetClass
+        The index into this list is what `training.data.batches` calls a class.
+    labels : list of str
+        Every text label that some class names, sorted.
+    sets : list of str
+        Names of the data sets.
+    vectors : float32 of shape (n_labels, 512)
+        CLIP vectors of `labels`.
     """
 
-    def __init__(self, clip: ClipWords, classes: dict[str, dict[int, Sequence[str]]]) -> None:
-        self.meanings = [
-            Meaning(data_set, value, known)
+    def __init__(self, clip: ClipVectors, classes: dict[str, dict[int, Sequence[str]]]) -> None:
+        self.classes = [
+            DatasetClass(data_set, value, known)
             for data_set, values in classes.items()
-            for value, words in values.items()
-            if (known := tuple(word for word in words if clip.sources(word)))
+            for value, labels in values.items()
+            if (known := tuple(label for label in labels if clip.sources(label)))
         ]
-        self.words = sorted({word for meaning in self.meanings for word in meaning.words})
+        self.labels = sorted({label for each in self.classes for label in each.labels})
         self.sets = list(classes)
-        self.vectors: Floats = clip.matrix(self.words)
+        self.vectors: Floats = clip.matrix(self.labels)
 
-    def members(self) -> npt.NDArray[np.bool_]:
-        """Say which words each meaning allows: bool of shape (n_meanings, n_words)."""
-        return np.array([[word in meaning.words for word in self.words] for meaning in self.meanings])
+    def allowed(self) -> npt.NDArray[np.bool_]:
+        """Say which labels each class may stand for: bool of shape (n_classes, n_labels)."""
+        return np.array([[label in each.labels for label in self.labels] for each in self.classes])
 
-    def known(self) -> npt.NDArray[np.bool_]:
-        """Say which words each meaning's labels speak for or against; on the others their silence teaches nothing.
+    def competing(self) -> npt.NDArray[np.bool_]:
+        """Say which labels a pixel of each class is compared with: its own, and those that it is evidence against.
 
-        A set speaks for its own words, and a room's label speaks against a street's words (and the other way round)
-        unless they can be met in both: otherwise nothing would ever tell a floor from a pavement. What lies behind
-        speaks against what stands in front, and the sky against everything: otherwise nothing would ever tell a hedge
-        from a cyclist in towns whose people have no labels.
+        A class competes with the labels of its own data set. An outdoor class also competes with labels found indoors
+        only, and the other way round; a class of the background competes with all foreground labels, and the sky with
+        every label. Labels outside these are left out of the loss: that a data set has no class for them is no
+        evidence that they are absent.
 
         Returns
         -------
-        bool of shape (n_meanings, n_words)
+        bool of shape (n_classes, n_labels)
         """
-        members = self.members()
-        owners = np.array([meaning.data_set for meaning in self.meanings])
-        own = np.stack([members[owners == data_set].any(axis=0) for data_set in self.sets])
-        indoors = np.array([data_set in INDOOR_SETS for data_set in self.sets])
-        somewhere = np.array([word not in ANYWHERE for word in self.words])
-        known = own.copy()
-        known[indoors] |= own[~indoors].any(axis=0) & somewhere
-        known[~indoors] |= own[indoors].any(axis=0) & somewhere
-        spoken: npt.NDArray[np.bool_] = known[[self.sets.index(owner) for owner in owners]]
-        spoken[[BEHIND.issuperset(m.words) for m in self.meanings]] |= [word in IN_FRONT for word in self.words]
-        spoken[[SKY.issuperset(m.words) for m in self.meanings]] = True
-        return spoken
+        allowed = self.allowed()
+        owners = np.array([each.data_set for each in self.classes])
+        own = np.stack([allowed[owners == data_set].any(axis=0) for data_set in self.sets])
+        indoor = np.array([data_set in INDOOR_SETS for data_set in self.sets])
+        exclusive = np.array([label not in INDOORS_AND_OUTDOORS for label in self.labels])
+        of_set = own.copy()
+        of_set[indoor] |= own[~indoor].any(axis=0) & exclusive
+        of_set[~indoor] |= own[indoor].any(axis=0) & exclusive
+        competing: npt.NDArray[np.bool_] = of_set[[self.sets.index(owner) for owner in owners]]
+        foreground = [label in FOREGROUND for label in self.labels]
+        competing[[BACKGROUND.issuperset(each.labels) for each in self.classes]] |= foreground
+        competing[[SKY.issuperset(each.labels) for each in self.classes]] = True
+        return competing
 
     def table(self, data_set: str) -> npt.NDArray[np.int16]:
-        """Map a set's label values to meanings: int16 of shape (256,), -1 where a value teaches nothing."""
+        """Map a set's label values to classes: int16 of shape (256,), -1 for values that nothing is learned from."""
         table = np.full(256, -1, np.int16)
-        for index, meaning in enumerate(self.meanings):
-            if meaning.data_set == data_set:
-                table[meaning.value] = index
+        for index, each in enumerate(self.classes):
+            if each.data_set == data_set:
+                table[each.value] = index
         return table
 
 
-def class_words(path: Path) -> dict[int, Sequence[str]]:
-    """Read ``classes.json``: label value to the words it may mean, the set's own name first."""
+def read_classes(path: Path) -> dict[int, Sequence[str]]:
+    """Read ``classes.json``: label value to the text labels the class may stand for, the set's own name first."""
     content = json.loads(path.read_text())
     content = content.get("classes", content)
-    return {int(value): (words if isinstance(words, list) else [words]) for value, words in content.items()}
+    return {int(value): (labels if isinstance(labels, list) else [labels]) for value, labels in content.items()}

@@ -1,20 +1,19 @@
-"""Drawn light: the same scene at another hour, in other weather, by another camera.
+"""Photometric augmentation: the same scene at another hour, in other weather, by another camera.
 
-Everything takes and gives RGB uint8 of shape (height, width, 3) and draws from the generator it is handed.
+Images are RGB, uint8 of shape (height, width, 3). Everything random is drawn from the generator that is passed in.
 """
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float32]
+from schemas.description import Floats
+from training.data.images import Pixels
 
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
-def mild(image: Image, rng: np.random.Generator) -> Image:
-    """Change exposure, contrast and camera a little, and keep the colours: for the detail channel."""
+def mild(image: Pixels, rng: np.random.Generator) -> Pixels:
+    """Change exposure, contrast and noise a little and keep the colours; for the detail channel."""
     x = _unit_range(image) ** _factor(rng, 0.45)
     x = x * (1 + rng.uniform(-0.1, 0.1, 3).astype(np.float32))
     x = _saturated(x, 0.0 if rng.random() < 0.1 else rng.uniform(0.6, 1.3))
@@ -24,8 +23,16 @@ def mild(image: Image, rng: np.random.Generator) -> Image:
     return _camera(_bytes(x), rng, softness=1.2, worst_quality=25)
 
 
-def strong(image: Image, rng: np.random.Generator, *, night: float = 0.35) -> Image:
-    """Redraw the light altogether, `night` of the time as night: for the words channel."""
+def strong(image: Pixels, rng: np.random.Generator, *, night: float = 0.35) -> Pixels:
+    """Change light, colours and weather; for the semantic channel.
+
+    Parameters
+    ----------
+    image : uint8 of shape (height, width, 3)
+    rng : numpy.random.Generator
+    night : float
+        Probability that the result looks as at night, 0..1.
+    """
     x = _unit_range(image)
     if rng.random() < 0.8:
         x = x ** _factor(rng, 0.7)
@@ -34,11 +41,11 @@ def strong(image: Image, rng: np.random.Generator, *, night: float = 0.35) -> Im
     draw = rng.random()
     if draw < 0.6:
         x = _saturated(x, 0.0 if draw < 0.25 else rng.uniform(0.2, 1.6))
-    redrawn = _at_night(x, rng) if rng.random() < night else _by_day(x, rng)
-    return _camera(redrawn, rng, softness=1.6, worst_quality=12)
+    lit = _at_night(x, rng) if rng.random() < night else _by_day(x, rng)
+    return _camera(lit, rng, softness=1.6, worst_quality=12)
 
 
-def _by_day(x: Floats, rng: np.random.Generator) -> Image:
+def _by_day(x: Floats, rng: np.random.Generator) -> Pixels:
     if rng.random() < 0.35:
         x = _repainted(x, rng)
     if rng.random() < 0.3:
@@ -51,24 +58,24 @@ def _by_day(x: Floats, rng: np.random.Generator) -> Image:
         channels = 1 if rng.random() < 0.5 else 3
         x = x + _noise(rng, (*x.shape[:2], channels)) * np.float32(rng.uniform(0, 0.12))
     image = _bytes(x)
-    return _equalised(image, rng, colour=True) if rng.random() < 0.1 else image
+    return _equalized(image, rng, color=True) if rng.random() < 0.1 else image
 
 
 def _repainted(x: Floats, rng: np.random.Generator) -> Floats:
-    """Give what has the colour of a random pixel, and what is nearly that colour, another: snow, dead leaves, rain."""
+    """Give all surfaces of about the colour of a randomly drawn pixel another colour, as snow, leaves or rain do."""
     height, width = x.shape[:2]
-    seen = x[rng.integers(height // 3, height), rng.integers(width)]
-    squares = ((x - seen) ** 2).sum(axis=2, keepdims=True)
-    alike = np.exp(-squares / np.float32(2 * rng.uniform(0.08, 0.3) ** 2))
+    before = x[rng.integers(height // 3, height), rng.integers(width)]
+    squares = ((x - before) ** 2).sum(axis=2, keepdims=True)
+    similarity = np.exp(-squares / np.float32(2 * rng.uniform(0.08, 0.3) ** 2))
     if rng.random() < 0.5:
-        colour = np.float32(rng.uniform(0.75, 1.0)) * np.array([0.97, 0.98, 1.0], np.float32)
+        color = np.float32(rng.uniform(0.75, 1.0)) * np.array([0.97, 0.98, 1.0], np.float32)
     else:
-        colour = np.float32(rng.uniform(0.15, 0.7)) * rng.uniform(0.6, 1.4, 3).astype(np.float32)
-    texture = (x - seen) * np.float32(rng.uniform(0.2, 1.0))
-    return np.asarray(x + alike * np.float32(rng.uniform(0.4, 1.0)) * (colour + texture - x), np.float32)
+        color = np.float32(rng.uniform(0.15, 0.7)) * rng.uniform(0.6, 1.4, 3).astype(np.float32)
+    texture = (x - before) * np.float32(rng.uniform(0.2, 1.0))
+    return np.asarray(x + similarity * np.float32(rng.uniform(0.4, 1.0)) * (color + texture - x), np.float32)
 
 
-def _at_night(x: Floats, rng: np.random.Generator) -> Image:
+def _at_night(x: Floats, rng: np.random.Generator) -> Pixels:
     height, width = x.shape[:2]
     grey = x @ _LUMA
     x = x * _field(rng, x.shape, spread=rng.uniform(0.2, 1.0))
@@ -87,19 +94,19 @@ def _at_night(x: Floats, rng: np.random.Generator) -> Image:
         noise = noise * np.float32(0.5) + _noise(rng, x.shape)
     x = x + noise * (np.sqrt(x) * np.float32(shot) + np.float32(readout))
     draw = rng.random()
-    if draw < 0.4:  # a camera that stretches what little there is
+    if draw < 0.4:  # a camera that stretches a low contrast
         low, high = np.percentile(x[::4, ::4], [1, rng.uniform(90, 99.5)])
         x = (x - np.float32(low)) / np.float32(max(high - low, 1e-3))
     image = _bytes(x)
-    return _equalised(image, rng, colour=False) if draw < 0.25 else image
+    return _equalized(image, rng, color=False) if draw < 0.25 else image
 
 
-def _camera(image: Image, rng: np.random.Generator, *, softness: float, worst_quality: int) -> Image:
-    """Blur, lose resolution and compress, each some of the time."""
+def _camera(image: Pixels, rng: np.random.Generator, *, softness: float, worst_quality: int) -> Pixels:
+    """Blur, reduce the resolution and compress as JPEG, each some of the time."""
     height, width = image.shape[:2]
     if rng.random() < 0.28:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, softness))
-    if rng.random() < 0.2:  # a small picture, enlarged
+    if rng.random() < 0.2:  # a small image, enlarged
         shrink = rng.uniform(1.3, 4.0)
         small = cv2.resize(image, (int(width / shrink), int(height / shrink)), interpolation=cv2.INTER_AREA)
         image = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -110,8 +117,8 @@ def _camera(image: Image, rng: np.random.Generator, *, softness: float, worst_qu
     return image
 
 
-def _equalised(image: Image, rng: np.random.Generator, *, colour: bool) -> Image:
-    if colour:
+def _equalized(image: Pixels, rng: np.random.Generator, *, color: bool) -> Pixels:
+    if color:
         lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
         lab[..., 0] = cv2.createCLAHE(rng.uniform(1, 6), (8, 8)).apply(lab[..., 0])
         return np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2RGB), np.uint8)
@@ -132,7 +139,7 @@ def _lamps(rng: np.random.Generator, height: int, width: int) -> Floats:
 
 
 def _field(rng: np.random.Generator, shape: tuple[int, ...], *, spread: float) -> Floats:
-    """Draw a smooth field of illumination around 1."""
+    """Draw a smooth field of illumination around 1: float32 of shape (height, width, 1)."""
     coarse = _noise(rng, (int(rng.integers(2, 6)), int(rng.integers(2, 6))))
     smooth = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
     return np.asarray(np.exp(smooth * spread)[..., None], np.float32)
@@ -151,9 +158,9 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
     return rng.standard_normal(shape, dtype=np.float32)
 
 
-def _unit_range(image: Image) -> Floats:
+def _unit_range(image: Pixels) -> Floats:
     return image.astype(np.float32) / np.float32(255)
 
 
-def _bytes(x: Floats) -> Image:
+def _bytes(x: Floats) -> Pixels:
     return (np.clip(x, 0, 1) * 255).astype(np.uint8)

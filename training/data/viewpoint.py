@@ -1,7 +1,4 @@
-"""Drawn viewpoints: two overlapping views of one picture, and which of their cells show the same thing.
-
-A `View` is a homography from the view's own coordinates to the source's, both 0..1 from the left and from the top.
-"""
+"""Geometric augmentation: overlapping views of one image, related by homographies, and their corresponding cells."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,50 +7,59 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from schemas.description import Floats
+from training.data.images import Pixels
+
 Matrix = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Freedom:
-    """How much two views of one picture may differ.
+class ViewRange:
+    """How much two views of one image may differ.
 
     Attributes
     ----------
-    ratio
+    scale : float
         Greatest ratio of their scales, either way.
-    shift
-        Greatest distance of their centres, as a share of the first view's sides.
-    lean
-        Greatest displacement of a corner, as a share of the sides: perspective.
-    turn
+    shift : float
+        Greatest distance of their centres, as a share of the sides of the larger one.
+    perspective : float
+        Greatest displacement of a corner, as a share of the sides.
+    rotation : float
         Greatest rotation, in degrees.
     """
 
-    ratio: float
+    scale: float
     shift: float
-    lean: float
-    turn: float
+    perspective: float
+    rotation: float
 
 
 ZOOM = (0.5, 1.6)
-"""Least and greatest enlargement of a drawn view."""
+"""Least and greatest enlargement of a view, for a source 360 pixels high."""
 
-FOR_WORDS = Freedom(ratio=1.7, shift=0.35, lean=0.08, turn=4.0)
-FOR_LABELS = Freedom(ratio=1.0, shift=0.0, lean=0.05, turn=3.0)
-FOR_DETAIL = Freedom(ratio=2.2, shift=0.35, lean=0.14, turn=8.0)
+SEMANTIC_RANGE = ViewRange(scale=1.7, shift=0.35, perspective=0.08, rotation=4.0)
+LABELLED_RANGE = ViewRange(scale=1.0, shift=0.0, perspective=0.05, rotation=3.0)
+DETAIL_RANGE = ViewRange(scale=2.2, shift=0.35, perspective=0.14, rotation=8.0)
 
 
 @dataclass(frozen=True)
 class View:
-    """Where a view lies in its source."""
+    """Where a view lies in its source.
+
+    Attributes
+    ----------
+    to_source : float64 of shape (3, 3)
+        Homography from (x, y, 1) in the view to the source, both 0..1 from the left and from the top edge.
+    """
 
     to_source: Matrix
 
-    def cut(self, image: npt.NDArray[np.uint8], size: tuple[int, int], *, labels: bool) -> npt.NDArray[np.uint8]:
-        """Cut the view out of a picture as `size` (height, width).
+    def cut(self, image: Pixels, size: tuple[int, int], *, labels: bool) -> Pixels:
+        """Cut the view out of an image, or out of its label map, as `size` (height, width).
 
-        Labels are taken from the nearest pixel and are 255, nothing, outside the source; pictures are mirrored there.
+        Images are interpolated bilinearly and mirrored at the edges of the source. Label maps are read at the nearest
+        pixel and are 255 (no label) outside the source.
         """
         height, width = size
         rows, columns = image.shape[:2]
@@ -61,32 +67,39 @@ class View:
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # pixel centres lie half a pixel in
         matrix = np.linalg.inv(half) @ matrix @ half
         if labels:
-            how = {"flags": cv2.INTER_NEAREST, "borderMode": cv2.BORDER_CONSTANT, "borderValue": 255}
+            options = {"flags": cv2.INTER_NEAREST, "borderMode": cv2.BORDER_CONSTANT, "borderValue": 255}
         else:
-            how = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REFLECT_101}
+            options = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REFLECT_101}
             shrink = np.sqrt(abs(np.linalg.det(matrix[:2, :2])))
             if shrink > 1.5:
                 image = cv2.GaussianBlur(image, (0, 0), 0.4 * shrink)
-        how["flags"] |= cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpPerspective(image, matrix, (width, height), **how), np.uint8)
+        options["flags"] |= cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpPerspective(image, matrix, (width, height), **options), np.uint8)
 
 
 def draw_views(
     shape: tuple[int, int],
     size: tuple[int, int],
-    freedom: Freedom,
+    view_range: ViewRange,
     rng: np.random.Generator,
     zoom: tuple[float, float] = ZOOM,
 ) -> tuple[View, View]:
-    """Draw two overlapping views of `size` from a source of `shape`, both (height, width) in pixels.
+    """Draw two overlapping views of one source.
 
-    The first is enlarged by `zoom`, least and greatest, for a source 360 pixels high, and more where the source would
-    not fill it otherwise.
+    Parameters
+    ----------
+    shape, size : (int, int)
+        Height and width of the source and of the views, in pixels.
+    view_range : ViewRange
+    rng : numpy.random.Generator
+    zoom : (float, float)
+        Least and greatest enlargement of the first view, for a source 360 pixels high; it is enlarged more where it
+        would not lie within the source otherwise.
     """
     first = _box(shape, size, zoom, rng)
-    second = _box_near(first, shape, freedom, rng)
+    second = _box_near(first, view_range, rng)
     mirrored = rng.random() < 0.5
-    return _leaning(first, freedom, rng, mirrored), _leaning(second, freedom, rng, mirrored)
+    return _view(first, view_range, rng, mirrored), _view(second, view_range, rng, mirrored)
 
 
 def shared_cells(
@@ -96,17 +109,22 @@ def shared_cells(
 
     Parameters
     ----------
-    cells
-        Rows and columns of the field of embeddings.
+    first, second : View
+        Of the same source, or of two whose pixels correspond.
+    cells : (int, int)
+        Rows and columns of a view's field of embeddings.
+    count : int
+    rng : numpy.random.Generator
 
     Returns
     -------
     index : int64 of shape (count,)
-        Cells of the first view, row by row.
+        Cells of the first view, numbered row by row.
     position : float32 of shape (count, 2)
-        Where the second view shows them: x and y, -1..1 from edge to edge, as ``grid_sample`` wants them.
+        Their centres in the second view: x and y, -1..1 from edge to edge, as `torch.nn.functional.grid_sample`
+        takes them.
     enough : bool
-        False when the views share fewer than an eighth of `count` cells; the draws are then meaningless.
+        False when the views share fewer than an eighth of `count` cells; the other two are then all 0.
     """
     rows, columns = cells
     x, y = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
@@ -132,25 +150,25 @@ def _box(shape: tuple[int, int], size: tuple[int, int], zoom: tuple[float, float
     return rng.uniform(across / 2, 1 - across / 2), rng.uniform(down / 2, 1 - down / 2), across, down
 
 
-def _box_near(box: Box, shape: tuple[int, int], freedom: Freedom, rng: np.random.Generator) -> Box:
+def _box_near(box: Box, view_range: ViewRange, rng: np.random.Generator) -> Box:
     x, y, across, down = box
-    limit = np.log(freedom.ratio)
-    ratio = np.exp(rng.uniform(-limit, limit))
-    ratio = min(ratio, 1 / across, 1 / down)
-    wide = min(1.0, across * ratio * np.exp(rng.uniform(-0.1, 0.1)))
-    high = down * ratio
-    x += rng.uniform(-freedom.shift, freedom.shift) * max(across, wide)
-    y += rng.uniform(-freedom.shift, freedom.shift) * 0.7 * max(down, high)
+    limit = np.log(view_range.scale)
+    scale = np.exp(rng.uniform(-limit, limit))
+    scale = min(scale, 1 / across, 1 / down)
+    wide = min(1.0, across * scale * np.exp(rng.uniform(-0.1, 0.1)))
+    high = down * scale
+    x += rng.uniform(-view_range.shift, view_range.shift) * max(across, wide)
+    y += rng.uniform(-view_range.shift, view_range.shift) * 0.7 * max(down, high)
     return float(np.clip(x, wide / 2, 1 - wide / 2)), float(np.clip(y, high / 2, 1 - high / 2)), wide, high
 
 
-def _leaning(box: Box, freedom: Freedom, rng: np.random.Generator, mirrored: bool) -> View:
-    """Turn and lean a box, most of the time, and mirror it when told to."""
+def _view(box: Box, view_range: ViewRange, rng: np.random.Generator, mirrored: bool) -> View:
+    """Give a box perspective and rotation, seven times in ten, and mirror it when told to."""
     x, y, across, down = box
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     if rng.random() < 0.7:
-        corners = corners + rng.uniform(-freedom.lean, freedom.lean, (4, 2))
-        angle = np.radians(rng.uniform(-freedom.turn, freedom.turn))
+        corners = corners + rng.uniform(-view_range.perspective, view_range.perspective, (4, 2))
+        angle = np.radians(rng.uniform(-view_range.rotation, view_range.rotation))
         corners = corners @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     target = (corners * [across, down] + [x, y]).astype(np.float32)
     own = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

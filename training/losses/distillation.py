@@ -1,69 +1,69 @@
-"""What another network says of pixels, as something to learn from: Hinton, Vinyals and Dean 2015, "Distilling the
-Knowledge in a Neural Network".
+"""Knowledge distillation from the pretrained trunk (Hinton, Vinyals and Dean 2015).
 
-The trunk as it was downloaded has seen fences, poles and people of more towns than there are labelled pictures here.
+The trunk was trained on more towns than there are labelled images here, so its soft labels are learned from beside the
+label maps.
 """
 
 import torch
 from torch import Tensor, nn
 
-from training.data.lexicon import STREET_WORDS, Lexicon
-from training.losses.label_loss import WORD_TEMPERATURE
+from training.data.lexicon import CITYSCAPES_LABELS, Lexicon
+from training.losses.label_loss import TEMPERATURE
 
 LEAST_AGREEMENT = 0.1
-"""How likely the teacher has to find what a pixel's label says, or its opinion does not count there."""
+"""Where the teacher gives the labels of a pixel's class less probability than this, its soft labels are ignored."""
 
 
-class OpinionLoss(nn.Module):
-    """Relative entropy between a teacher's probabilities of some words and ours of the same words.
+class DistillationLoss(nn.Module):
+    """Kullback-Leibler divergence between a teacher's probabilities of some labels and the network's of the same.
 
     Parameters
     ----------
-    vectors : float of shape (n_spoken, channels)
-        Centred CLIP vectors of the teacher's words.
-    agrees : bool of shape (n_meanings, n_spoken)
-        Which of them each label allows.
-    temperature
+    vectors : float of shape (n_teacher, channels)
+        Centred CLIP vectors of the teacher's labels, in the space of the embeddings.
+    allowed : bool of shape (n_classes, n_teacher)
+        Which of them each class may stand for.
+    temperature : float
         What cosines are divided by.
     """
 
     vectors: Tensor
-    agrees: Tensor
+    allowed: Tensor
 
-    def __init__(self, vectors: Tensor, agrees: Tensor, temperature: float = WORD_TEMPERATURE) -> None:
+    def __init__(self, vectors: Tensor, allowed: Tensor, temperature: float = TEMPERATURE) -> None:
         super().__init__()
         self.register_buffer("vectors", vectors)
-        self.register_buffer("agrees", agrees)
+        self.register_buffer("allowed", allowed)
         self.temperature = temperature
 
-    def forward(self, embeddings: Tensor, opinions: Tensor, target: Tensor) -> Tensor:
-        """Compare what both say.
+    def forward(self, embeddings: Tensor, soft_labels: Tensor, target: Tensor) -> Tensor:
+        """Compare the network with the teacher.
 
         Parameters
         ----------
         embeddings : float of shape (pixels, channels)
             Unit length, or an interpolation of such.
-        opinions : float of shape (pixels, n_spoken)
+        soft_labels : float of shape (pixels, n_teacher)
             The teacher's probabilities; all 0 where it has none.
         target : int64 of shape (pixels,)
-            Meanings, -1 for pixels without a label.
+            Classes, -1 for pixels without a label.
 
         Returns
         -------
         float, a scalar
-            Mean over the pixels that have an opinion which their label, if there is one, does not contradict; 0 without
-            such pixels.
+            Mean over the pixels that have soft labels, without those whose class the teacher contradicts; 0 if there
+            are none.
         """
-        agreement = (opinions * self.agrees[target]).sum(dim=1)
-        counts = (opinions.sum(dim=1) > 0.5) & ((target < 0) | (agreement >= LEAST_AGREEMENT))
+        agreement = (soft_labels * self.allowed[target]).sum(dim=1)
+        counts = (soft_labels.sum(dim=1) > 0.5) & ((target < 0) | (agreement >= LEAST_AGREEMENT))
         if not bool(counts.any()):
             return embeddings.sum() * 0
-        attributes = opinions[counts] / opinions[counts].sum(dim=1, keepdim=True)
-        ours = (embeddings[counts] @ self.vectors.T / self.temperature).log_softmax(dim=1)
-        return (torch.xlogy(attributes, attributes) - attributes * ours).sum(dim=1).mean()
+        teacher = soft_labels[counts] / soft_labels[counts].sum(dim=1, keepdim=True)
+        student = (embeddings[counts] @ self.vectors.T / self.temperature).log_softmax(dim=1)
+        return (torch.xlogy(teacher, teacher) - teacher * student).sum(dim=1).mean()
 
 
-def opinion_loss_of(lexicon: Lexicon, vectors: Tensor) -> OpinionLoss:
-    """Build the loss for the trunk's words, given the vectors of the lexicon's."""
-    spoken = [lexicon.words.index(word) for word in STREET_WORDS]
-    return OpinionLoss(vectors[spoken], torch.from_numpy(lexicon.members())[:, spoken])
+def distillation_loss_of(lexicon: Lexicon, vectors: Tensor) -> DistillationLoss:
+    """Build the loss for the trunk's labels from the vectors of the lexicon's, float of shape (n_labels, channels)."""
+    of_teacher = [lexicon.labels.index(label) for label in CITYSCAPES_LABELS]
+    return DistillationLoss(vectors[of_teacher], torch.from_numpy(lexicon.allowed())[:, of_teacher])

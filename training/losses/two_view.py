@@ -1,32 +1,33 @@
-"""What training asks of two views of one scene; `training.losses.label_loss` is what it asks of labelled pixels.
+"""Losses over two views of one scene.
 
-- `two_view_loss`: a cell finds itself again in another view, among all other cells of the batch.
-- `similarity_loss`: cells are as alike as they were to a frozen teacher.
+- `two_view_loss`: a cell has to find the corresponding cell of the other view among all cells of the batch.
+- `similarity_loss`: cosines between cells stay what they are for a frozen teacher.
 """
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
-_NEVER = -1e4
+_EXCLUDED = -1e4
+"""Score of pairs that take no part in a softmax."""
 
 
 def matched_cells(fields: Tensor, cells: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
-    """Read both views' fields at the same points.
+    """Read both views' fields at corresponding points.
 
     Parameters
     ----------
     fields : float of shape (2 n, channels, h, w)
         First views, then second views.
     cells : int64 of shape (n, points)
-        Cells of the first views.
+        Cells of the first views, numbered row by row.
     positions : float of shape (n, points, 2)
-        Where the second views show them, -1..1.
+        The same points in the second views: x and y, -1..1.
 
     Returns
     -------
     two float of shape (n, points, channels)
-        The second interpolated between cells.
+        Of the first views as they are, of the second views interpolated bilinearly.
     """
     first, second = fields.chunk(2)
     channels = fields.shape[1]
@@ -38,22 +39,25 @@ def matched_cells(fields: Tensor, cells: Tensor, positions: Tensor) -> tuple[Ten
 def two_view_loss(
     here: Tensor, there: Tensor, cells: Tensor, columns: int, temperature: float, margin: int
 ) -> tuple[Tensor, Tensor]:
-    """Contrast matching cells with all others, both ways (InfoNCE).
+    """Contrast corresponding cells with all others, in both directions (InfoNCE).
 
     Parameters
     ----------
     here, there : float of shape (n, points, channels)
-        Unit length; row by row the same points.
+        Unit length; row i of both shows the same point.
     cells : int64 of shape (n, points)
         Where the points are in the first views, whose fields have `columns` columns.
-    margin
-        Points of one picture that are at most this many cells apart are not held against each other.
+    columns : int
+    temperature : float
+        What cosines are divided by.
+    margin : int
+        Points of one image that are at most this many cells apart are not contrasted with each other.
 
     Returns
     -------
     loss : float, a scalar
-    found : float, a scalar
-        Share of cells whose nearest cell of the other view is the right one.
+    accuracy : float, a scalar
+        Share of cells whose nearest cell of the other view is the corresponding one, 0..1.
     """
     images, points = cells.shape
     if images == 0:
@@ -67,19 +71,28 @@ def two_view_loss(
         & ((column[:, None] - column).abs() <= margin)
     )
     near.fill_diagonal_(False)
-    scores = scores.masked_fill(near, _NEVER)
-    right = torch.arange(len(scores), device=scores.device)
-    loss = (F.cross_entropy(scores, right) + F.cross_entropy(scores.T, right)) / 2
-    return loss, (scores.argmax(dim=1) == right).float().mean()
+    scores = scores.masked_fill(near, _EXCLUDED)
+    target = torch.arange(len(scores), device=scores.device)
+    loss = (F.cross_entropy(scores, target) + F.cross_entropy(scores.T, target)) / 2
+    return loss, (scores.argmax(dim=1) == target).float().mean()
 
 
-def similarity_loss(here: Tensor, there: Tensor, here_before: Tensor, there_before: Tensor) -> Tensor:
-    """Mean squared difference between two networks' cosines of all cells of one view with all of the other.
+def similarity_loss(here: Tensor, there: Tensor, teacher_here: Tensor, teacher_there: Tensor) -> Tensor:
+    """Mean squared difference between a network's and its teacher's cosines of all cells of either view.
 
-    All four are of shape (n, points, channels), unit length; the last two are the teacher's.
+    Parameters
+    ----------
+    here, there : float of shape (n, points, channels)
+        Unit length.
+    teacher_here, teacher_there : float of shape (n, points, channels of the teacher)
+        The same points, unit length.
+
+    Returns
+    -------
+    float, a scalar
     """
     if len(here) == 0:
         return here.sum() * 0
-    now = here.flatten(0, 1) @ there.flatten(0, 1).T
-    before = here_before.flatten(0, 1) @ there_before.flatten(0, 1).T
-    return F.mse_loss(now, before)
+    cosines = here.flatten(0, 1) @ there.flatten(0, 1).T
+    wanted = teacher_here.flatten(0, 1) @ teacher_there.flatten(0, 1).T
+    return F.mse_loss(cosines, wanted)

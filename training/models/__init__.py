@@ -1,1 +1,1 @@
-"""Networks as they are trained: where they start, their teacher, and how they are read and written."""
+"""Networks as they are trained: their teacher, their start, and the files they are read from and written to."""

@@ -1,9 +1,9 @@
-"""Depthwise convolutions whose gradients a CPU computes quickly.
+"""Depthwise convolutions whose gradients are fast on a CPU.
 
-On CPUs, torch's gradients of large or dilated depthwise convolutions take many times as long as the convolutions: with
-these here the layers of this network take three quarters of the time (docs/model-card.md). The gradient by the input is
-itself a depthwise convolution, with the kernel turned round, and the gradient by each tap of the kernel is a product of
-two shifted maps, summed.
+On a CPU, torch's gradients of large or dilated depthwise convolutions take many times as long as the convolutions. Here
+the gradient by the input is itself a depthwise convolution, with the kernel turned by 180 degrees, and the gradient by
+each tap of the kernel is the sum of a product of two shifted maps; the layers of this network then take three quarters
+of the time (docs/model-card.md).
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 
 class _Depthwise(torch.autograd.Function):
-    """Depthwise convolution of odd kernel, stride 1, padded to keep the size."""
+    """Depthwise convolution with an odd kernel, stride 1, padded to keep the size."""
 
     @staticmethod
     def forward(ctx: Any, maps: Tensor, weight: Tensor, bias: Tensor, dilation: int) -> Tensor:
@@ -40,7 +40,7 @@ class _Depthwise(torch.autograd.Function):
         return by_maps, by_weight, by_bias, None
 
 
-class QuickDepthwise(nn.Conv2d):
+class FastDepthwise(nn.Conv2d):
     """A depthwise `Conv2d` of stride 1 with the same parameters, under the same names."""
 
     def forward(self, maps: Tensor) -> Tensor:
@@ -52,16 +52,16 @@ class QuickDepthwise(nn.Conv2d):
         return convolved
 
 
-def quicken(network: nn.Module) -> None:
-    """Give a network's depthwise convolutions, in place, gradients that are quick on a CPU.
+def use_fast_depthwise(network: nn.Module) -> None:
+    """Give a network's depthwise convolutions, in place, gradients that are fast on a CPU.
 
-    Only those of stride 1 that are dilated or larger than 3 x 3: torch is quick enough with the others.
+    Only those of stride 1 that are dilated or larger than 3 x 3; torch is fast with the others.
     """
     for module in network.modules():
         if not isinstance(module, nn.Conv2d) or module.groups == 1 or module.groups != module.in_channels:
             continue
         if module.stride == (1, 1) and (module.kernel_size > (3, 3) or module.dilation > (1, 1)):
-            module.__class__ = QuickDepthwise
+            module.__class__ = FastDepthwise
 
 
 def _reach(weight: Tensor, dilation: int) -> int:

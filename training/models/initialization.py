@@ -1,4 +1,4 @@
-"""Where training starts: the pretrained trunk, or an earlier network whose fusion had batch norms."""
+"""Networks before their first step: from the pretrained trunk, or from networks trained earlier."""
 
 import re
 from collections.abc import Mapping
@@ -8,25 +8,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from training.models.checkpoints import State, read_average
 from training.models.network import TrainedNetwork
-from worker.encoders.compact.segmentation import IndependentSegmentationNetwork
-
-State = dict[str, Tensor]
+from worker.encoders.compact.network import CompactNetwork
+from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 
 KEPT_AT_STRIDE4 = (0, 2, 3)
 """Which of the trunk's four blocks at stride 4 are kept: the strided one and two of the residual ones.
 
-Without block 1 the words field of a trained network changes least: mean cosine 0.989 with the whole.
+Leaving out block 1 changes the semantic field of a trained network least: mean cosine 0.989 with the whole.
 """
 
 _RAISED = 20.0
-"""What the trunk's scores are raised by: the least of them are about -15."""
+"""Added to the trunk's logits, the least of which are about -15, so that no ReLU cuts them."""
 
 _STAGES = {"s2": "stride2", "s4": "stride4", "s8": "stride8", "s16": "stride16", "deep": "deep", "last": "context.last"}
 _HEADS = {"aspp": "context.local", "pool": "context.whole", "cat": "context.joined", "cls": "classes"}
 
 
-def trunk_state(path: Path) -> State:
+def read_trunk(path: Path) -> State:
     """Read the trunk's tensors from ``cityscapes_trunk_fp16.npz``, as float32 under the names of the file."""
     with np.load(path) as arrays:
         return {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
@@ -50,16 +50,95 @@ def renamed(trunk: Mapping[str, Tensor], kept_at_stride4: tuple[int, ...] = KEPT
     return {re.sub(r"\bc\.(weight|bias)$", r"convolution.\1", name): tensor for name, tensor in state.items()}
 
 
-def earlier_state(path: Path) -> State:
-    """Read a checkpoint of this training, or of an earlier network (trunk under ``t.``, fusion with batch norms).
+def initial_network(pretrained: Path) -> tuple[TrainedNetwork, set[str]]:
+    """Build the network to train.
+
+    Parameters
+    ----------
+    pretrained : Path
+        The trunk (``.npz``), or a checkpoint (``.pt``) of this training or of a network with batch norms (see
+        `_with_batch_norms`). Parameters that the file does not hold keep torch's random start, so seed torch before.
+
+    Returns
+    -------
+    network : TrainedNetwork
+    missing : set of str
+        Names of the parameters that the file does not hold.
+
+    Raises
+    ------
+    ValueError
+        The file holds tensors of another network.
+    """
+    network = TrainedNetwork()
+    state = renamed(read_trunk(pretrained)) if pretrained.suffix == ".npz" else _read_checkpoint(pretrained)
+    state = {name: tensor for name, tensor in state.items() if not name.startswith("classes.")}
+    missing, unknown = network.load_state_dict(state, strict=False)
+    if unknown:
+        raise ValueError(f"{pretrained} holds tensors that the network has no place for: {unknown[:4]}")
+    return network, set(missing)
+
+
+def initial_segmentation_network(network: CompactNetwork) -> SegmentationNetwork:
+    """Copy a network's deep layers and semantic head; the sharpening adds nothing yet.
+
+    Raises
+    ------
+    ValueError
+        The network lacks some layer.
+    """
+    copy = SegmentationNetwork(network.words.out_channels)
+    missing, _ = copy.load_state_dict(network.state_dict(), strict=False)
+    lacking = [name for name in missing if not name.startswith("sharpen.")]
+    if lacking:
+        raise ValueError(f"the network to start from lacks {', '.join(lacking[:4])}")
+    return copy
+
+
+def initial_independent_network(trunk: Mapping[str, Tensor], vectors: Tensor) -> IndependentSegmentationNetwork:
+    """Build an independent segmentation network that at first ranks the trunk's 19 labels as the trunk does.
+
+    Its layers up to stride 4 are frozen: edges and colours are the same everywhere, and a step takes a third less. The
+    first 19 inputs of its semantic head are the trunk's logits, raised so that no ReLU cuts them. The other inputs,
+    and the sharpening, keep torch's random start and have no influence at first.
+
+    Parameters
+    ----------
+    trunk : mapping of str to Tensor
+        As `read_trunk` gives it.
+    vectors : float of shape (19, channels)
+        Of the trunk's labels, in the space of the embeddings.
+    """
+    network = IndependentSegmentationNetwork(vectors.shape[1])
+    state = renamed(trunk)
+    for part in (network.shallow, network.fine):
+        names = part.state_dict().keys() & state.keys()
+        part.load_state_dict({name: state[name] for name in names}, strict=False)
+    for layers in (network.shallow.stride2, network.shallow.stride4):
+        layers.requires_grad_(False)
+    own = network.fine.state_dict()  # its tensors are the network's own
+    count, classes = len(vectors), state["classes.weight"]
+    for silent in ("from16", "from8", "from4", "fuse.2"):
+        own[f"{silent}.weight"][:count] = 0
+        own[f"{silent}.bias"][:count] = 0
+    own["from16.weight"][:count, -classes.shape[1] :] = classes
+    own["from16.bias"][:count] = state["classes.bias"] + _RAISED
+    own["words.weight"].zero_()
+    own["words.weight"][:, :count, 0, 0] = torch.linalg.pinv(vectors) @ (torch.eye(count) - 1 / count)
+    own["words.bias"].zero_()
+    return network
+
+
+def _read_checkpoint(path: Path) -> State:
+    content = torch.load(path, map_location="cpu", weights_only=False)
+    return read_average(path) if "average" in content else _with_batch_norms(content["net"])
+
+
+def _with_batch_norms(saved: Mapping[str, Tensor]) -> State:
+    """Take up a network from before this training: trunk under ``t.``, batch norms in the fusion.
 
     The batch norms are folded into the convolutions before them.
     """
-    content = torch.load(path, map_location="cpu", weights_only=False)
-    if "average" in content:
-        averaged: State = content["average"]
-        return averaged
-    saved = content["net"]
     saved = {name: tensor.float() for name, tensor in saved.items() if tensor.is_floating_point()}
     state = renamed({name[2:]: tensor for name, tensor in saved.items() if name.startswith("t.")})
     for old, new in {"l16": "from16", "l8": "from8", "l4": "from4", "head": "words"}.items():
@@ -69,57 +148,3 @@ def earlier_state(path: Path) -> State:
         state[f"fuse.{place}.weight"] = saved[f"f.{convolution}.weight"] * gain[:, None, None, None]
         state[f"fuse.{place}.bias"] = saved[f"f.{norm}.bias"] - saved[f"f.{norm}.running_mean"] * gain
     return state
-
-
-def started(pretrained: Path) -> tuple[TrainedNetwork, set[str]]:
-    """Build the network to train, from the trunk (``.npz``) or from an earlier network (``.pt``).
-
-    What the file does not hold keeps torch's own random start, so seed torch before.
-
-    Returns
-    -------
-    network
-    missing
-        Names of the parameters that the file does not hold.
-    """
-    network = TrainedNetwork()
-    state = renamed(trunk_state(pretrained)) if pretrained.suffix == ".npz" else earlier_state(pretrained)
-    state = {name: tensor for name, tensor in state.items() if not name.startswith("classes.")}
-    missing, unknown = network.load_state_dict(state, strict=False)
-    if unknown:
-        raise ValueError(f"{pretrained} holds tensors that the network has no place for: {unknown[:4]}")
-    return network, set(missing)
-
-
-def second_started(trunk: Mapping[str, Tensor], vectors: Tensor) -> IndependentSegmentationNetwork:
-    """Build segmentation network that begin with the trunk's layers, and with a words head that ranks its 19 words as it does.
-
-    Its layers up to stride 4 stay as they are: edges and colours are the same everywhere, and a step takes a third
-    less. Its scores are the first 19 channels of what the words are read from, raised so that no ReLU cuts them; the
-    others, and what sharpens them, begin as torch begins them and are not heard at first.
-
-    Parameters
-    ----------
-    trunk
-        As `trunk_state` reads it.
-    vectors : float of shape (19, channels)
-        Of its words, in the space of the words head.
-    """
-    second = IndependentSegmentationNetwork(vectors.shape[1])
-    state = renamed(trunk)
-    for part in (second.shallow, second.fine):
-        names = part.state_dict().keys() & state.keys()
-        part.load_state_dict({name: state[name] for name in names}, strict=False)
-    for layers in (second.shallow.stride2, second.shallow.stride4):
-        layers.requires_grad_(False)
-    own = second.fine.state_dict()  # its tensors are the network's own
-    spoken, classes = len(vectors), state["classes.weight"]
-    for silent in ("from16", "from8", "from4", "fuse.2"):
-        own[f"{silent}.weight"][:spoken] = 0
-        own[f"{silent}.bias"][:spoken] = 0
-    own["from16.weight"][:spoken, -classes.shape[1] :] = classes
-    own["from16.bias"][:spoken] = state["classes.bias"] + _RAISED
-    own["words.weight"].zero_()
-    own["words.weight"][:, :spoken, 0, 0] = torch.linalg.pinv(vectors) @ (torch.eye(spoken) - 1 / spoken)
-    own["words.bias"].zero_()
-    return second

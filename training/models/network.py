@@ -1,7 +1,6 @@
-"""The network while it is trained: `CompactNetwork`, and a small head through which its words are taught at stride 4.
+"""The network while it is trained: `CompactNetwork` with a refinement, through which labels are learned at stride 4.
 
-Labels of larger views teach more where thin things are still seen. What ships has no such head: segmentations are drawn
-from `worker.encoders.compact.segmentation.SegmentationNetwork`.
+At stride 4 thin objects are still seen, so labels teach more there. The refinement is not exported.
 """
 
 import torch
@@ -11,30 +10,40 @@ from torch import Tensor, nn
 from worker.encoders.compact.network import CLIP_CHANNELS, FUSED_CHANNELS, CompactNetwork
 
 REFINED_CHANNELS = 24
-"""Channels of either input of the layer that sharpens the words field at stride 4."""
+"""Channels of either input of the refinement."""
 
-TAUGHT_THROUGH = "refine."
-"""How the names of that layer's parameters begin."""
+REFINEMENT_PREFIX = "refine."
+"""How the names of the refinement's parameters begin."""
 
 
 class TrainedNetwork(CompactNetwork):
-    """The network with its words head in CLIP's own space, and with the layer that sharpens them."""
+    """The network with its semantic head in CLIP's own 512 dimensions, and with the refinement at stride 4."""
 
     def __init__(self) -> None:
         super().__init__(CLIP_CHANNELS)
         self.refine = Refinement(24, FUSED_CHANNELS, REFINED_CHANNELS)
 
-    def sharp(self, images: Tensor) -> Tensor:
-        """Give what the words head reads at stride 4: (n, 96, ceil(height / 4), ceil(width / 4))."""
+    def refined(self, images: Tensor) -> Tensor:
+        """Give the input of the semantic head at stride 4.
+
+        Parameters
+        ----------
+        images : float of shape (n, 3, height, width)
+            RGB in 0..1.
+
+        Returns
+        -------
+        float of shape (n, 96, ceil(height / 4), ceil(width / 4))
+        """
         at4, at8 = self.shallow(images)
-        sharpened: Tensor = self.refine(at4, self.fused(at4, at8))
-        return sharpened
+        refined: Tensor = self.refine(at4, self.fused(at4, at8))
+        return refined
 
 
 class Refinement(nn.Module):
-    """Enlarges the layer that the words head reads to stride 4, and sharpens it with what stride 4 still shows.
+    """Enlarges the input of the semantic head to stride 4 and adds detail from the layer at stride 4.
 
-    It adds to a bilinear enlargement, and adds nothing before training.
+    What it adds to the bilinear enlargement is 0 before training.
     """
 
     def __init__(self, near: int, joined: int, middle: int) -> None:
@@ -52,5 +61,5 @@ class Refinement(nn.Module):
         below = F.interpolate(self.below(joined), size=size, mode="bilinear", align_corners=False)
         mixed = F.relu(self.mix(F.relu(torch.cat([self.near(at4), below], dim=1))))
         enlarged = F.interpolate(joined, size=size, mode="bilinear", align_corners=False)
-        sharpened: Tensor = enlarged + self.out(mixed)
-        return sharpened
+        refined: Tensor = enlarged + self.out(mixed)
+        return refined

@@ -3,16 +3,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from training.data import batches as data
-from training.data.lexicon import ClipWords, Lexicon
+from training.data.lexicon import ClipVectors, Lexicon
+from training.data.sources import CLIP_FILE
 
 
 @pytest.fixture
-def clip(data_folder: Path) -> ClipWords:
-    return ClipWords(data_folder / data.CLIP_FILE)
+def clip(data_folder: Path) -> ClipVectors:
+    return ClipVectors(data_folder / CLIP_FILE)
 
 
-def test_a_word_without_a_vector_stands_for_the_mean_of_others(clip: ClipWords) -> None:
+def test_a_label_without_a_vector_has_the_mean_of_its_stand_ins(clip: ClipVectors) -> None:
     assert clip.sources("vehicle") == ("car", "truck", "bus", "motorcycle")
     assert clip.sources("road") == ("road",)
     assert clip.sources("unicorn") == ()
@@ -21,21 +21,21 @@ def test_a_word_without_a_vector_stands_for_the_mean_of_others(clip: ClipWords) 
         clip.vector("unicorn")
 
 
-def test_centring_spreads_the_vectors(clip: ClipWords) -> None:
+def test_centring_spreads_the_vectors(clip: ClipVectors) -> None:
     vectors = clip.matrix(["road", "sky", "tree", "door"])
 
     assert np.abs(vectors @ vectors.T - np.eye(4)).max() < 0.3  # drawn in a cone of mean cosine 0.8
 
 
-def spoken_of(lexicon: Lexicon) -> dict[str, set[str]]:
-    """For each meaning, by its first word, the words that its labels speak for or against."""
+def competing_with(lexicon: Lexicon) -> dict[str, set[str]]:
+    """For each class, by its first label, the labels that compete in its softmax."""
     return {
-        meaning.words[0]: {word for word, spoken in zip(lexicon.words, row, strict=True) if spoken}
-        for meaning, row in zip(lexicon.meanings, lexicon.known(), strict=True)
+        each.labels[0]: {label for label, competes in zip(lexicon.labels, row, strict=True) if competes}
+        for each, row in zip(lexicon.classes, lexicon.competing(), strict=True)
     }
 
 
-def test_a_street_speaks_against_rooms_but_not_against_what_both_have(clip: ClipWords) -> None:
+def test_outdoor_classes_compete_with_indoor_labels_but_not_with_those_that_both_have(clip: ClipVectors) -> None:
     lexicon = Lexicon(
         clip,
         {
@@ -44,14 +44,14 @@ def test_a_street_speaks_against_rooms_but_not_against_what_both_have(clip: Clip
             "nyuv2": {0: ["floor"], 1: ["window"]},
         },
     )
-    spoken = spoken_of(lexicon)
+    competing = competing_with(lexicon)
 
-    assert spoken["road"] == spoken["building"] == {"road", "building", "wall", "floor"}
-    assert spoken["grass"] == {"grass", "floor"}
-    assert spoken["floor"] == spoken["window"] == {"floor", "window", "road", "building", "grass"}
+    assert competing["road"] == competing["building"] == {"road", "building", "wall", "floor"}
+    assert competing["grass"] == {"grass", "floor"}
+    assert competing["floor"] == competing["window"] == {"floor", "window", "road", "building", "grass"}
 
 
-def test_what_lies_behind_speaks_against_what_stands_in_front_and_the_sky_against_everything(clip: ClipWords) -> None:
+def test_background_classes_compete_with_foreground_labels_and_the_sky_with_all(clip: ClipVectors) -> None:
     lexicon = Lexicon(
         clip,
         {
@@ -59,18 +59,18 @@ def test_what_lies_behind_speaks_against_what_stands_in_front_and_the_sky_agains
             "drive": {0: ["cyclist", "bicycle"], 1: ["pole"]},
         },
     )
-    spoken = spoken_of(lexicon)
+    competing = competing_with(lexicon)
 
-    assert spoken["sky"] == set(lexicon.words)
-    assert spoken["tree"] == {"sky", "tree", "grass", "building", "cyclist", "bicycle", "pole"}
-    assert spoken["building"] == {"sky", "tree", "grass", "building"}  # a pole before it may have no label there
-    assert spoken["pole"] == {"cyclist", "bicycle", "pole"}
+    assert competing["sky"] == set(lexicon.labels)
+    assert competing["tree"] == {"sky", "tree", "grass", "building", "cyclist", "bicycle", "pole"}
+    assert competing["building"] == {"sky", "tree", "grass", "building"}  # a pole before it may have no label there
+    assert competing["pole"] == {"cyclist", "bicycle", "pole"}
 
 
-def test_label_values_become_meanings_and_others_nothing(clip: ClipWords) -> None:
+def test_label_values_are_mapped_to_classes_and_others_to_none(clip: ClipVectors) -> None:
     lexicon = Lexicon(clip, {"street": {4: ["road"], 7: ["unicorn"], 9: ["building", "wall"]}})
 
     table = lexicon.table("street")
 
     assert (table[4], table[7], table[9], table[255]) == (0, -1, 1, -1)
-    assert lexicon.members().sum(axis=1).tolist() == [1, 2]
+    assert lexicon.allowed().sum(axis=1).tolist() == [1, 2]

@@ -1,16 +1,17 @@
-"""Drawn light changes how a scene looks and not where things are."""
+"""Photometric augmentation changes how a scene looks and not where things are."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from training.data import photometric as light
+from training.data import photometric
+from training.data.images import Pixels
 
-Change = Callable[[light.Image, np.random.Generator], light.Image]
+Augmentation = Callable[[Pixels, np.random.Generator], Pixels]
 
 
-def scene() -> light.Image:
+def scene() -> Pixels:
     """Grass below, sky above, with a little texture."""
     image = np.empty((96, 128, 3), np.uint8)
     image[:48], image[48:] = (150, 190, 240), (60, 120, 40)
@@ -18,10 +19,10 @@ def scene() -> light.Image:
     return image
 
 
-@pytest.mark.parametrize("change", [light.mild, light.strong])
-def test_changed_light_is_repeatable_and_a_picture_of_the_same_size(change: Change) -> None:
+@pytest.mark.parametrize("augment", [photometric.mild, photometric.strong])
+def test_augmentation_is_repeatable_and_keeps_the_size(augment: Augmentation) -> None:
     for seed in range(20):
-        first, second = (change(scene(), np.random.default_rng(seed)) for _ in range(2))
+        first, second = (augment(scene(), np.random.default_rng(seed)) for _ in range(2))
         assert first.dtype == np.uint8
         assert first.shape == scene().shape
         np.testing.assert_array_equal(first, second)
@@ -32,7 +33,7 @@ def test_a_surface_takes_another_colour_and_keeps_its_texture_and_its_neighbours
     before = scene().astype(np.float32) / np.float32(255)
     moved = []
     for seed in range(40):
-        after = light._repainted(before, np.random.default_rng(seed))
+        after = photometric._repainted(before, np.random.default_rng(seed))
         change = np.abs(after - before).mean(axis=(1, 2))
         sky, grass = change[:48].mean(), change[48:].mean()
         moved.append((sky, grass))

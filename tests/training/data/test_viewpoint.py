@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from training.data.viewpoint import FOR_DETAIL, FOR_LABELS, FOR_WORDS, Freedom, draw_views, shared_cells
+from training.data.viewpoint import DETAIL_RANGE, LABELLED_RANGE, SEMANTIC_RANGE, ViewRange, draw_views, shared_cells
 
 
-@pytest.mark.parametrize("freedom", [FOR_WORDS, FOR_DETAIL])
+@pytest.mark.parametrize("view_range", [SEMANTIC_RANGE, DETAIL_RANGE])
 @pytest.mark.parametrize("seed", range(4))
-def test_shared_cells_show_the_same_point_of_the_source(freedom: Freedom, seed: int) -> None:
+def test_shared_cells_show_the_same_point_of_the_source(view_range: ViewRange, seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows, columns = np.mgrid[:360, :480]
     source = np.stack([columns / 2, rows / 2, np.zeros_like(rows)], axis=2).astype(np.uint8)  # says where it is
 
-    first, second = draw_views((360, 480), (192, 256), freedom, rng)
+    first, second = draw_views((360, 480), (192, 256), view_range, rng)
     cells, positions, enough = shared_cells(first, second, (24, 32), 50, rng)
 
     assert enough
@@ -27,7 +27,7 @@ def test_labels_outside_the_source_say_nothing() -> None:
     labels = np.zeros((200, 260), np.uint8)
     seen = set()
     for _ in range(20):
-        view, _ = draw_views(labels.shape, (192, 256), FOR_DETAIL, rng)
+        view, _ = draw_views(labels.shape, (192, 256), DETAIL_RANGE, rng)
         seen |= set(np.unique(view.cut(labels, (192, 256), labels=True)).tolist())
 
     assert seen == {0, 255}
@@ -38,7 +38,7 @@ def test_a_view_is_enlarged_as_told_and_more_where_the_source_would_not_fill_it(
 
     def shares(zoom: tuple[float, float], size: tuple[int, int]) -> list[float]:
         """Of the source's area that views show, which leaning changes a little."""
-        drawn = [draw_views((360, 480), size, FOR_LABELS, rng, zoom)[0].to_source for _ in range(40)]
+        drawn = [draw_views((360, 480), size, LABELLED_RANGE, rng, zoom)[0].to_source for _ in range(40)]
         corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]]).T
         seen = [(matrix @ corners)[:2] / (matrix @ corners)[2] for matrix in drawn]
         return [abs(float(np.linalg.det(np.stack([at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]])))) for at in seen]

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from training.models.depthwise import QuickDepthwise, quicken
+from training.models.depthwise import FastDepthwise, use_fast_depthwise
 from worker.encoders.compact.network import CompactNetwork
 
 KERNELS = [(5, 1), (3, 2), (5, 2)]
@@ -14,8 +14,8 @@ def quick_and_plain(kernel: int, dilation: int) -> tuple[nn.Module, nn.Conv2d]:
     plain = nn.Conv2d(6, 6, kernel, padding=(kernel - 1) * dilation // 2, dilation=dilation, groups=6)
     quick = nn.Conv2d(6, 6, kernel, padding=(kernel - 1) * dilation // 2, dilation=dilation, groups=6)
     quick.load_state_dict(plain.state_dict())
-    quicken(quick)
-    assert isinstance(quick, QuickDepthwise)
+    use_fast_depthwise(quick)
+    assert isinstance(quick, FastDepthwise)
     return quick, plain
 
 
@@ -59,9 +59,9 @@ def test_only_slow_convolutions_of_the_network_are_replaced_and_nothing_else_cha
     with torch.no_grad():
         before = network(image)
 
-    quicken(network)
+    use_fast_depthwise(network)
 
-    quick = {name for name, module in network.named_modules() if isinstance(module, QuickDepthwise)}
+    quick = {name for name, module in network.named_modules() if isinstance(module, FastDepthwise)}
     assert {name.split(".")[0] for name in quick} == {"deep", "context"}
     assert list(network.state_dict()) == names
     with torch.no_grad():

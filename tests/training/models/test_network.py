@@ -2,7 +2,7 @@ import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
 
-from training.commands.train_segmentation import started_from
+from training.models.initialization import initial_segmentation_network
 from training.models.network import TrainedNetwork
 from worker.encoders.compact.network import CompactNetwork
 from worker.encoders.compact.segmentation import SegmentationNetwork
@@ -13,12 +13,12 @@ def test_any_size_gives_two_unit_length_fields_at_an_eighth(height: int, width: 
     network = CompactNetwork().eval()
 
     with torch.inference_mode():
-        words, detail = network(torch.rand(2, 3, height, width))
+        semantic, detail = network(torch.rand(2, 3, height, width))
 
     cells = (-(-height // 8), -(-width // 8))
-    assert words.shape == (2, 97, *cells)
+    assert semantic.shape == (2, 97, *cells)
     assert detail.shape == (2, 64, *cells)
-    assert torch.allclose(words.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
+    assert torch.allclose(semantic.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
     assert torch.allclose(detail.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
 
 
@@ -37,25 +37,27 @@ def test_a_network_is_loaded_from_half_precision() -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (72, 100), (33, 47)])
-def test_fine_words_have_unit_length_at_a_quarter(height: int, width: int) -> None:
-    network, fine = CompactNetwork().eval(), SegmentationNetwork().eval()
+def test_the_segmentation_network_embeds_with_unit_length_at_a_quarter(height: int, width: int) -> None:
+    network, segmentation = CompactNetwork().eval(), SegmentationNetwork().eval()
 
     with torch.inference_mode():
-        words = fine(*network.levels(torch.rand(2, 3, height, width)))
+        embeddings = segmentation(*network.levels(torch.rand(2, 3, height, width)))
 
     cells = (-(-height // 4), -(-width // 4))
-    assert words.shape == (2, 97, *cells)
-    assert torch.allclose(words.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
+    assert embeddings.shape == (2, 97, *cells)
+    assert torch.allclose(embeddings.norm(dim=1), torch.ones(2, *cells), atol=1e-5)
 
 
-def test_before_training_fine_words_are_the_words_field_enlarged() -> None:
+def test_before_training_the_segmentation_network_enlarges_the_semantic_field() -> None:
     network = TrainedNetwork().eval()
-    fine = started_from(network).eval()
+    segmentation = initial_segmentation_network(network).eval()
     images = torch.rand(1, 3, 64, 96)
 
     with torch.inference_mode():
         joined = network.fused(*network.shallow(images))
         enlarged = F.interpolate(joined, scale_factor=2.0, mode="bilinear", align_corners=False)
 
-        assert torch.allclose(network.sharp(images), enlarged, atol=1e-6)
-        assert torch.allclose(fine(*network.levels(images)), F.normalize(network.words(enlarged), dim=1), atol=1e-6)
+        assert torch.allclose(network.refined(images), enlarged, atol=1e-6)
+        assert torch.allclose(
+            segmentation(*network.levels(images)), F.normalize(network.words(enlarged), dim=1), atol=1e-6
+        )
