@@ -38,7 +38,7 @@ from worker.encoders.compact.encoder import CompactEncoder
 from worker.loop import Loop
 
 SETS = ("corridor", "essex_campus", "gardenspoint", "months", "nordland", "pepper_changed", "pepper_repeat")
-"""Sets that checkpoints are judged on; the others below ``DATA/places`` are left for the last word."""
+"""Sets that checkpoints are judged on; the others below ``DATA/places`` are kept for final evaluations."""
 
 
 def open_encoder(network: Path, data: Path, folder: Path, device: str = "cpu", threads: int = 1) -> CompactEncoder:

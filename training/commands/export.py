@@ -45,7 +45,7 @@ LABELS_TO_SHIP = (
     *("motorcycle", "bicycle", "vehicle", "window", "door", "floor", "ceiling", "other"),
     # The further labels of the authors' list.
     *("ground", "structure", "house", "van", "nature", "human", "bicyclist", "motorcyclist", "object"),
-    # Often asked for.
+    # Often wanted.
     *("stairs", "bench", "bridge", "train", "rider"),
 )
 """Labels that ship whether or not a data set names them; every label that one names ships too."""
