@@ -10,8 +10,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from datetime import timedelta
 from functools import partial
 from pathlib import Path
 
@@ -25,17 +23,14 @@ from lab.evaluation.service import map_of_its_own
 from lab.evaluation.tables import as_json, overview
 from schemas.errors import RevisitError
 from schemas.image import Image
-from schemas.ports import Encoder
 from schemas.settings import Settings, read_settings
 from training.commands.export import export
 from training.commands.train_vocabulary import general_images, train_vocabulary
-from worker.bootstrap import build, make_product
-from worker.description.describers import Describers
-from worker.description.presets import PRESETS, carried, make_recipe
-from worker.description.scheduler import Scheduler
+from worker.description.ports import Encoder
+from worker.description.presets import PRESETS, Wanted, carried, make_recipe
 from worker.description.vocabularies import Vocabulary
 from worker.encoders.compact.encoder import CompactEncoder
-from worker.loop import Loop
+from worker.runtime import build
 
 SETS = ("corridor", "essex_campus", "gardenspoint", "months", "nordland", "pepper_changed", "pepper_repeat")
 """Sets that checkpoints are judged on; the others below ``DATA/places`` are kept for final evaluations."""
@@ -117,14 +112,9 @@ def service_with(encoder: Encoder, vocabulary: Vocabulary, settings: Settings) -
     """
     with tempfile.TemporaryDirectory(prefix="revisit-places-") as folder:
         apart = {"data": Path(folder), "database": None, "inline_worker": True}
-        built = build(settings.model_copy(update=apart))
-        batch = settings.batch or 1
-        scheduler = Scheduler(encoder, batch, settings.queries)
-        describers = Describers(encoder, built.store, [vocabulary], make_product(settings))
-        lease = timedelta(seconds=settings.lease_s)
-        loop = Loop(built.store, scheduler, describers, built.decode, name="places", batch=batch, lease=lease)
-        runtime = replace(built, encoder=encoder, scheduler=scheduler, describers=describers, loop=loop)
-        recipe = make_recipe(encoder, settings.preset, vocabulary=vocabulary)
+        runtime = build(settings.model_copy(update=apart), make_encoder=lambda settings, threads: (encoder, None))
+        runtime.store.vocabularies.keep(vocabulary.digest, vocabulary.tensors)
+        recipe = make_recipe(encoder, Wanted(), preset=settings.preset, vocabulary=vocabulary)
         runtime.start()
         try:
             yield Contender(partial(map_of_its_own, runtime, recipe, settings.preset))

@@ -29,7 +29,8 @@ from training.data.lexicon import ClipVectors, read_classes
 from training.data.sources import CLIP_FILE, images_of, labels_of, training_images
 from training.models.checkpoints import load_basis, load_independent_network, load_network, load_segmentation_network
 from worker.configure import keep_freed_memory
-from worker.encoders.compact.encoder import LONGEST, resized, segment_with_ensemble
+from worker.encoders.compact.ensemble import segment_with_ensemble
+from worker.encoders.compact.input_size import LONGEST, resized
 from worker.encoders.compact.network import CompactNetwork
 from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 

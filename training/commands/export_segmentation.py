@@ -18,7 +18,7 @@ from safetensors.torch import load_file, save_file
 from training.commands.export import history, name_and_digest
 from training.models.checkpoints import shared_digest
 from training.models.onnx_graphs import write_independent_graph, write_segmentation_graph
-from worker.encoders.compact.encoder import ENSEMBLE
+from worker.encoders.compact.ensemble import ENSEMBLE
 
 
 def export_segmentation(checkpoint: Path, folder: Path, name: str = "compact", member: str | None = None) -> None:

@@ -15,13 +15,13 @@ from scenes import scene
 from scenes.scene import Kind
 from schemas.description import Booleans, PixelField
 from schemas.image import Image
-from schemas.ports import Encoder
 from schemas.settings import Settings
 from training.data.images import read_rgb
-from worker.bootstrap import make_encoder
+from worker.description.ports import Encoder
 from worker.description.presets import PRESETS, Preset, carried
 from worker.description.vocabularies import SHIPPED, Vocabulary, train
 from worker.method import labels, static_mask
+from worker.runtime import make_encoder
 
 FOLDERS = (
     ("segmentation/camvid/train", 120),
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.encoder == "compact" and options.data is None:
         parser.error("--encoder compact needs --data")
     options.to.mkdir(parents=True, exist_ok=True)
-    encoder = make_encoder(Settings(encoder=options.encoder), options.threads)
+    encoder, _ = make_encoder(Settings(encoder=options.encoder), options.threads)
     for name in options.preset or PRESETS:
         drawn = options.encoder == "color"
         images = drawn_images(options.seed) if drawn else general_images(options.data, options.seed)

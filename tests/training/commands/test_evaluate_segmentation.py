@@ -9,7 +9,7 @@ import torch.nn.functional as F  # noqa: N812
 from schemas.description import Floats
 from training.commands.evaluate_segmentation import Task, class_ious, confusion, ensemble, semantic_field
 from training.data.images import Pixels
-from worker.encoders.compact.encoder import resized
+from worker.encoders.compact.input_size import resized
 from worker.encoders.compact.network import CompactNetwork
 from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 from worker.method.unit_length import unit

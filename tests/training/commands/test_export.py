@@ -14,7 +14,8 @@ from training.commands.export_segmentation import export_segmentation
 from training.models.checkpoints import load_network, reduced, shared_digest
 from training.models.initialization import initial_segmentation_network
 from training.models.network import TrainedNetwork
-from worker.encoders.compact.encoder import ENSEMBLE, CompactEncoder
+from worker.encoders.compact.encoder import CompactEncoder
+from worker.encoders.compact.ensemble import ENSEMBLE
 from worker.encoders.compact.network import CompactNetwork
 from worker.encoders.compact.segmentation import IndependentSegmentationNetwork, SegmentationNetwork
 
@@ -130,8 +131,9 @@ def test_a_member_of_the_ensemble_is_added_to_the_network_that_it_was_trained_wi
 
 def segmented(folder: Path) -> Floats:
     """A grey image as the exported ensemble embeds it."""
-    encoder = CompactEncoder(weights=folder / "compact.safetensors")
-    return encoder.fine(Image.of(np.full((64, 96, 3), 90, np.uint8))).semantic
+    segmenter = CompactEncoder(weights=folder / "compact.safetensors").segmenter()
+    assert segmenter is not None
+    return segmenter.segment(Image.of(np.full((64, 96, 3), 90, np.uint8))).semantic
 
 
 class TestShippedWeights:

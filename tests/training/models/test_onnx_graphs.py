@@ -60,8 +60,8 @@ def test_the_graphs_answer_like_the_networks_at_any_multiple_of_32(files: Files,
     in_torch = TorchEngine(files.weights.read_bytes(), members, "cpu")
     in_onnx = OnnxEngine(files.fields_graph, [files.segmentation_graph, files.independent_graph], threads=1)
 
-    expected = [*in_torch.fields(images), *(in_torch.segmentation(images, member) for member in (0, 1))]
-    answered = [*in_onnx.fields(images), *(in_onnx.segmentation(images, member) for member in (0, 1))]
+    expected = [*in_torch.fields(images), *(in_torch.segment(images, member) for member in (0, 1))]
+    answered = [*in_onnx.fields(images), *(in_onnx.segment(images, member) for member in (0, 1))]
 
     for one, other in zip(expected, answered, strict=True):
         assert one.shape == other.shape
