@@ -69,7 +69,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
             "body_mb": settings.max_body_mb,
             "megapixels": settings.max_megapixels,
             "queue": settings.queue,
-            "questions": settings.queries,
+            "queries": settings.queries,
         },
         "data": _data(settings, findings),
         "service": _service(arguments, findings),

@@ -1,4 +1,4 @@
-"""``revisit demo``: a service, places enrolled over HTTP, the same places asked about, and what came of it."""
+"""``revisit demo``: a service, places enrolled over HTTP, the same places queried, and what came of it."""
 
 import argparse
 import shlex
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"a service runs at {url} on data in {folder}")
         with Revisit(url) as revisit:
             calls = _enrolled(revisit, material)
-            results, answers = _asked(revisit, material, output)
+            results, answers = _queried(revisit, material, output)
         right = [result.is_right for result in results if result.query.place is not None]
         passed = sum(map(bool, right)) >= MOST * len(right)
         if arguments.json:
@@ -120,7 +120,7 @@ def _own(photos: Sequence[Path], output: Path) -> "Material":
 
 def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
     """Enrol all; returns the curl call of the first."""
-    progress = Progress(len(material.enrolments), "pictures enrolled")
+    progress = Progress(len(material.enrolments), "images enrolled")
     begun = time.monotonic()
     for enrolment in material.enrolments:
         revisit.enroll(enrolment.path, place=enrolment.place)
@@ -135,12 +135,12 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
     ]
 
 
-def _asked(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
-    """Ask every query, and keep the pictures that show why it was answered so."""
+def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
+    """Send every query, and keep the images that show why it was answered so."""
     folder = output / "answers"
     folder.mkdir(exist_ok=True)
     results = []
-    progress = Progress(len(material.queries), "questions asked")
+    progress = Progress(len(material.queries), "queries answered")
     for number, query in enumerate(material.queries, start=1):
         answer = revisit.query(query.path, top=3, explain=True)
         results.append(Result(query, answer))
@@ -173,13 +173,13 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
                 mark,
             )
         )
-    heads = ("asked with", "what is different", "most alike", "score", "confidence", "verdict", "right")
+    heads = ("query", "what is different", "most alike", "score", "confidence", "verdict", "right")
     show("\n" + table(heads, rows))
     show("\nthe calls it made:")
     for call in calls:
         show(f"  {call}")
-    show(f"\npictures: {output}")
-    show("  answers/*-why.png     question and match side by side, with what agrees")
+    show(f"\nimages: {output}")
+    show("  answers/*-why.png     query and match side by side, with what agrees")
     show("  answers/*-labels.png  what each part of the match was taken for")
     show("  answers/*-graph.png   its context graph")
 
@@ -194,7 +194,7 @@ def _confidence_line(unsure: int) -> str:
 def _facts(result: Result) -> dict[str, object]:
     matches = result.answer.matches
     return {
-        "picture": str(result.query.path),
+        "image": str(result.query.path),
         "change": result.query.change,
         "place": result.query.place,
         "status": result.answer.status,

@@ -15,7 +15,7 @@ PLACES = (
     "rose garden", "castle park", "river meadow", "east corridor", "west corridor",
 )  # fmt: skip
 UNKNOWN_PLACES = ("foreign street", "unknown park")
-"""Places that are asked about and were never enrolled."""
+"""Places that are queried and were never enrolled."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ Step = Callable[[str], None]
 
 
 def drawn(folder: Path, step: Step) -> Material:
-    """Draw every place as it is enrolled (from two spots) and as it is asked about (elsewhere, later, obstructed)."""
+    """Draw every place as it is enrolled (from two spots) and as it is queried (elsewhere, later, obstructed)."""
     from scenes import scene
 
     enrolments, queries = [], []
@@ -67,17 +67,17 @@ def drawn(folder: Path, step: Step) -> Material:
         for number, look in enumerate((place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1):
             enrolments.append(Enrolment(_saved(look, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
         change, changed = _change(i, place)
-        queries.append(QueryRecord(_saved(changed, folder / "asked" / f"{_file(name)}.jpg"), name, change))
+        queries.append(QueryRecord(_saved(changed, folder / "queries" / f"{_file(name)}.jpg"), name, change))
         step(name)
     for name in UNKNOWN_PLACES:
-        path = _saved(scene(name), folder / "asked" / f"{_file(name)}.jpg")
+        path = _saved(scene(name), folder / "queries" / f"{_file(name)}.jpg")
         queries.append(QueryRecord(path, None, "never enrolled"))
         step(name)
     return Material(enrolments, queries)
 
 
 def _change(number: int, place: "Scene") -> "tuple[str, Scene]":
-    """A place as it is asked about, and how that differs from how it was enrolled; each of six ways in turn."""
+    """A place as it is queried, and how that differs from how it was enrolled; each of six ways in turn."""
     thing = "person" if place.kind == "corridor" else ("bus", "car")[number // 6 % 2]  # no vehicles indoors
     ways = (
         ("1 m aside, turned, dusk", place.seen_from(dx=1.0, turn=6).at("dusk")),
@@ -114,7 +114,7 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
     stride = max(1, len(enrolments) // 12)
     for i, enrolment in enumerate(enrolments[::stride][:12]):
         change, how = _ALTERATIONS[i % len(_ALTERATIONS)]
-        target = folder / "asked" / f"{i:02d}-{enrolment.path.stem}.jpg"
+        target = folder / "queries" / f"{i:02d}-{enrolment.path.stem}.jpg"
         target.parent.mkdir(parents=True, exist_ok=True)
         how(_opened(enrolment.path)).save(target, quality=88)
         queries.append(QueryRecord(target, enrolment.place, change))

@@ -46,7 +46,7 @@ def add(verbs: Verbs) -> None:
     worker = verbs.add_parser(
         "worker",
         help="describe enrolled pictures in a process of its own",
-        description="Describe enrolled pictures beside a service on the same data, so that it can answer questions. "
+        description="Describe enrolled pictures beside a service on the same data, so that it can answer queries. "
         "Run `serve` with REVISIT_INLINE_WORKER=false to leave all describing to workers.",
     )
     _common(worker)

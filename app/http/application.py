@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from worker.runtime import Runtime
 
 TAGS = [
-    {"name": "enrol and ask", "description": "The two questions revisit is for."},
+    {"name": "enrol and query", "description": "What revisit is for."},
     {"name": "views", "description": "Enrolled pictures and what was said about them."},
     {"name": "pictures", "description": "Views as pictures."},
     {"name": "maps", "description": "Named sets of views that are searched together."},

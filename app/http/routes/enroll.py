@@ -16,7 +16,7 @@ from app.http.problems import KINDS, URN, code_of
 from schemas.errors import Busy, InvalidParameters, RevisitError
 from schemas.wire import Enrolled, EnrolledMany, EnrolmentError, ProblemParameter
 
-router = APIRouter(tags=["enrol and ask"])
+router = APIRouter(tags=["enrol and query"])
 
 _LOCATION = {"Location": {"description": "The view, or the job that describes it.", "schema": {"type": "string"}}}
 _KEY: dict[str, Any] = {

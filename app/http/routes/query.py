@@ -11,7 +11,7 @@ from app.http.parameters import QueryParameters, read
 from schemas.errors import ParameterError
 from schemas.wire import QueryAnswer
 
-router = APIRouter(tags=["enrol and ask"])
+router = APIRouter(tags=["enrol and query"])
 
 
 @router.post(
