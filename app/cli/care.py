@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, FAILED, Progress, Verbs, show, show_json, size, speaks
+from app.cli.console import DONE, FAILED, Verbs, progress_bar, show, show_json, size, speaks
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
@@ -167,17 +167,14 @@ def _audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[s
     """Ask with enrolled pictures: each has to be its own best match, or tie with one that looks the same."""
     views = list(revisit.views(name, state="ready"))
     answers = views if every or len(views) <= SAMPLE else random.Random(0).sample(views, SAMPLE)
-    progress = None if quiet else Progress(len(answers), f"pictures of map {name} asked about themselves")
     lost = []
-    for view in answers:
-        matches = revisit.query(revisit.image(view.id), map=name, top=5).matches
-        best = [match.view.id for match in matches if match.score >= matches[0].score - 1e-6]
-        if view.id not in best:
-            lost.append(view.id)
-        if progress is not None:
-            progress.step()
-    if progress is not None:
-        progress.end()
+    with progress_bar(len(answers), f"images of map {name} queried for themselves", quiet=quiet) as step:
+        for view in answers:
+            matches = revisit.query(revisit.image(view.id), map=name, top=5).matches
+            best = [match.view.id for match in matches if match.score >= matches[0].score - 1e-6]
+            if view.id not in best:
+                lost.append(view.id)
+            step(view.id)
     return {"asked": len(answers), "found": len(answers) - len(lost), "lost": lost}
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import demo_images, images
-from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json, table, wrong_use
+from app.cli.console import DONE, FAILED, Verbs, progress_bar, say, show, show_json, table, wrong_use
 from app.cli.service import started
 
 if TYPE_CHECKING:
@@ -102,10 +102,8 @@ def _photos(folder: Path) -> list[Path]:
 
 def _drawn(output: Path) -> "Material":
     say(f"drawing {len(demo_images.PLACES)} places: streets, parks, corridors")
-    progress = Progress(len(demo_images.PLACES) + len(demo_images.UNKNOWN_PLACES), "places drawn")
-    material = demo_images.drawn(output, progress.step)
-    progress.end()
-    return material
+    with progress_bar(len(demo_images.PLACES) + len(demo_images.UNKNOWN_PLACES), "places drawn") as step:
+        return demo_images.drawn(output, step)
 
 
 def _own(photos: Sequence[Path], output: Path) -> "Material":
@@ -120,12 +118,11 @@ def _own(photos: Sequence[Path], output: Path) -> "Material":
 
 def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
     """Enrol all; returns the curl call of the first."""
-    progress = Progress(len(material.enrolments), "pictures enrolled")
     begun = time.monotonic()
-    for enrolment in material.enrolments:
-        revisit.enroll(enrolment.path, place=enrolment.place)
-        progress.step(enrolment.place)
-    progress.end()
+    with progress_bar(len(material.enrolments), "images enrolled") as step:
+        for enrolment in material.enrolments:
+            revisit.enroll(enrolment.path, place=enrolment.place)
+            step(enrolment.place)
     count, seconds = len(material.enrolments), time.monotonic() - begun
     say(f"enrolled {count} pictures of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
     first = material.enrolments[0]
@@ -140,18 +137,17 @@ def _asked(revisit: "Revisit", material: "Material", output: Path) -> tuple[list
     folder = output / "answers"
     folder.mkdir(exist_ok=True)
     results = []
-    progress = Progress(len(material.queries), "questions asked")
-    for number, query in enumerate(material.queries, start=1):
-        answer = revisit.query(query.path, top=3, explain=True)
-        results.append(Result(query, answer))
-        if answer.matches:
-            view = answer.matches[0].view.id
-            name = f"{number:02d}-{query.path.stem}"
-            (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
-            (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
-            (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
-        progress.step(query.path.name)
-    progress.end()
+    with progress_bar(len(material.queries), "queries answered") as step:
+        for number, query in enumerate(material.queries, start=1):
+            answer = revisit.query(query.path, top=3, explain=True)
+            results.append(Result(query, answer))
+            if answer.matches:
+                view = answer.matches[0].view.id
+                name = f"{number:02d}-{query.path.stem}"
+                (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
+                (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
+                (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
+            step(query.path.name)
     path = shlex.quote(str(material.queries[0].path))
     call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"
     return results, [call]

@@ -3,13 +3,13 @@
 import argparse
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli import images
-from app.cli.console import DONE, FAILED, Failure, Progress, Verbs, say, show, show_json, speaks, wrong_use
+from app.cli.console import DONE, FAILED, Failure, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -99,10 +99,10 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
     waiting: queue.SimpleQueue[tuple[Path, images.Known]] = queue.SimpleQueue()
     for item in work:
         waiting.put(item)
-    summary, progress, lock = Summary(), Progress(len(work), "pictures"), threading.Lock()
+    summary, lock = Summary(), threading.Lock()
     stop: list[Exception] = []
 
-    def send() -> None:
+    def send(step: Callable[[str], None]) -> None:
         while not stop:
             try:
                 path, known = waiting.get_nowait()
@@ -113,7 +113,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
             except (RevisitProblem, OSError) as error:
                 with lock:
                     summary.failed.append({"file": str(path), "reason": _reason(error)})
-                    progress.step()
+                    step(path.name)
                 continue
             except ClientError as error:
                 stop.append(error)
@@ -127,14 +127,14 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
                 summary.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
                 if view.state == "failed" and view.failure is not None:
                     summary.failed.append({"file": str(path), "reason": view.failure.detail})
-                progress.step(path.name)
+                step(path.name)
 
-    threads = [threading.Thread(target=send, daemon=True) for _ in range(min(parallel, len(work)))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    progress.end()
+    with progress_bar(len(work), "images") as step:
+        threads = [threading.Thread(target=send, args=(step,), daemon=True) for _ in range(min(parallel, len(work)))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
     if stop:
         done = summary.enrolled + summary.already_there
         raise Failure(f"{stop[0]}\n{done} of {len(work)} pictures are enrolled; run the same command again to go on")
