@@ -27,12 +27,12 @@ def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
         "demo",
-        help="see it work: enrol places, ask with other pictures of them",
-        description="Start a service in a temporary folder, enrol pictures of places, ask with other pictures of the "
+        help="see it work: enrol places, ask with other images of them",
+        description="Start a service in a temporary folder, enrol images of places, ask with other images of the "
         "same places, and say who was recognised. Without --photos the places are drawn.",
     )
     parser.add_argument("--photos", type=Path, metavar="DIR", help="use the photos of this folder")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where pictures go (default: a temporary folder)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="where images go (default: a temporary folder)")
     parser.add_argument("--keep", action="store_true", help="leave the service running until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
     parser.set_defaults(run=run)
@@ -96,7 +96,7 @@ def _photos(folder: Path) -> list[Path]:
         wrong_use(f"{folder}: there is no such folder")
     found = images.found([str(folder)])
     if len(found) < 2:
-        wrong_use(f"{folder}: needs at least two pictures, has {len(found)}")
+        wrong_use(f"{folder}: needs at least two images, has {len(found)}")
     return found
 
 
@@ -111,7 +111,7 @@ def _own(photos: Sequence[Path], output: Path) -> "Material":
     say(
         f"{len(material.enrolments)} of your {len(photos)} photos are enrolled, each as a place of its own. Asked are\n"
         "altered copies of some (cropped, turned, darker), which have to find their original, and the photos that\n"
-        "were held back: whether the place that they find is the same one, judge by the pictures."
+        "were held back: whether the place that they find is the same one, judge by the images."
     )
     return material
 
@@ -124,7 +124,7 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
             revisit.enroll(enrolment.path, place=enrolment.place)
             step(enrolment.place)
     count, seconds = len(material.enrolments), time.monotonic() - begun
-    say(f"enrolled {count} pictures of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
+    say(f"enrolled {count} images of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
     first = material.enrolments[0]
     return [
         f"curl -F image=@{shlex.quote(str(first.path))} -F place={shlex.quote(first.place)} {revisit.url}/enroll"
@@ -133,7 +133,7 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
 
 
 def _asked(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
-    """Ask every query, and keep the pictures that show why it was answered so."""
+    """Ask every query, and keep the images that show why it was answered so."""
     folder = output / "answers"
     folder.mkdir(exist_ok=True)
     results = []
@@ -174,8 +174,8 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
     show("\nthe calls it made:")
     for call in calls:
         show(f"  {call}")
-    show(f"\npictures: {output}")
-    show("  answers/*-why.png     question and match side by side, with what agrees")
+    show(f"\nimages: {output}")
+    show("  answers/*-why.png     query and match side by side, with what agrees")
     show("  answers/*-labels.png  what each part of the match was taken for")
     show("  answers/*-graph.png   its context graph")
 
@@ -190,7 +190,7 @@ def _confidence_line(unsure: int) -> str:
 def _facts(result: Result) -> dict[str, object]:
     matches = result.answer.matches
     return {
-        "picture": str(result.query.path),
+        "image": str(result.query.path),
         "change": result.query.change,
         "place": result.query.place,
         "status": result.answer.status,
