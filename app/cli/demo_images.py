@@ -1,4 +1,4 @@
-"""Pictures for the demo: drawn places, or the user's own photos, and queries whose answers are known."""
+"""Images for the demo: drawn places, or the user's own photos, and queries whose answers are known."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ UNKNOWN_PLACES = ("foreign street", "unknown park")
 
 @dataclass(frozen=True)
 class Enrolment:
-    """A picture to enrol, and the place it shows."""
+    """An image to enrol, and the place it shows."""
 
     path: Path
     place: str
@@ -28,7 +28,7 @@ class Enrolment:
 
 @dataclass(frozen=True)
 class QueryRecord:
-    """A picture to ask with.
+    """An image to ask with.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _opened(path: Path) -> "PilImage.Image":
 
 
 def _cropped(pil_image: "PilImage.Image", share: float, across: float, down: float) -> "PilImage.Image":
-    """A part of the picture: `share` of each side, at a position from 0 (left, top) to 1."""
+    """A part of the image: `share` of each side, at a position from 0 (left, top) to 1."""
     width, height = round(pil_image.width * share), round(pil_image.height * share)
     left, top = round((pil_image.width - width) * across), round((pil_image.height - height) * down)
     return pil_image.crop((left, top, left + width, top + height))

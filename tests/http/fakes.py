@@ -310,6 +310,13 @@ class FakeRecogniser:
     async def stop(self) -> None:
         self.events.append("stop")
 
+    async def jobs(self, map_name: str | None, **how: Any) -> wire.Jobs:
+        self.given = {"map": map_name, **how}
+        return wire.Jobs(jobs=[self._job("j1")], next=None)
+
+    async def change_ranking(self, name: str, changes: dict[str, Any]) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"ranking": {"id": "changed", **changes}})
+
 
 @dataclass
 class FakeRuntime:

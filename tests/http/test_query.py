@@ -75,6 +75,7 @@ ERRORS: list[tuple[dict[str, Any], list[str]]] = [
     ({"candidates": "-1"}, ["candidates"]),
     ({"explain": "si"}, ["explain"]),
     ({"drive": "monday"}, ["drive"]),  # until sequences of queries are remembered
+    ({"function-x": "1"}, ["function-x"]),
     ({"near": "1,2"}, ["near"]),
     ({"near": "1,2,x"}, ["near"]),
     ({"near": "1,2,0"}, ["near"]),
@@ -113,9 +114,17 @@ def test_a_parameter_that_cannot_be_used_is_named(
         assert sorted({e["parameter"] for e in answer.json()["errors"]}) == wrong
 
 
-def test_a_question_is_about_one_picture(client: CheckedClient) -> None:
+def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedClient) -> None:
+    answer = client.post("/query?drive=monday-7", content=photo(), headers=JPEG)
+    assert answer.json()["detail"] == (
+        "drive: is unknown; known are after, before, candidates, exclude, exclude_last, explain, frame, map, "
+        "metadata.KEY, near, place, top"
+    )
+
+
+def test_a_query_is_about_one_image(client: CheckedClient) -> None:
     answer = client.post("/query", files=[("image", photo(1)), ("image", photo(2))])
-    assert answer.json()["errors"] == [{"parameter": "image", "detail": "2 pictures; a question is about one"}]
+    assert answer.json()["errors"] == [{"parameter": "image", "detail": "2 images; a query is about one"}]
 
 
 def test_an_unknown_map_is_not_found(client: CheckedClient) -> None:
