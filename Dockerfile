@@ -21,6 +21,7 @@ COPY schemas schemas
 COPY worker worker
 COPY app app
 COPY client client
+COPY LICENSE LICENSE
 COPY deploy/in-container /usr/local/bin/revisit
 # Compiled once here, since the service's user cannot write beside the program.
 RUN .venv/bin/python -m compileall -q schemas worker app client && .venv/bin/python -m pip uninstall -q -y pip

@@ -23,7 +23,7 @@ class Canvas:
         width, height = camera.size
         self.colours: Pixels = background
         self.labels: Pixels = np.full((height, width), label, np.uint8)
-        self.nearness: npt.NDArray[np.float32] = np.zeros((height, width), np.float32)
+        self.closeness: npt.NDArray[np.float32] = np.zeros((height, width), np.float32)
 
     def draw(self, surface: Surface, light: SurfaceLight) -> None:
         """Draw a surface; `light` is given its texture (and glow) at the size that the picture needs."""
@@ -70,13 +70,13 @@ class Canvas:
         a, b, c = to_surface[2]
         columns = (a * np.arange(size[0]) + c).astype(np.float32)
         rows = (b * np.arange(size[1])).astype(np.float32)
-        nearness = rows[:, None] + columns[None, :]
+        closeness = rows[:, None] + columns[None, :]
         if isinstance(labels, int):
-            self._put(window, mask, nearness, colours, labels)
+            self._put(window, mask, closeness, colours, labels)
         else:
             flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
             warped = cv2.warpPerspective(labels, texel, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-            self._put(window, mask, nearness, colours, warped)
+            self._put(window, mask, closeness, colours, warped)
 
     def draw_sprite(self, sprite: Sprite, light: SpriteLight) -> None:
         """Draw a cut-out that faces the camera; `light` as in `draw`."""
@@ -98,8 +98,8 @@ class Canvas:
         texture = light(sprite, texture[top - low[1] : bottom - low[1], left - low[0] : right - low[0]])
         # Smaller leaves than pixels: their average cover, compared with a lower bar, keeps far crowns from thinning.
         mask = np.where(texture[..., 3] >= 100, 255, 0).astype(np.uint8)
-        nearness = np.full(mask.shape, 1 / depth, np.float32)
-        self._put(window, mask, nearness, texture[..., :3], sprite.label)
+        closeness = np.full(mask.shape, 1 / depth, np.float32)
+        self._put(window, mask, closeness, texture[..., :3], sprite.label)
 
     def _window(self, low: Vector, high: Vector) -> tuple[int, int, int, int] | None:
         width, height = self.camera.size
@@ -111,14 +111,14 @@ class Canvas:
         self,
         window: tuple[int, int, int, int],
         mask: Pixels,
-        nearness: npt.NDArray[np.float32],
+        closeness: npt.NDArray[np.float32],
         colours: Pixels,
         label: int | Pixels,
     ) -> None:
         left, top, right, bottom = window
         area = (slice(top, bottom), slice(left, right))
-        front = (mask > 0) & (nearness > self.nearness[area])
-        self.nearness[area][front] = nearness[front]
+        front = (mask > 0) & (closeness > self.closeness[area])
+        self.closeness[area][front] = closeness[front]
         self.colours[area][front] = colours[front]
         self.labels[area][front] = label if isinstance(label, int) else label[front]
 

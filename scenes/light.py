@@ -170,10 +170,10 @@ def sky(camera: Camera, day: Daylight, rng: np.random.Generator) -> Pixels:
     return materials.bounded(grown)
 
 
-def hazed(colours: Pixels, nearness: npt.NDArray[np.float32], day: Daylight) -> Pixels:
+def hazed(colours: Pixels, closeness: npt.NDArray[np.float32], day: Daylight) -> Pixels:
     """Distant things take on the colour of the horizon."""
-    depth = 1 / np.maximum(nearness, 1e-3)
-    share = np.where(nearness > 0, 1 - np.exp(-day.haze * np.maximum(depth - 4, 0)), 0).astype(np.float32)[..., None]
+    depth = 1 / np.maximum(closeness, 1e-3)
+    share = np.where(closeness > 0, 1 - np.exp(-day.haze * np.maximum(depth - 4, 0)), 0).astype(np.float32)[..., None]
     mixed = colours * (1 - share) + np.array(day.horizon, np.float32) * share
     return materials.bounded(mixed)
 

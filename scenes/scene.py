@@ -102,14 +102,14 @@ class Scene:
         labels : uint8 of shape (height, width)
             Index into `LABELS` of what is seen at each pixel.
         """
-        asked = replace(
+        varied = replace(
             self,
             viewpoint=viewpoint or self.viewpoint,
             light=light or self.light,
             things=self.things if things is None else things,
             size=size or self.size,
         )
-        return asked._drawn()
+        return varied._drawn()
 
     def _drawn(self) -> tuple[Pixels, Pixels]:
         place = _built(self.seed, self.kind)
@@ -128,7 +128,7 @@ class Scene:
             canvas.draw(surface, light.on)
         for sprite in [*place.sprites, *sprites]:
             canvas.draw_sprite(sprite, light.on_sprite)
-        colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.nearness, light.day)
+        colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.closeness, light.day)
         pixels = cv2.resize(colours, self.size, interpolation=cv2.INTER_AREA)
         labels = np.ascontiguousarray(canvas.labels[FINER // 2 :: FINER, FINER // 2 :: FINER])
         return developed(pixels, light.day, moment), labels

@@ -37,7 +37,7 @@ class Settings(BaseSettings):
     max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
     max_megapixels: float = Field(50, gt=0, description="Largest picture, in 10^6 pixels.")
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
-    queries: int = Field(32, ge=1, description="Questions that may wait before more are refused with 429.")
+    queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
     explanations: int = Field(200, ge=0, description="Latest queries whose explanation can still be drawn.")
     log: Literal["text", "json"] = Field("text", description="Form of log lines.")
     url: str = Field("http://127.0.0.1:8000", description="Service that the command line talks to.")

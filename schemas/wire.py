@@ -1,4 +1,4 @@
-"""What travels over HTTP: answers, and requests that are JSON, field by field."""
+"""What travels over HTTP as answers, field by field; `schemas.requests` has what is sent as JSON."""
 
 from datetime import datetime
 from typing import Annotated, Any, Literal
@@ -153,7 +153,9 @@ class DenseMatch(Answer):
         "channels, or of a channel alone, whichever has the view stand out more."
     )
     median_similarity: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
-    p85_similarity: float = Field(description="What 85 % of all candidates stay below: what wrong views get that look alike.")
+    p85_similarity: float = Field(
+        description="85th percentile over all candidates: what wrong views get that look alike."
+    )
     shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
     scale: float | None = Field(
         description="How much larger the view shows the place than the query, 0.5..2; null if not compared in full."
@@ -272,41 +274,6 @@ class MapFacts(Answer):
     vocabulary: dict[str, Any]
     extent: Extent | None
     created_at: Moment
-
-
-class PutMap(BaseModel):
-    """What a map is to be made with; what is left out is the service's default.
-
-    The texts of its refusals name the words, presets or parameters that exist.
-    """
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    labels: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, min_length=1, max_length=255, description="What pixels are labelled with, in order."
-    )
-    dynamic: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, max_length=255, description="Labels of things that move; their pixels never describe a place."
-    )
-    preset: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
-        None, description="Named set of parameters, such as `default` or `paper`.", examples=["default"]
-    )
-    parameters: dict[str, Any] | None = Field(
-        None, description="Description parameters that differ from the preset's.", examples=[{"local_features": 500}]
-    )
-    ranking: dict[str, Any] | None = Field(
-        None, description="Ranking parameters that differ from the preset's.", examples=[{"candidates": 100}]
-    )
-
-
-class PatchMap(BaseModel):
-    """What of a map changes at once: its ranking."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    ranking: dict[str, Any] = Field(
-        description="Ranking parameters to change; the others stay.", examples=[{"candidates": 100}]
-    )
 
 
 class Maps(Answer):

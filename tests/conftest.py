@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests import NUMPY_SPLITS_SUMS
+
 # A busy machine is slow, not wrong.
 settings.register_profile("revisit", deadline=None, max_examples=60, print_blob=True)
 settings.load_profile("revisit")
@@ -15,6 +17,21 @@ os.environ["PYTHONPATH"] = os.pathsep.join((str(ROOT), str(ROOT / "client")))  #
 
 SHARED = os.environ.pop("REVISIT_SHARED", None)
 """Taken out of the environment, where settings refuse a ``REVISIT_`` variable that they do not know."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of single folders: those that their own conftest declares are unknown when all tests are run."""
+    parser.addoption(
+        "--golden-exact",
+        action="store_true",
+        help="tests/golden: the same to the last bit as when recorded, on the machine that recorded",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse to compare bits that depend on the number of cores."""
+    if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
+        raise pytest.UsageError("--golden-exact needs OPENBLAS_NUM_THREADS=1: a plugin loads numpy before revisit does")
 
 
 @pytest.fixture(scope="session")

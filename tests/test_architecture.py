@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ MOST_LINES = 400
 BANNED = ("util", "utils", "helper", "helpers", "common", "misc")
 
 HEAVY = ("torch", "onnxruntime", "faiss", "sqlalchemy", "alembic")
-"""What takes long to load, and what the application must not depend on: it is loaded by worker.bootstrap, late."""
+"""What takes long to load, and what the application must not depend on: it is loaded by worker.runtime, late."""
 
 
 def sources() -> Iterator[Path]:
@@ -39,19 +40,50 @@ def test_imports_run_one_way() -> None:
 
 @pytest.mark.parametrize("module", ["app.http.application", "revisit_client", "schemas.wire"])
 def test_the_application_loads_without_what_is_heavy(module: str) -> None:
-    asked = f"import {module}, sys; print(*(set(sys.modules) & set({HEAVY!r})))"
-    loaded = run(sys.executable, "-W", "ignore", "-c", asked)
+    told = f"import {module}, sys; print(*(set(sys.modules) & set({HEAVY!r})))"
+    loaded = run(sys.executable, "-W", "ignore", "-c", told)
     assert loaded.returncode == 0, loaded.stderr
     assert loaded.stdout.split() == []
 
 
+def test_a_process_that_serves_loads_nothing_of_what_studies_it(tmp_path: Path) -> None:
+    """From settings to an application that has started and answered, as `serve` does it."""
+    served = (
+        "import sys, warnings; warnings.simplefilter('ignore')\n"
+        "from fastapi.testclient import TestClient\n"
+        "from app.cli import serve\n"
+        "from app.http.application import create_app\n"
+        "from schemas.settings import read_settings\n"
+        "from worker.runtime import build\n"
+        f"runtime = build(read_settings({{}}, data=__import__('pathlib').Path({str(tmp_path)!r}), encoder='color'))\n"
+        "with TestClient(create_app(runtime)) as client:\n"
+        "    assert client.get('/readyz').status_code == 200, client.get('/readyz').text\n"
+        "print(*sorted({name.partition('.')[0] for name in sys.modules} & {'lab', 'scenes', 'training', 'matplotlib'}))"
+    )
+    loaded = run(sys.executable, "-c", served)
+    assert loaded.returncode == 0, loaded.stderr
+    assert loaded.stdout.split() == []
+
+
+def test_the_image_holds_what_is_served_and_nothing_that_studies_it() -> None:
+    copied = re.findall(r"^COPY (?!--from)(\S+) ", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
+    assert {"app", "client", "schemas", "worker"} <= set(copied)
+    assert {"lab", "scenes", "training", "tests"}.isdisjoint(copied)
+    sent = (ROOT / ".dockerignore").read_text().splitlines()
+    assert sent[:2] == ["# Everything that the image does not need: what is not sent cannot end up in a layer.", "*"]
+    assert {"!lab", "!scenes", "!training", "!tests"}.isdisjoint(sent)
+
+
+def test_the_worker_has_at_most_eleven_entries() -> None:
+    entries = [path.name for path in (ROOT / "worker").iterdir() if path.name != "__pycache__"]
+    assert len(entries) <= 11, sorted(entries)
+
+
 @pytest.mark.parametrize("room", ["app", "worker", "lab"])
 def test_numpy_is_told_to_keep_to_one_thread_before_it_loads(room: str) -> None:
-    asked = f"import {room}, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    told = f"import {room}, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
     bare = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    told = subprocess.run(
-        [sys.executable, "-c", asked], cwd=ROOT, env=bare, capture_output=True, text=True, check=False
-    )
+    told = subprocess.run([sys.executable, "-c", told], cwd=ROOT, env=bare, capture_output=True, text=True, check=False)
     assert told.stdout.split() == ["1", "False"], told.stderr
 
 
@@ -70,7 +102,7 @@ def imported(path: Path) -> set[str]:
     ("room", "never"),
     [
         ("app", {"torch", "onnxruntime", "cv2", "faiss", "sqlalchemy", "alembic", "sqlite3"}),
-        ("worker", {"fastapi", "starlette", "uvicorn", "app"}),
+        ("worker", {"fastapi", "starlette", "uvicorn", "app", "lab", "scenes", "training"}),
         (
             "worker/method",
             {"torch", "onnxruntime", "cv2", "faiss", "PIL", "time", "datetime", "random", "os", "io", "pathlib"},

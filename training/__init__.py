@@ -1,1 +1,1 @@
-"""Training of the built-in encoder: run with `python -m training`."""
+"""Training of the built-in encoder: data, losses, models and the commands that use them; judged through `lab`."""

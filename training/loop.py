@@ -1,4 +1,4 @@
-"""The training run: step, learning rate, averaged weights, checkpoints and the log."""
+"""The training loop: steps, learning rate, averaged weights, checkpoints and the log."""
 
 import copy
 import json
@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 
 _HEADS = frozenset(("from16", "from8", "from4", "fuse", "refine", "sharpen", "words", "detail"))
+"""Names of modules that learn at the head rate; all others learn at the trunk rate."""
+
 _WARM_UP = 0.03
 
 
@@ -22,12 +24,18 @@ class Plan:
 
     Attributes
     ----------
-    minutes, steps
-        The run ends, its learning rate having sunk to nothing, at whichever comes first; 0 means no limit.
-    trunk_rate, head_rate
-        Greatest learning rates.
-    half
-        Compute in bfloat16 where that loses nothing.
+    minutes : float
+    steps : int
+        The run ends at whichever comes first; 0 means no limit. Its learning rate has then sunk to nearly 0.
+    trunk_rate, head_rate : float
+        Greatest learning rates of the pretrained layers and of the heads.
+    weight_decay : float
+    averaging : float
+        Share of the averaged weights that a step keeps.
+    log_every, checkpoint_every : int
+        Steps.
+    half : bool
+        Compute in bfloat16 where autocast does.
     """
 
     minutes: float = 0.0
@@ -41,23 +49,23 @@ class Plan:
     half: bool = False
 
     def progress(self, step: int, seconds: float) -> float:
-        """Say how much of the run is over, 0..1."""
+        """Give the share of the run that is over, 0..1; more than 1 past its end."""
         by_time = seconds / (60 * self.minutes) if self.minutes else 0.0
         by_steps = step / self.steps if self.steps else 0.0
         return max(by_time, by_steps)
 
     def rate(self, progress: float) -> float:
-        """Give the learning rate as a share of its greatest value: a short warm-up, then a cosine to nothing."""
+        """Give the learning rate as a share of its greatest value: a short warm-up, then a cosine to nearly 0."""
         rise = min(1.0, progress / _WARM_UP + 0.02)
         fall = max(0.0, progress - _WARM_UP) / (1 - _WARM_UP)
         return rise * (0.5 * (1 + math.cos(math.pi * min(1.0, fall))) + 0.002)
 
 
 class Objective(Protocol):
-    """What a run makes smaller: a `torch.nn.Module` that holds the network, or another thing that can be moved."""
+    """What a run minimises: a `torch.nn.Module` that holds the network and its losses."""
 
     def __call__(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Give the sum to make smaller, and the numbers to log."""
+        """Give the scalar to minimise, and the scalars to log."""
         ...
 
     def to(self, device: torch.device) -> "Objective":
@@ -66,22 +74,34 @@ class Objective(Protocol):
 
 
 class Run:
-    """A training run that can be stopped after any step and taken up again.
+    """A training run that can be stopped after any step and resumed.
 
     Parameters
     ----------
-    network
+    network : Module
         What to train; changed in place. Parameters that need no gradient stay as they are.
-    objective
-        From a batch to what is to sink, and to the parts that the log shows. It is moved to the device too.
-    folder
+    objective : Objective
+        Moved to the device.
+    plan : Plan
+    folder : Path
         Gets ``checkpoint.pt`` and ``log.jsonl``.
+    device : str
+        ``cpu``, ``cuda``, ...
+
+    Attributes
+    ----------
+    average : Module
+        The network with exponentially averaged weights: what is exported.
+    step : int
+        Steps taken.
+    seconds : float
+        Time spent training, without pauses.
     """
 
     def __init__(
         self,
         network: nn.Module,
-        objective: "Objective",
+        objective: Objective,
         plan: Plan,
         folder: Path,
         *,
@@ -105,7 +125,7 @@ class Run:
         )
 
     def train(self, batches: Iterator[dict[str, Tensor]]) -> None:
-        """Step until the plan is done or `stop` is called, leaving a checkpoint behind."""
+        """Take steps until the plan is done or `stop` is called; leaves a checkpoint."""
         began = time.monotonic() - self.seconds
         while (progress := self.plan.progress(self.step, self.seconds)) < 1 and not self._stopped:
             self._take_step(next(batches), progress)
@@ -117,7 +137,7 @@ class Run:
         self.save()
 
     def stop(self) -> None:
-        """End `train` after the step at hand, leaving a checkpoint to go on from."""
+        """End `train` after the present step; it leaves a checkpoint to resume from."""
         self._stopped = True
 
     def _take_step(self, batch: dict[str, Tensor], progress: float) -> None:
@@ -144,7 +164,11 @@ class Run:
             log.write(json.dumps(line) + "\n")
 
     def save(self) -> None:
-        """Write ``checkpoint.pt``, whole or not at all."""
+        """Write ``checkpoint.pt``, whole or not at all.
+
+        It holds ``network``, ``average`` and ``optimizer`` (state dicts), ``sums`` (of the losses not yet logged),
+        ``step``, ``seconds``, ``plan`` and ``random`` (torch's state).
+        """
         content: dict[str, Any] = {
             "network": self.network.state_dict(),
             "average": self.average.state_dict(),
@@ -161,7 +185,7 @@ class Run:
         partial.replace(path)
 
     def resume(self) -> None:
-        """Take up the run that `save` wrote; the plan may have changed since."""
+        """Go on with the run that `save` wrote; the plan may have changed since."""
         content = torch.load(self._folder / "checkpoint.pt", map_location=self.device, weights_only=True)
         self.network.load_state_dict(content["network"])
         self.average.load_state_dict(content["average"])

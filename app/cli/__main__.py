@@ -71,6 +71,8 @@ def _foreseen(error: Exception) -> str | None:
 
     if isinstance(error, ClientError | RevisitError | TimeoutError):
         return str(error)
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in ("lab", "scenes", "training"):
+        return "this installation holds the service alone; run this command in a checkout of the repository"
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return None

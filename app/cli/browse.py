@@ -21,7 +21,7 @@ def add(verbs: Verbs) -> None:
     views.add_argument("--state", choices=("pending", "ready", "failed"))
     views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
     views.add_argument("--newest", action="store_true", help="newest first")
-    views.add_argument("--delete", action="store_true", help="delete the named view and its picture")
+    views.add_argument("--delete", action="store_true", help="delete the named view and its image")
     for kind in ("image", "segmentation", "graph"):
         views.add_argument(f"--{kind}", type=Path, metavar="FILE", help=f"write the named view's {kind} to a file")
     speaks(views)
@@ -47,7 +47,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
-                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} pictures")
+                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} images")
             return DONE
         maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
     if arguments.json:
@@ -55,14 +55,13 @@ def run_maps(arguments: argparse.Namespace) -> int:
         show_json(found if arguments.name is None else found[0])
         return DONE
     if not maps:
-        show("nothing is enrolled yet: `./revisit enroll PICTURE...`")
+        show("nothing is enrolled yet: `./revisit enroll IMAGE...`")
         return DONE
-    heads = ("map", "ready", "pending", "failed", "places", "pictures", "revision", "preset", "encoder")
+    heads = ("map", "ready", "pending", "failed", "places", "images", "revision", "preset", "encoder")
     rows = []
     for facts in maps:
         counts = [facts.views.get(state, 0) for state in ("ready", "pending", "failed")]
-        recipe = facts.recipe
-        kind = (recipe.get("preset"), recipe.get("encoder"))
+        kind = (facts.ranking.get("preset"), facts.recipe.get("encoder"))
         rows.append((facts.name, *counts, facts.places, size(facts.bytes), facts.revision, *kind))
     show(table(heads, rows))
     if arguments.name is not None:
@@ -90,7 +89,7 @@ def run_views(arguments: argparse.Namespace) -> int:
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
-                show(f"deleted {arguments.id}: {receipt.images} pictures")
+                show(f"deleted {arguments.id}: {receipt.images} images")
             return DONE
         for kind, path in drawn.items():
             if path is not None:
@@ -113,7 +112,7 @@ def run_views(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show_json([view.model_dump(mode="json") for view in views])
         return DONE
-    heads = ("view", "map", "place", "state", "enrolled", "position", "picture")
+    heads = ("view", "map", "place", "state", "enrolled", "position", "image")
     rows = [
         (
             view.id,

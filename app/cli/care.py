@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, FAILED, Progress, Verbs, show, show_json, size, speaks
+from app.cli.console import DONE, FAILED, Verbs, progress_bar, show, show_json, size, speaks
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
@@ -31,14 +31,12 @@ def add(verbs: Verbs) -> None:
 
     doctor = verbs.add_parser(
         "doctor",
-        help="versions, limits, the state of the data, and whether every enrolled picture finds itself",
+        help="versions, limits, the state of the data, and whether every enrolled image finds itself",
         description="Look at this installation and, when a service is running, at what it knows: every enrolled "
-        "picture has to find itself. Exit code 1 when something is wrong.",
+        "image has to find itself. Exit code 1 when something is wrong.",
     )
     doctor.add_argument("--data", type=Path)
-    doctor.add_argument(
-        "--all", action="store_true", help=f"ask with every enrolled picture, not with {SAMPLE} of a map"
-    )
+    doctor.add_argument("--all", action="store_true", help=f"ask with every enrolled image, not with {SAMPLE} of a map")
     speaks(doctor)
     doctor.set_defaults(run=run_doctor)
 
@@ -69,7 +67,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
             "body_mb": settings.max_body_mb,
             "megapixels": settings.max_megapixels,
             "queue": settings.queue,
-            "questions": settings.queries,
+            "queries": settings.queries,
         },
         "data": _data(settings, findings),
         "service": _service(arguments, findings),
@@ -134,7 +132,7 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
 
 
 def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, Any]:
-    """What the running service says of itself, and whether enrolled pictures find themselves."""
+    """What the running service says of itself, and whether enrolled images find themselves."""
     from revisit_client import ClientError, Revisit, Unreachable
 
     with Revisit(arguments.url, patience=10) as revisit:
@@ -157,27 +155,24 @@ def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, An
             if failed:
                 findings.append(f"map {facts.name}: {failed} views failed; `./revisit views --state failed` says why")
             if audit["lost"]:
-                findings.append(f"map {facts.name}: {len(audit['lost'])} pictures do not find themselves")
+                findings.append(f"map {facts.name}: {len(audit['lost'])} images do not find themselves")
             if waiting:
                 report["maps"][facts.name]["lag"] = f"{waiting} views wait to be described"
     return report
 
 
 def _audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[str, Any]:
-    """Ask with enrolled pictures: each has to be its own best match, or tie with one that looks the same."""
+    """Ask with enrolled images: each has to be its own best match, or tie with one that looks the same."""
     views = list(revisit.views(name, state="ready"))
     answers = views if every or len(views) <= SAMPLE else random.Random(0).sample(views, SAMPLE)
-    progress = None if quiet else Progress(len(answers), f"pictures of map {name} asked about themselves")
     lost = []
-    for view in answers:
-        matches = revisit.query(revisit.image(view.id), map=name, top=5).matches
-        best = [match.view.id for match in matches if match.score >= matches[0].score - 1e-6]
-        if view.id not in best:
-            lost.append(view.id)
-        if progress is not None:
-            progress.step()
-    if progress is not None:
-        progress.end()
+    with progress_bar(len(answers), f"images of map {name} queried for themselves", quiet=quiet) as step:
+        for view in answers:
+            matches = revisit.query(revisit.image(view.id), map=name, top=5).matches
+            best = [match.view.id for match in matches if match.score >= matches[0].score - 1e-6]
+            if view.id not in best:
+                lost.append(view.id)
+            step(view.id)
     return {"asked": len(answers), "found": len(answers) - len(lost), "lost": lost}
 
 
@@ -195,7 +190,7 @@ def _tell(report: dict[str, Any]) -> None:
             show(f"  {name:24} {value}")
     for name, facts in service.get("maps", {}).items():
         counts = ", ".join(f"{count} {state}" for state, count in facts["views"].items())
-        show(f"  map {name:20} {counts}; {facts['found']} of {facts['asked']} pictures find themselves")
+        show(f"  map {name:20} {counts}; {facts['found']} of {facts['asked']} images find themselves")
     show("findings")
     for finding in report["findings"] or ["none: all is well"]:
         show(f"  {finding}")

@@ -3,9 +3,10 @@
 import argparse
 import json
 import sys
-import time
-from collections.abc import Sequence
-from typing import Any, NoReturn, TextIO, TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from typing import Any, NoReturn, TypeAlias
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit codes: as asked, tried and failed, asked wrongly."""
@@ -74,43 +75,43 @@ def size(count: float) -> str:
     return f"{count:.1f} TB"
 
 
-class Progress:
-    """How far a long command is, on stderr: a bar on a terminal, elsewhere a line now and then."""
+@contextmanager
+def progress_bar(total: int, what: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+    """How far a long command is, on stderr: a bar on a terminal, elsewhere a line for each tenth.
 
-    WIDTH = 28
+    Parameters
+    ----------
+    total : int
+        How many there are to do.
+    what : str
+        Of what.
+    quiet : bool
+        Show nothing.
 
-    def __init__(self, total: int, what: str, stream: TextIO | None = None) -> None:
-        self.total, self.what = total, what
-        self._stream = stream or sys.stderr
-        self._bar = self._stream.isatty()
-        self._done, self._begun, self._shown = 0, time.monotonic(), -1.0
+    Yields
+    ------
+    function of str
+        To be called when one more is done, with what it was; from any thread, one at a time.
+    """
+    # Before set-up the command line has to be able to tell its help.
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    def step(self, note: str = "") -> None:
-        """One more is done."""
-        self._done += 1
-        now = time.monotonic()
-        pause = 0.1 if self._bar else 5.0
-        if now - self._shown < pause and self._done < self.total:
-            return
-        self._shown = now
-        rate = self._done / max(now - self._begun, 1e-6)
-        left = (self.total - self._done) / rate
-        text = f"{self._done}/{self.total} {self.what}, {rate:.1f}/s"
-        if self._done < self.total:
-            text += f", {left:.0f} s left"
-        if self._bar:
-            filled = self.WIDTH * self._done // max(self.total, 1)
-            bar = "#" * filled + "." * (self.WIDTH - filled)
-            self._stream.write(f"\r[{bar}] {text} {note}"[:110].ljust(110))
-        else:
-            self._stream.write(f"{text}\n")
-        self._stream.flush()
+    columns = (MofNCompleteColumn(), TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    note = TextColumn("{task.fields[note]}", markup=False)
+    console = Console(stderr=True)
+    lines = not quiet and not console.is_terminal
+    # Standard output is left as it is: results may be piped somewhere.
+    with Progress(*columns, note, console=console, redirect_stdout=False, disable=quiet or lines) as bars:
+        task, numbers = bars.add_task(what, total=total, note=""), count(1)
 
-    def end(self) -> None:
-        """Leave the bar's line."""
-        if self._bar and self._done:
-            self._stream.write("\n")
-            self._stream.flush()
+        def step(note: str) -> None:
+            done = next(numbers)
+            bars.update(task, completed=done, note=note)
+            if lines and 10 * done // total > 10 * (done - 1) // total:
+                say(f"{done}/{total} {what}")
+
+        yield step
 
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"

@@ -1,4 +1,4 @@
-"""``revisit demo``: a service, places enrolled over HTTP, the same places asked about, and what came of it."""
+"""``revisit demo``: a service, places enrolled over HTTP, the same places queried, and what came of it."""
 
 import argparse
 import shlex
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import demo_images, images
-from app.cli.console import DONE, FAILED, Progress, Verbs, say, show, show_json, table, wrong_use
+from app.cli.console import DONE, FAILED, Verbs, progress_bar, say, show, show_json, table, wrong_use
 from app.cli.service import started
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
         "demo",
-        help="see it work: enrol places, ask with other pictures of them",
-        description="Start a service in a temporary folder, enrol pictures of places, ask with other pictures of the "
+        help="see it work: enrol places, ask with other images of them",
+        description="Start a service in a temporary folder, enrol images of places, ask with other images of the "
         "same places, and say who was recognised. Without --photos the places are drawn.",
     )
     parser.add_argument("--photos", type=Path, metavar="DIR", help="use the photos of this folder")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where pictures go (default: a temporary folder)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="where images go (default: a temporary folder)")
     parser.add_argument("--keep", action="store_true", help="leave the service running until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
     parser.set_defaults(run=run)
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"a service runs at {url} on data in {folder}")
         with Revisit(url) as revisit:
             calls = _enrolled(revisit, material)
-            results, answers = _asked(revisit, material, output)
+            results, answers = _queried(revisit, material, output)
         right = [result.is_right for result in results if result.query.place is not None]
         passed = sum(map(bool, right)) >= MOST * len(right)
         if arguments.json:
@@ -96,16 +96,14 @@ def _photos(folder: Path) -> list[Path]:
         wrong_use(f"{folder}: there is no such folder")
     found = images.found([str(folder)])
     if len(found) < 2:
-        wrong_use(f"{folder}: needs at least two pictures, has {len(found)}")
+        wrong_use(f"{folder}: needs at least two images, has {len(found)}")
     return found
 
 
 def _drawn(output: Path) -> "Material":
     say(f"drawing {len(demo_images.PLACES)} places: streets, parks, corridors")
-    progress = Progress(len(demo_images.PLACES) + len(demo_images.UNKNOWN_PLACES), "places drawn")
-    material = demo_images.drawn(output, progress.step)
-    progress.end()
-    return material
+    with progress_bar(len(demo_images.PLACES) + len(demo_images.UNKNOWN_PLACES), "places drawn") as step:
+        return demo_images.drawn(output, step)
 
 
 def _own(photos: Sequence[Path], output: Path) -> "Material":
@@ -113,21 +111,20 @@ def _own(photos: Sequence[Path], output: Path) -> "Material":
     say(
         f"{len(material.enrolments)} of your {len(photos)} photos are enrolled, each as a place of its own. Asked are\n"
         "altered copies of some (cropped, turned, darker), which have to find their original, and the photos that\n"
-        "were held back: whether the place that they find is the same one, judge by the pictures."
+        "were held back: whether the place that they find is the same one, judge by the images."
     )
     return material
 
 
 def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
     """Enrol all; returns the curl call of the first."""
-    progress = Progress(len(material.enrolments), "pictures enrolled")
     begun = time.monotonic()
-    for enrolment in material.enrolments:
-        revisit.enroll(enrolment.path, place=enrolment.place)
-        progress.step(enrolment.place)
-    progress.end()
+    with progress_bar(len(material.enrolments), "images enrolled") as step:
+        for enrolment in material.enrolments:
+            revisit.enroll(enrolment.path, place=enrolment.place)
+            step(enrolment.place)
     count, seconds = len(material.enrolments), time.monotonic() - begun
-    say(f"enrolled {count} pictures of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
+    say(f"enrolled {count} images of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
     first = material.enrolments[0]
     return [
         f"curl -F image=@{shlex.quote(str(first.path))} -F place={shlex.quote(first.place)} {revisit.url}/enroll"
@@ -135,23 +132,22 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
     ]
 
 
-def _asked(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
-    """Ask every query, and keep the pictures that show why it was answered so."""
+def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
+    """Send every query, and keep the images that show why it was answered so."""
     folder = output / "answers"
     folder.mkdir(exist_ok=True)
     results = []
-    progress = Progress(len(material.queries), "questions asked")
-    for number, query in enumerate(material.queries, start=1):
-        answer = revisit.query(query.path, top=3, explain=True)
-        results.append(Result(query, answer))
-        if answer.matches:
-            view = answer.matches[0].view.id
-            name = f"{number:02d}-{query.path.stem}"
-            (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
-            (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
-            (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
-        progress.step(query.path.name)
-    progress.end()
+    with progress_bar(len(material.queries), "queries answered") as step:
+        for number, query in enumerate(material.queries, start=1):
+            answer = revisit.query(query.path, top=3, explain=True)
+            results.append(Result(query, answer))
+            if answer.matches:
+                view = answer.matches[0].view.id
+                name = f"{number:02d}-{query.path.stem}"
+                (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
+                (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
+                (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
+            step(query.path.name)
     path = shlex.quote(str(material.queries[0].path))
     call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"
     return results, [call]
@@ -173,13 +169,13 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
                 mark,
             )
         )
-    heads = ("asked with", "what is different", "most alike", "score", "confidence", "verdict", "right")
+    heads = ("query", "what is different", "most alike", "score", "confidence", "verdict", "right")
     show("\n" + table(heads, rows))
     show("\nthe calls it made:")
     for call in calls:
         show(f"  {call}")
-    show(f"\npictures: {output}")
-    show("  answers/*-why.png     question and match side by side, with what agrees")
+    show(f"\nimages: {output}")
+    show("  answers/*-why.png     query and match side by side, with what agrees")
     show("  answers/*-labels.png  what each part of the match was taken for")
     show("  answers/*-graph.png   its context graph")
 
@@ -194,7 +190,7 @@ def _confidence_line(unsure: int) -> str:
 def _facts(result: Result) -> dict[str, object]:
     matches = result.answer.matches
     return {
-        "picture": str(result.query.path),
+        "image": str(result.query.path),
         "change": result.query.change,
         "place": result.query.place,
         "status": result.answer.status,

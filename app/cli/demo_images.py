@@ -1,4 +1,4 @@
-"""Pictures for the demo: drawn places, or the user's own photos, and queries whose answers are known."""
+"""Images for the demo: drawn places, or the user's own photos, and queries whose answers are known."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ PLACES = (
     "rose garden", "castle park", "river meadow", "east corridor", "west corridor",
 )  # fmt: skip
 UNKNOWN_PLACES = ("foreign street", "unknown park")
-"""Places that are asked about and were never enrolled."""
+"""Places that are queried and were never enrolled."""
 
 
 @dataclass(frozen=True)
 class Enrolment:
-    """A picture to enrol, and the place it shows."""
+    """An image to enrol, and the place it shows."""
 
     path: Path
     place: str
@@ -28,7 +28,7 @@ class Enrolment:
 
 @dataclass(frozen=True)
 class QueryRecord:
-    """A picture to ask with.
+    """An image to ask with.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ Step = Callable[[str], None]
 
 
 def drawn(folder: Path, step: Step) -> Material:
-    """Draw every place as it is enrolled (from two spots) and as it is asked about (elsewhere, later, obstructed)."""
+    """Draw every place as it is enrolled (from two spots) and as it is queried (elsewhere, later, obstructed)."""
     from scenes import scene
 
     enrolments, queries = [], []
@@ -67,17 +67,17 @@ def drawn(folder: Path, step: Step) -> Material:
         for number, look in enumerate((place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1):
             enrolments.append(Enrolment(_saved(look, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
         change, changed = _change(i, place)
-        queries.append(QueryRecord(_saved(changed, folder / "asked" / f"{_file(name)}.jpg"), name, change))
+        queries.append(QueryRecord(_saved(changed, folder / "queries" / f"{_file(name)}.jpg"), name, change))
         step(name)
     for name in UNKNOWN_PLACES:
-        path = _saved(scene(name), folder / "asked" / f"{_file(name)}.jpg")
+        path = _saved(scene(name), folder / "queries" / f"{_file(name)}.jpg")
         queries.append(QueryRecord(path, None, "never enrolled"))
         step(name)
     return Material(enrolments, queries)
 
 
 def _change(number: int, place: "Scene") -> "tuple[str, Scene]":
-    """A place as it is asked about, and how that differs from how it was enrolled; each of six ways in turn."""
+    """A place as it is queried, and how that differs from how it was enrolled; each of six ways in turn."""
     thing = "person" if place.kind == "corridor" else ("bus", "car")[number // 6 % 2]  # no vehicles indoors
     ways = (
         ("1 m aside, turned, dusk", place.seen_from(dx=1.0, turn=6).at("dusk")),
@@ -114,7 +114,7 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
     stride = max(1, len(enrolments) // 12)
     for i, enrolment in enumerate(enrolments[::stride][:12]):
         change, how = _ALTERATIONS[i % len(_ALTERATIONS)]
-        target = folder / "asked" / f"{i:02d}-{enrolment.path.stem}.jpg"
+        target = folder / "queries" / f"{i:02d}-{enrolment.path.stem}.jpg"
         target.parent.mkdir(parents=True, exist_ok=True)
         how(_opened(enrolment.path)).save(target, quality=88)
         queries.append(QueryRecord(target, enrolment.place, change))
@@ -134,7 +134,7 @@ def _opened(path: Path) -> "PilImage.Image":
 
 
 def _cropped(pil_image: "PilImage.Image", share: float, across: float, down: float) -> "PilImage.Image":
-    """A part of the picture: `share` of each side, at a position from 0 (left, top) to 1."""
+    """A part of the image: `share` of each side, at a position from 0 (left, top) to 1."""
     width, height = round(pil_image.width * share), round(pil_image.height * share)
     left, top = round((pil_image.width - width) * across), round((pil_image.height - height) * down)
     return pil_image.crop((left, top, left + width, top + height))

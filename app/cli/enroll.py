@@ -1,15 +1,15 @@
-"""``revisit enroll``: enrol pictures, folders of them, with what is known of each; goes on where it was stopped."""
+"""``revisit enroll``: enrol images, folders of them, with what is known of each; goes on where it was stopped."""
 
 import argparse
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli import images
-from app.cli.console import DONE, FAILED, Failure, Progress, Verbs, say, show, show_json, speaks, wrong_use
+from app.cli.console import DONE, FAILED, Failure, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Summary:
-    """What became of the pictures."""
+    """What became of the images."""
 
     enrolled: int = 0
     already_there: int = 0
@@ -29,26 +29,26 @@ def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
         "enroll",
-        help="enrol pictures or folders of pictures",
-        description="Enrol pictures. What is in the map already is left as it is: run the same again to go on.",
+        help="enrol images or folders of images",
+        description="Enrol images. What is in the map already is left as it is: run the same again to go on.",
     )
-    parser.add_argument("paths", nargs="+", metavar="PATH", help="picture, folder (with all inside) or glob")
+    parser.add_argument("paths", nargs="+", metavar="PATH", help="image, folder (with all inside) or glob")
     parser.add_argument("--map", help="map to enrol into (default: default)")
-    parser.add_argument("--place", help="your name for the spot that all these pictures show")
+    parser.add_argument("--place", help="your name for the spot that all these images show")
     parser.add_argument(
-        "--place-from-folder", action="store_true", help="take the name of each picture's folder as its place"
+        "--place-from-folder", action="store_true", help="take the name of each image's folder as its place"
     )
     parser.add_argument(
         "--positions", type=Path, metavar="CSV", help="columns file and x,y[,z] or lat,lon[,alt]; heading, place"
     )
-    parser.add_argument("--exif", action="store_true", help="take position, heading and time from the pictures' EXIF")
-    parser.add_argument("--parallel", type=int, default=4, metavar="N", help="pictures sent at once (default: 4)")
+    parser.add_argument("--exif", action="store_true", help="take position, heading and time from the images' EXIF")
+    parser.add_argument("--parallel", type=int, default=4, metavar="N", help="images sent at once (default: 4)")
     speaks(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Enrol; 1 when some pictures were refused."""
+    """Enrol; 1 when some images were refused."""
     from revisit_client import Revisit
 
     if not 1 <= arguments.parallel <= 64:
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]:
-    """Each picture with what is said about it: the CSV over EXIF, both over what is said of all."""
+    """Each image with what is said about it: the CSV over EXIF, both over what is said of all."""
     positions = None if arguments.positions is None else images.Positions(arguments.positions)
     work, unlisted = [], 0
     for path in images.found(arguments.paths):
@@ -86,23 +86,23 @@ def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]
         work.append((path, known))
     if positions is not None:
         if unlisted:
-            say(f"{unlisted} of {len(work)} pictures are not in {positions.path}; they are enrolled without position")
+            say(f"{unlisted} of {len(work)} images are not in {positions.path}; they are enrolled without position")
         if unused := positions.unused():
-            say(f"{len(unused)} rows of {positions.path} name no picture given here, such as {unused[0]}")
+            say(f"{len(unused)} rows of {positions.path} name no image given here, such as {unused[0]}")
     return work
 
 
 def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], parallel: int) -> Summary:
-    """Send pictures, several at once: the service describes together what arrives together."""
+    """Send images, several at once: the service describes together what arrives together."""
     from revisit_client import ClientError, RevisitProblem
 
     waiting: queue.SimpleQueue[tuple[Path, images.Known]] = queue.SimpleQueue()
     for item in work:
         waiting.put(item)
-    summary, progress, lock = Summary(), Progress(len(work), "pictures"), threading.Lock()
+    summary, lock = Summary(), threading.Lock()
     stop: list[Exception] = []
 
-    def send() -> None:
+    def send(step: Callable[[str], None]) -> None:
         while not stop:
             try:
                 path, known = waiting.get_nowait()
@@ -113,7 +113,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
             except (RevisitProblem, OSError) as error:
                 with lock:
                     summary.failed.append({"file": str(path), "reason": _reason(error)})
-                    progress.step()
+                    step(path.name)
                 continue
             except ClientError as error:
                 stop.append(error)
@@ -127,17 +127,17 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
                 summary.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
                 if view.state == "failed" and view.failure is not None:
                     summary.failed.append({"file": str(path), "reason": view.failure.detail})
-                progress.step(path.name)
+                step(path.name)
 
-    threads = [threading.Thread(target=send, daemon=True) for _ in range(min(parallel, len(work)))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    progress.end()
+    with progress_bar(len(work), "images") as step:
+        threads = [threading.Thread(target=send, args=(step,), daemon=True) for _ in range(min(parallel, len(work)))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
     if stop:
         done = summary.enrolled + summary.already_there
-        raise Failure(f"{stop[0]}\n{done} of {len(work)} pictures are enrolled; run the same command again to go on")
+        raise Failure(f"{stop[0]}\n{done} of {len(work)} images are enrolled; run the same command again to go on")
     order = {str(path): i for i, (path, _) in enumerate(work)}
     summary.failed.sort(key=lambda failure: order[failure["file"]])
     summary.views.sort(key=lambda view: order[view["file"]])

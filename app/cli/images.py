@@ -1,4 +1,4 @@
-"""Which pictures are meant, and what is known about them: folders, globs, CSV files of positions, EXIF."""
+"""Which images are meant, and what is known about them: folders, globs, CSV files of positions, EXIF."""
 
 import csv
 import glob
@@ -15,16 +15,16 @@ NUMBERS = ("x", "y", "z", "lat", "lon", "alt", "heading")
 TEXTS = ("place", "captured_at")
 
 Known = dict[str, Any]
-"""Arguments of `Revisit.enroll` that are known of one picture."""
+"""Arguments of `Revisit.enroll` that are known of one image."""
 
 
 def found(paths: Sequence[str]) -> list[Path]:
-    """Pictures that paths, folders (with all inside) and globs mean, each once, by name within each argument.
+    """Images that paths, folders (with all inside) and globs mean, each once, by name within each argument.
 
     Raises
     ------
     Failure
-        Something named does not exist, or holds no picture.
+        Something named does not exist, or holds no image.
     """
     images: dict[Path, None] = {}
     for text in paths:
@@ -38,7 +38,7 @@ def found(paths: Sequence[str]) -> list[Path]:
             if not inside and not glob.has_magic(text):
                 wrong_use(f"{text}: there is no such file or folder")
         if not inside:
-            wrong_use(f"{text}: no pictures there ({', '.join(sorted(SUFFIXES))})")
+            wrong_use(f"{text}: no images there ({', '.join(sorted(SUFFIXES))})")
         images |= dict.fromkeys(inside)
     return list(images)
 
@@ -46,7 +46,7 @@ def found(paths: Sequence[str]) -> list[Path]:
 class Positions:
     """A CSV file of what is known: a column `file`, and x,y[,z] or lat,lon[,alt], heading, place, captured_at.
 
-    A row belongs to the pictures whose path ends with its `file`.
+    A row belongs to the images whose path ends with its `file`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -81,7 +81,7 @@ class Positions:
         return known
 
     def of(self, image: Path) -> Known | None:
-        """What is known of a picture; None when no row is about it."""
+        """What is known of an image; None when no row is about it."""
         parts = image.resolve().as_posix().split("/")
         for begin in range(len(parts)):  # the longest ending first: the most particular row
             name = "/".join(parts[begin:])
@@ -91,12 +91,12 @@ class Positions:
         return None
 
     def unused(self) -> list[str]:
-        """Files of rows that no picture was found for."""
+        """Files of rows that no image was found for."""
         return sorted(self._rows.keys() - self._used)
 
 
 def from_exif(path: Path) -> Known:
-    """Position, heading and time that the camera wrote into a picture; empty when it wrote none."""
+    """Position, heading and time that the camera wrote into an image; empty when it wrote none."""
     from PIL import ExifTags, UnidentifiedImageError
     from PIL import Image as PilImage
 

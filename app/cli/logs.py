@@ -1,4 +1,4 @@
-"""Log lines: text for people, JSON for machines. Events with fields, never picture bytes."""
+"""Log lines: text for people, JSON for machines. Events with fields, never image bytes."""
 
 import json
 import logging

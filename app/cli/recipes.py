@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from app.cli.console import DONE, Verbs, say, show, show_json, speaks, wrong_use
 
@@ -23,14 +23,15 @@ def add(verbs: Verbs) -> None:
     recipe = verbs.add_parser(
         "recipe",
         help="show a map's recipe, or change it",
-        description="Show a map's recipe. With any of the options its views are described anew; until that is done, "
-        "questions are answered by the old recipe.",
+        description="Show a map's recipe and ranking. With --ranking alone the next query is ranked by it; with any "
+        "other option the views are described anew, and queries are answered by the old recipe until that is done.",
     )
     recipe.add_argument("--map", default="default")
     recipe.add_argument("--preset", help="named set of parameters, such as default or paper")
-    recipe.add_argument("--labels", metavar="WORD,WORD,...", help="words that pixels are labelled with")
-    recipe.add_argument("--dynamic", metavar="WORD,WORD,...", help="words of things that move; empty: none")
-    recipe.add_argument("--parameters", metavar="JSON", help="parameters that differ from the preset's")
+    recipe.add_argument("--labels", metavar="LABEL,...", help="what pixels are labelled with")
+    recipe.add_argument("--dynamic", metavar="LABEL,...", help="labels of things that move; empty: none")
+    recipe.add_argument("--parameters", metavar="JSON", help="description parameters that differ from the preset's")
+    recipe.add_argument("--ranking", metavar="JSON", help="ranking parameters that differ from the preset's")
     _waits(recipe)
     recipe.set_defaults(run=run_recipe)
 
@@ -52,27 +53,41 @@ def run_recipe(arguments: argparse.Namespace) -> int:
     """Show the recipe, or switch to another."""
     from revisit_client import Revisit
 
-    parameters = None
-    if arguments.parameters is not None:
-        try:
-            parameters = json.loads(arguments.parameters)
-        except ValueError as error:
-            wrong_use(f"--parameters is not JSON: {error}")
-        if not isinstance(parameters, dict):
-            wrong_use('--parameters takes a JSON object such as {"candidates": 50}')
-    labels, dynamic = _words(arguments.labels), _words(arguments.dynamic)
+    parameters = _object("--parameters", arguments.parameters)
+    ranking = _object("--ranking", arguments.ranking)
+    labels, dynamic = _labels(arguments.labels), _labels(arguments.dynamic)
+    describes = not (arguments.preset is None and labels is None and dynamic is None and parameters is None)
     with Revisit(arguments.url) as revisit:
-        if arguments.preset is None and labels is None and dynamic is None and parameters is None:
-            show_json(revisit.map(arguments.map).recipe)
-            return DONE
-        job = revisit.switch_recipe(
-            arguments.map, labels=labels, dynamic=dynamic, preset=arguments.preset, parameters=parameters
-        )
-        return _finished(revisit, job, arguments)
+        if describes:
+            job = revisit.switch_recipe(
+                arguments.map,
+                labels=labels,
+                dynamic=dynamic,
+                preset=arguments.preset,
+                parameters=parameters,
+                ranking=ranking,
+            )
+            return _finished(revisit, job, arguments)
+        facts = revisit.map(arguments.map) if ranking is None else revisit.change_ranking(arguments.map, **ranking)
+        show_json({"recipe": facts.recipe, "ranking": facts.ranking})
+        return DONE
 
 
-def _words(text: str | None) -> list[str] | None:
-    return None if text is None else [word.strip() for word in text.split(",") if word.strip()]
+def _object(option: str, text: str | None) -> dict[str, Any] | None:
+    """The JSON object that an option was given."""
+    if text is None:
+        return None
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        wrong_use(f"{option} is not JSON: {error}")
+    if not isinstance(value, dict):
+        wrong_use(f'{option} takes a JSON object such as {{"candidates": 50}}')
+    return value
+
+
+def _labels(text: str | None) -> list[str] | None:
+    return None if text is None else [label.strip() for label in text.split(",") if label.strip()]
 
 
 def _finished(revisit: "Revisit", job: "Job", arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""``revisit serve | worker``: the service, and helpers that describe pictures beside it."""
+"""``revisit serve | worker``: the service, and helpers that describe images beside it."""
 
 import argparse
 import ipaddress
@@ -45,8 +45,8 @@ def add(verbs: Verbs) -> None:
 
     worker = verbs.add_parser(
         "worker",
-        help="describe enrolled pictures in a process of its own",
-        description="Describe enrolled pictures beside a service on the same data, so that it can answer questions. "
+        help="describe enrolled images in a process of its own",
+        description="Describe enrolled images beside a service on the same data, so that it can answer queries. "
         "Run `serve` with REVISIT_INLINE_WORKER=false to leave all describing to workers.",
     )
     _common(worker)
@@ -54,8 +54,8 @@ def add(verbs: Verbs) -> None:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--data", type=Path, help="folder of the database and the pictures (default: data)")
-    parser.add_argument("--encoder", choices=("compact", "color", "lseg"), help="network that describes pictures")
+    parser.add_argument("--data", type=Path, help="folder of the database and the images (default: data)")
+    parser.add_argument("--encoder", choices=("compact", "color", "lseg"), help="network that describes images")
     parser.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
     parser.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
 
@@ -197,7 +197,7 @@ def run_worker(arguments: argparse.Namespace) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     runtime.start()
-    show(f"revisit worker describes pictures of {settings.data.resolve()} with {runtime.encoder.name}")
+    show(f"revisit worker describes images of {settings.data.resolve()} with {runtime.encoder.name}")
     try:
         stop.wait()
     finally:

@@ -83,8 +83,8 @@ def docs(document: Json) -> str:
 
 def _operation(method: str, path: str, operation: Json, document: Json) -> str:
     parts = [f"<p>{escape(operation.get('description', ''))}</p>"]
-    if asked := operation.get("parameters"):
-        rows = "".join(_parameter(p) for p in asked)
+    if parameters := operation.get("parameters"):
+        rows = "".join(_parameter(p) for p in parameters)
         parts.append(f"<table><tr><th>parameter</th><th>type</th><th>meaning</th></tr>{rows}</table>")
     if body := operation.get("requestBody"):
         kinds = ", ".join(f"<code>{escape(kind)}</code>" for kind in body["content"])

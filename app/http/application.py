@@ -2,10 +2,12 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
 from app.http import problems
+from app.http.dependencies import once_each
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
@@ -13,20 +15,22 @@ from app.http.routes import enroll, health, images, jobs, maps, places, query, v
 from app.http.service import Service
 from app.version import VERSION
 from schemas.settings import MEGA
-from worker.runtime import Runtime
+
+if TYPE_CHECKING:
+    from worker.runtime import Runtime
 
 TAGS = [
-    {"name": "enrol and ask", "description": "The two questions revisit is for."},
-    {"name": "views", "description": "Enrolled pictures and what was said about them."},
-    {"name": "pictures", "description": "Views as pictures."},
+    {"name": "enrol and query", "description": "What revisit is for."},
+    {"name": "views", "description": "Enrolled images and what was said about them."},
+    {"name": "images", "description": "Views, drawn or as enrolled."},
     {"name": "maps", "description": "Named sets of views that are searched together."},
     {"name": "jobs", "description": "Work in the background."},
     {"name": "service", "description": "How the service is."},
 ]
 
 
-def create_app(runtime: Runtime) -> FastAPI:
-    """The application around a house that was built and not yet started: it starts and stops with the application."""
+def create_app(runtime: "Runtime") -> FastAPI:
+    """The application around a runtime that was built and not yet started: both start and stop together."""
     return application(Service.of(runtime))
 
 
@@ -53,11 +57,13 @@ def application(service: Service) -> FastAPI:
     )
     app.state.service = service
     app.state.metrics = metrics = Metrics()
-    for room in (enroll, query, views, images, maps, places, jobs, health):
+    for room in (enroll, query):
         app.include_router(room.router)
+    for room in (views, images, maps, places, jobs, health):
+        app.include_router(room.router, dependencies=[once_each])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
-    # Added last is outermost: every answer passes Entrance, and a body is not read before Door and BodyLimit agree.
+    # Added last is outermost: every answer passes RequestContext, and a body is read once the gate and the limit agree.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     app.add_middleware(RequestContext, metrics=metrics)

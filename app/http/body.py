@@ -1,4 +1,4 @@
-"""Takes the body of a request apart: pictures and what is said about them, or JSON."""
+"""Takes the body of a request apart: images and what is said of them, or JSON."""
 
 import asyncio
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ _QUICK = 1_000_000  # bytes that are taken apart within a few milliseconds
 
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 
-_REMEDY = "send the picture as the multipart part `image`, or as the body with content-type image/jpeg"
+_REMEDY = "send the image as the multipart part `image`, or as the body with content-type image/jpeg"
 
 
 @dataclass(frozen=True)
 class Sent:
-    """A request with pictures, taken apart.
+    """A request with images, taken apart.
 
     Parameters
     ----------
@@ -49,14 +49,14 @@ class Sent:
 
 
 async def take(request: Request) -> Sent:
-    """Pictures and parameters of a request.
+    """Images and parameters of a request.
 
     Raises
     ------
     BadBody
         ``no-picture`` or ``malformed-body``.
     BadImage
-        ``not-a-picture``: the content type is neither multipart nor a picture's.
+        ``not-a-picture``: the content type is neither multipart nor an image's.
     BodyTooLarge
         From `app.http.middleware.BodyLimit`, while the body is read.
     """
@@ -128,7 +128,7 @@ class _Part:
 class _Reader:
     """Collects parts from python-multipart's callbacks.
 
-    Starlette's own form parser would do, but it takes a body that breaks off for a whole one, and spools pictures
+    Starlette's own form parser would do, but it takes a body that breaks off for a whole one, and spools images
     to files although the body is bounded already.
     """
 
@@ -185,7 +185,7 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> S
                 raise BadBody("no-picture", f"the part `image` number {len(images) + 1} is empty")
             images.append((file, content))
         elif file is not None:
-            errors.append(ParameterError(name, "is a file; pictures are sent as parts named image"))
+            errors.append(ParameterError(name, "is a file; images are sent as parts named image"))
         elif len(content) > LONGEST_PARAMETER:
             errors.append(ParameterError(name, f"has {len(content)} bytes; at most {LONGEST_PARAMETER} are taken"))
         else:
@@ -194,12 +194,12 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> S
             except UnicodeDecodeError:
                 errors.append(ParameterError(name, "is not UTF-8"))
     if not images:
-        # A picture under another name is the likelier mistake, and its refusal names the part.
+        # An image under another name is the likelier mistake, and its refusal names the part.
         if errors:
             raise InvalidParameters(errors)
         raise BadBody("no-picture", f"no part is named image; {_REMEDY}")
     if len(images) > MOST_IMAGES:
-        errors.append(ParameterError(IMAGE_PART, f"{len(images)} pictures; at most {MOST_IMAGES} at once"))
+        errors.append(ParameterError(IMAGE_PART, f"{len(images)} images; at most {MOST_IMAGES} at once"))
     twice = {name for name, _ in in_url} & {name for name, _ in attributes}
     errors += [ParameterError(name, "was given both in the URL and in the body") for name in sorted(twice)]
     return Sent(images, [p for p in in_url if p[0] not in twice] + attributes, errors)

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from app.http import presenters
 from schemas import wire
 from schemas.records import Filters, JobKind, JobState, Replay, ViewAttributes
+from schemas.requests import PutMap
 from worker.description.presets import Wanted
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
@@ -132,7 +133,7 @@ class Curator:
         """One map."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.get, name))
 
-    async def put_map(self, name: str, wanted: wire.PutMap) -> tuple[wire.MapFacts, bool]:
+    async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         """Make a map, or give an empty one another recipe; returns it and whether it is new."""
         state, created = await asyncio.to_thread(self._maps.put, name, _wanted(wanted))
         return presenters.map_facts(state), created
@@ -147,7 +148,7 @@ class Curator:
 
     # jobs
 
-    async def switch_recipe(self, name: str, wanted: wire.PutMap) -> wire.Job:
+    async def switch_recipe(self, name: str, wanted: PutMap) -> wire.Job:
         """Describe a map's views by another recipe, in the background."""
         return presenters.job(await asyncio.to_thread(self._maps.switch_recipe, name, _wanted(wanted)))
 
@@ -186,5 +187,5 @@ class Curator:
         await asyncio.to_thread(self._calls.abandon, key)
 
 
-def _wanted(put: wire.PutMap) -> Wanted:
+def _wanted(put: PutMap) -> Wanted:
     return Wanted(put.labels, put.dynamic, put.preset, put.parameters, put.ranking)

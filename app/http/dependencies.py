@@ -1,17 +1,16 @@
 """What a route is given: the use-cases, the metrics, and its parameters, checked."""
 
-from collections.abc import Awaitable, Callable
-from typing import Annotated, TypeVar
+from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends, Path, Query, Request
 
 from app.http.curate import Curator
 from app.http.lifecycle import Lifecycle
 from app.http.metrics import Metrics
-from app.http.parameters import MapName, NoParameters, Parameters, read, validated
+from app.http.parameters import NoParameters
 from app.http.recognise import Recogniser
-
-P = TypeVar("P", bound=Parameters)
+from app.http.validation import OnceEach
+from app.http.values import MAP_NAME
 
 
 async def _recogniser(request: Request) -> Recogniser:
@@ -40,23 +39,20 @@ Lifecycles = Annotated[Lifecycle, Depends(_lifecycle)]
 Measures = Annotated[Metrics, Depends(_metrics)]
 
 
-def in_url(model: type[P]) -> Callable[[Request], Awaitable[P]]:
-    """A dependency that reads a model from the URL's query; raises InvalidParameters."""
-
-    async def read_url(request: Request) -> P:
-        return read(model, request.query_params.multi_items())
-
-    return read_url
+MapName = Annotated[str, Path(alias="map", pattern=MAP_NAME, description="Name of the map.")]
+ViewId = Annotated[str, Path(description="Id of the view.")]
+JobId = Annotated[str, Path(description="Id of the job.")]
+QueryId = Annotated[str, Path(description="Id of the query, from its answer.")]
 
 
-no_parameters = Depends(in_url(NoParameters))
+async def _once_each(_: Annotated[OnceEach, Query()]) -> None: ...
+
+
+async def _no_parameters(_: Annotated[NoParameters, Query()]) -> None: ...
+
+
+once_each = Depends(_once_each)
+"""For routes whose parameters FastAPI reads: one that is given twice is an error."""
+
+no_parameters = Depends(_no_parameters)
 """For routes that take none: an unknown parameter is an error, not ignored."""
-
-
-class _MapPath(Parameters):
-    map: MapName
-
-
-async def map_in_path(request: Request) -> str:
-    """The map's name from the path; raises InvalidParameters."""
-    return validated(_MapPath, {"map": request.path_params["map"]}).map

@@ -35,7 +35,7 @@ def key_of(request: Request) -> str | None:
 
 
 def fingerprint(images: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:
-    """SHA-256 of the pictures, in their order, and the parameters, in any order."""
+    """SHA-256 of the images, in their order, and the parameters, in any order."""
     whole = hashlib.sha256()
     for image in images:
         whole.update(hashlib.sha256(image).digest())

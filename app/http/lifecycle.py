@@ -5,11 +5,14 @@ import platform
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.metadata import version
+from typing import TYPE_CHECKING
 
 from app.version import VERSION
 from schemas import wire
 from schemas.errors import RevisitError
-from worker.runtime import Runtime
+
+if TYPE_CHECKING:
+    from worker.runtime import Runtime
 
 LIBRARIES = ("onnxruntime", "torch", "faiss-cpu", "numpy", "opencv-python-headless", "fastapi", "sqlalchemy")
 
@@ -22,7 +25,7 @@ class Lifecycle:
     runtime : Runtime
     """
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: "Runtime") -> None:
         self._runtime = runtime
         self._started = False
         self._draining = False

@@ -30,7 +30,7 @@ class Metrics:
         )
         self._stages = Histogram(
             "revisit_stage_seconds",
-            "Time of each stage of enrolments and questions.",
+            "Time of each stage of enrolments and queries.",
             ["operation", "stage"],
             buckets=_SECONDS,
             registry=self._registry,

@@ -52,7 +52,7 @@ class RequestContext:
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-Id"] = request_id
-                # A browser must not take an enrolled picture for a page.
+                # A browser must not take an enrolled image for a page.
                 headers["X-Content-Type-Options"] = "nosniff"
             await send(message)
 

@@ -1,6 +1,5 @@
 """The OpenAPI document says what is really sent: parameters from their models, bodies, problems, examples."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from fastapi import FastAPI
@@ -9,8 +8,10 @@ from pydantic import BaseModel
 
 from app.http import problems
 from app.http.examples import PROBLEM_DETAILS
-from app.http.parameters import Parameters
-from schemas.wire import Problem, PutMap
+from app.http.parameters import METADATA_FILTER
+from app.http.validation import Parameters
+from schemas.requests import PatchMap, PutMap
+from schemas.wire import Problem
 
 Json = dict[str, Any]
 
@@ -20,7 +21,7 @@ _EVERYWHERE = ("invalid-parameter", "internal")
 
 DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later ask with a photo.
 
-Send pictures as the multipart part `image`, or as the raw body with their content type; parameters are multipart
+Send images as the multipart part `image`, or as the raw body with their content type; parameters are multipart
 parts or query parameters, by the same names. Unknown parameters are errors. Every error is `application/problem+json`.
 Every answer carries `X-Request-Id`."""
 
@@ -66,42 +67,26 @@ def _example(code: str) -> Json:
     }
 
 
-def parameters(model: type[Parameters]) -> list[Json]:
-    """The query parameters that a model reads."""
-    described = [
-        {"name": name, "in": "query", "required": name in required, **_split(schema)}
-        for (name, schema), required in _properties(model)
-    ]
-    if model.takes_metadata_filters:
-        described.append(
-            {
-                "name": "metadata.KEY",
-                "in": "query",
-                "required": False,
-                "description": "Views whose metadata has VALUE under KEY, as text; may be given for several keys.",
-                "schema": {"type": "string"},
-            }
-        )
-    return described
+def takes_images(model: type[Parameters], *, several: bool, headers: list[Json] | None = None) -> Json:
+    """`openapi_extra` of a route that takes images, as multipart or as the raw body.
 
-
-def asks(model: type[Parameters]) -> Json:
-    """`openapi_extra` of a route with query parameters."""
-    return {"parameters": parameters(model)}
-
-
-def asks_images(model: type[Parameters], *, several: bool, headers: list[Json] | None = None) -> Json:
-    """`openapi_extra` of a route that takes pictures, as multipart or as the raw body."""
+    Its parameters are parts or stand in the URL; FastAPI documents one or the other only.
+    """
     single: Json = {"type": "string", "format": "binary", "description": "JPEG, PNG, WebP, BMP or TIFF."}
     image: Json = {"type": "array", "items": single, "minItems": 1} if several else single
-    parts: Json = {"image": image}
-    for (name, schema), _ in _properties(model):
-        parts[name] = schema
-    pattern = {"patternProperties": {r"^metadata\..+": {"type": "string"}}} if model.takes_metadata_filters else {}
-    form = {"type": "object", "required": ["image"], "properties": parts, "additionalProperties": False, **pattern}
+    fields = _fields(model)
+    in_url = [{"name": name, "in": "query", "schema": schema} for name, schema in fields.items()]
+    filters = fields.pop(METADATA_FILTER, None)
+    form = {
+        "type": "object",
+        "required": ["image"],
+        "properties": {"image": image, **fields},
+        "additionalProperties": False,
+        **({"patternProperties": {r"^metadata\..+": filters}} if filters else {}),
+    }
     raw = {"schema": {"type": "string", "format": "binary"}}
     return {
-        "parameters": [*parameters(model), *(headers or [])],
+        "parameters": [*in_url, *(headers or [])],
         "requestBody": {
             "required": True,
             "content": {"multipart/form-data": {"schema": form}, **dict.fromkeys(_IMAGE_TYPES, raw)},
@@ -109,10 +94,12 @@ def asks_images(model: type[Parameters], *, several: bool, headers: list[Json] |
     }
 
 
-def takes_json(schema: Json, *, media_types: tuple[str, ...] = ("application/json",), example: Json) -> Json:
+def takes_json(
+    schema: Json, *, media_types: tuple[str, ...] = ("application/json",), required: bool = False, example: Json
+) -> Json:
     """`openapi_extra` of a route that takes JSON."""
     content = {"schema": schema, "example": example}
-    return {"requestBody": {"required": False, "content": dict.fromkeys(media_types, content)}}
+    return {"requestBody": {"required": required, "content": dict.fromkeys(media_types, content)}}
 
 
 def takes_map() -> Json:
@@ -122,7 +109,7 @@ def takes_map() -> Json:
 
 
 def answers_bytes(*media_types: str, description: str, etag: bool = False) -> dict[int | str, Json]:
-    """The `responses` of a route that answers a picture or text."""
+    """The `responses` of a route that answers an image or text."""
     content = {kind: {"schema": {"type": "string", "format": "binary"}} for kind in media_types}
     responses: dict[int | str, Json] = {200: {"description": description, "content": content}}
     if etag:
@@ -131,28 +118,28 @@ def answers_bytes(*media_types: str, description: str, etag: bool = False) -> di
     return responses
 
 
-def _properties(model: type[Parameters]) -> list[tuple[tuple[str, Json], set[str]]]:
-    """((name, schema), required names) of each parameter a client can give."""
-    schema = model.model_json_schema()
-    required = set(schema.get("required", ()))
-    return [((name, _plain(s)), required) for name, s in schema["properties"].items() if not s.get("hidden")]
+def _fields(model: type[Parameters]) -> dict[str, Json]:
+    """The schema of each parameter a client can give."""
+    schemas: dict[str, Json] = model.model_json_schema()["properties"]
+    return {name: _plain(schema) for name, schema in schemas.items()}
 
 
-def _plain(schema: Mapping[str, Any]) -> Json:
+def _plain(schema: Json) -> Json:
     """Without what text on the wire cannot be: null."""
     plain = {key: value for key, value in schema.items() if key != "title"}
     branches = [b for b in plain.pop("anyOf", []) if b != {"type": "null"}]
     if branches:
         plain = {**branches[0], **plain}
-    if plain.get("default", 0) is None or plain.get("default") == [] or plain.get("default") == {}:
+    if plain.get("default", 0) in (None, [], {}):
         del plain["default"]
     return plain
 
 
-def _split(schema: Json) -> Json:
-    """A schema as OpenAPI's parameter object has it, with the description outside."""
-    rest = {key: value for key, value in schema.items() if key != "description"}
-    return {"description": schema.get("description", ""), "schema": rest}
+def _described(parameter: Json) -> Json:
+    """A parameter object with a plain schema, and its description beside that."""
+    schema = _plain(parameter["schema"])
+    description = schema.pop("description", None) or parameter["description"]
+    return {"required": False, **parameter, "description": description, "schema": schema}
 
 
 def document(app: FastAPI) -> Json:
@@ -162,8 +149,11 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, PutMap):
+        for model in (Problem, PutMap, PatchMap):
             schemas.update(_definitions(model))
+        for operation in (one for methods in whole["paths"].values() for one in methods.values()):
+            if "parameters" in operation:
+                operation["parameters"] = [_described(parameter) for parameter in operation["parameters"]]
         # FastAPI's own shape of validation errors is never sent.
         schemas.pop("HTTPValidationError", None)
         schemas.pop("ValidationError", None)
@@ -172,6 +162,6 @@ def document(app: FastAPI) -> Json:
 
 
 def _definitions(model: type[BaseModel]) -> Json:
-    mode: Any = "validation" if model is PutMap else "serialization"
+    mode: Any = "serialization" if model is Problem else "validation"
     schema = model.model_json_schema(mode=mode, ref_template=_REF + "{model}")
     return {**schema.pop("$defs", {}), model.__name__: schema}

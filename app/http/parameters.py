@@ -1,18 +1,18 @@
-"""What may be said beside a picture, and asked of a list: one model per request, all mistakes listed at once.
+"""What may be said beside an image, and asked of a list: one model per request."""
 
-Parameters arrive as (name, text) pairs, from the URL or from multipart parts; `read` makes a model of them.
-"""
-
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from datetime import datetime, timedelta
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from app.http import values
-from schemas.errors import InvalidParameters, ParameterError
+from app.http.validation import Parameters
+from schemas.errors import ParameterError
 from schemas.records import Filters, Position, ViewAttributes
+
+METADATA_FILTER = "metadata.KEY"
+"""How the document names the filters by metadata, of which there may be several."""
 
 _METADATA = "metadata."
 
@@ -22,26 +22,13 @@ def _text(**schema: object) -> WithJsonSchema:
     return WithJsonSchema({"type": "string", **schema})
 
 
-MapName = Annotated[str, Field(pattern=f"^{values.MAP_NAME}$", description="Name of the map.", examples=["campus"])]
+MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Time = Annotated[datetime, BeforeValidator(values.moment), _text(format="date-time", examples=["2026-03-01T09:30:00Z"])]
 Metadata = Annotated[
     dict[str, Any], BeforeValidator(values.metadata), _text(examples=['{"camera": "front", "floor": 2}'])
 ]
-
-
-class Parameters(BaseModel):
-    """Base of all: what is not declared is refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    takes_metadata_filters: ClassVar[bool] = False
-
-    @classmethod
-    def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
-        """What parameters that may each be fine say against one another."""
-        return []
 
 
 class NoParameters(Parameters):
@@ -65,7 +52,7 @@ def _contradicting_positions(given: Mapping[str, Any]) -> list[ParameterError]:
 
 
 class PositionParameters(Parameters):
-    """Where a picture was taken: metres in the map's frame, or degrees."""
+    """Where an image was taken: metres in the map's frame, or degrees."""
 
     x: Finite | None = Field(None, description="Metres in the map's frame, right-handed; with y.")
     y: Finite | None = Field(None, description="Metres; with x.")
@@ -92,7 +79,7 @@ class EnrollParameters(PositionParameters):
 
     map: MapName = "default"
     place: PlaceName | None = Field(None, description="Your own name for the spot; many views may share it.")
-    captured_at: Time | None = Field(None, description="When the picture was taken, RFC 3339 with zone.")
+    captured_at: Time | None = Field(None, description="When the image was taken, RFC 3339 with zone.")
     metadata: Metadata = Field(
         default_factory=dict, description="A JSON object that is kept with the view; at most 16 KB, 8 levels."
     )
@@ -106,28 +93,36 @@ class EnrollParameters(PositionParameters):
 class FilterParameters(Parameters):
     """Which views a query or a list is about; together with ``metadata.KEY=VALUE``."""
 
-    takes_metadata_filters: ClassVar[bool] = True
-
     near: Annotated[
-        tuple[float, float, float],
-        BeforeValidator(values.near),
-        _text(examples=["12.5,3.0,20"]),
-        Field(description="x,y,radius in metres: views within the radius; with frame=geo lat,lon,radius."),
-    ] | None = None  # fmt: skip
+        tuple[float, float, float], BeforeValidator(values.near), _text(examples=["12.5,3.0,20"])
+    ] | None = Field(
+        None, description="x,y,radius in metres: views within the radius; with frame=geo lat,lon,radius."
+    )  # fmt: skip
     frame: Literal["map", "geo"] = Field("map", description="What `near` is given in.")
     after: Time | None = Field(None, description="Views captured at this time or later.")
     before: Time | None = Field(None, description="Views captured at this time or earlier.")
     place: PlaceName | None = Field(None, description="Views of this place.")
     exclude_last: Annotated[
-        int | timedelta,
-        BeforeValidator(values.exclude_last),
-        _text(examples=["10", "30s"]),
-        Field(description="Not the newest N views, or not those of the last seconds (30s): for loop closure."),
-    ] | None = None  # fmt: skip
-    exclude: Annotated[
-        tuple[str, ...], BeforeValidator(values.identifiers), _text(), Field(description="Ids with commas between.")
-    ] = ()
-    metadata: dict[str, str] = Field(default_factory=dict, exclude=True, json_schema_extra={"hidden": True})
+        int | timedelta, BeforeValidator(values.exclude_last), _text(examples=["10", "30s"])
+    ] | None = Field(
+        None, description="Not the newest N views, or not those of the last seconds (30s): for loop closure."
+    )  # fmt: skip
+    exclude: Annotated[tuple[str, ...], BeforeValidator(values.identifiers), _text()] = Field(
+        (), description="Ids with commas between."
+    )
+    metadata: Annotated[dict[str, str], _text()] = Field(
+        default_factory=dict,
+        validation_alias=METADATA_FILTER,
+        description="Views whose metadata has this value under KEY, as text; may be given for several keys.",
+    )
+
+    @classmethod
+    def gathered(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """``metadata.KEY=VALUE`` of all keys as one field, and text where FastAPI makes a list for a tuple."""
+        flat = {name: text[-1] if isinstance(text, list) else text for name, text in given.items()}
+        keys = [name for name in flat if name.startswith(_METADATA) and name != _METADATA]
+        filters = {name.removeprefix(_METADATA): flat.pop(name) for name in keys}
+        return {**flat, METADATA_FILTER: filters} if filters else flat
 
     @classmethod
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
@@ -175,7 +170,7 @@ class QueryParameters(FilterParameters):
         le=500,
         description="How many of each channel are re-ranked; 0: histograms alone. Default: the map's.",
     )
-    explain: bool = Field(False, description="Say and draw which regions and keypoints matched.")
+    explain: bool = Field(False, description="Say and draw which regions and local features matched.")
 
 
 class ListViews(FilterParameters):
@@ -259,75 +254,3 @@ class AttributesDocument(PositionParameters):
     def attributes(self) -> ViewAttributes:
         """As a record."""
         return ViewAttributes(self.place, self.position(), self.captured_at, self.metadata)
-
-
-P = TypeVar("P", bound=Parameters)
-
-
-def read(model: type[P], pairs: Iterable[tuple[str, str]], already: Sequence[ParameterError] = ()) -> P:
-    """Make a model of parameters as they were written.
-
-    Parameters
-    ----------
-    already : sequence of ParameterError
-        Mistakes found while the request was taken apart; they are listed with the others.
-
-    Raises
-    ------
-    InvalidParameters
-        All mistakes at once: unknown, repeated, of a wrong type, out of range, contradicting.
-    """
-    pairs = list(pairs)
-    errors = list(already)
-    for name, times in Counter(name for name, _ in pairs).items():
-        if times > 1:
-            errors.append(ParameterError(name, f"was given {times} times"))
-    given: dict[str, Any] = {}
-    for name, text in pairs:
-        if model.takes_metadata_filters and name.startswith(_METADATA) and name != _METADATA:
-            given.setdefault("metadata", {})[name.removeprefix(_METADATA)] = text
-        elif model.takes_metadata_filters and name == "metadata":
-            errors.append(ParameterError(name, "is unknown here; a filter is metadata.KEY=VALUE"))
-        else:
-            given[name] = text
-    return validated(model, given, errors)
-
-
-def validated(model: type[P], given: Mapping[str, Any], already: Sequence[ParameterError] = ()) -> P:
-    """Make a model of values, and list every mistake; raises InvalidParameters."""
-    errors = list(already)
-    made: P | None = None
-    try:
-        made = model.model_validate(given)
-    except ValidationError as error:
-        errors += problems_of(error, model)
-    errors += model.contradictions(given)
-    if errors or made is None:
-        raise InvalidParameters(errors)
-    return made
-
-
-_LONGEST_VALUE_SHOWN = 60
-
-
-def problems_of(error: ValidationError, model: type[BaseModel]) -> list[ParameterError]:
-    """pydantic's findings in our words: the value that was seen, and what is allowed."""
-    found: list[ParameterError] = []
-    for one in error.errors(include_url=False):
-        # Inside a union pydantic names the branch it tried; the parameter ends where the names of fields end.
-        name = ".".join(str(part) for part in one["loc"] if not str(part).startswith(("function-", "tuple[")))
-        if one["type"] == "extra_forbidden":
-            known = sorted(name for name, f in model.model_fields.items() if not f.exclude)
-            detail = f"is unknown; known are {', '.join(known)}" if known else "is unknown; none is taken here"
-        elif one["type"] == "missing":
-            detail = "is required"
-        else:
-            message = one["msg"].removeprefix("Value error, ")
-            detail = f"{message} (got {_shown(one['input'])})"
-        found.append(ParameterError(name, detail))
-    return found
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= _LONGEST_VALUE_SHOWN else f"{text[:_LONGEST_VALUE_SHOWN]}…"

@@ -16,7 +16,8 @@ from worker.method.verification import Verified
 from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
-from worker.service.query import QueryResult, ScoredView
+from worker.service.query import QueryResult
+from worker.service.results import ScoredView
 from worker.service.views import LabelledView
 
 

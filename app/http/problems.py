@@ -10,6 +10,7 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from app.http.validation import in_words
 from schemas.errors import BadBody, Busy, InvalidParameters, NotFound, ParameterError, RevisitError, SetupError
 from schemas.wire import Problem, ProblemParameter
 
@@ -153,7 +154,7 @@ async def _http(request: Request, error: Exception) -> Response:
 
 async def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    errors = [ParameterError(".".join(map(str, e["loc"][1:])), str(e["msg"])) for e in error.errors()]
+    errors = [in_words(one, one["loc"][1:]) for one in error.errors()]  # [0]: path or query
     return problem_of(InvalidParameters(errors), request_id(request))
 
 

@@ -1,12 +1,15 @@
 """The use-cases of one house, for the routes."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from app.http.curate import Curator
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
 from schemas.settings import Settings
-from worker.runtime import Runtime
+
+if TYPE_CHECKING:
+    from worker.runtime import Runtime
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Service:
     settings: Settings
 
     @classmethod
-    def of(cls, runtime: Runtime) -> "Service":
+    def of(cls, runtime: "Runtime") -> "Service":
         """The use-cases of a runtime."""
         services = runtime.services
         return cls(

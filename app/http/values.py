@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-MAP_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
+MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 METADATA_BYTES = 16 * 1024
 METADATA_DEPTH = 8

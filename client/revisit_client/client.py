@@ -137,7 +137,6 @@ class Revisit:
         top: int | None = None,
         candidates: int | None = None,
         explain: bool | None = None,
-        drive: str | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool = False,
         after: Time | None = None,
@@ -175,7 +174,7 @@ class Revisit:
             Not these views, by id.
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
-        options = {"map": map, "top": top, "candidates": candidates, "explain": explain, "drive": drive}
+        options = {"map": map, "top": top, "candidates": candidates, "explain": explain}
         name, data = _read(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}
@@ -267,9 +266,10 @@ class Revisit:
         dynamic: Sequence[str] | None = None,
         preset: str | None = None,
         parameters: Mapping[str, Any] | None = None,
+        ranking: Mapping[str, Any] | None = None,
     ) -> wire.MapFacts:
-        """Make a map, or give an empty one other labels, preset or parameters."""
-        recipe = recipe_fields(labels, dynamic, preset, parameters)
+        """Make a map, or give an empty one other labels, preset, parameters or ranking."""
+        recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
         return self._connection.receive(wire.MapFacts, "PUT", f"/maps/{name}", json=recipe)
 
     def switch_recipe(
@@ -280,10 +280,15 @@ class Revisit:
         dynamic: Sequence[str] | None = None,
         preset: str | None = None,
         parameters: Mapping[str, Any] | None = None,
+        ranking: Mapping[str, Any] | None = None,
     ) -> wire.Job:
         """Describe all views of a map anew; the old recipe answers until that is done."""
-        recipe = recipe_fields(labels, dynamic, preset, parameters)
+        recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
+
+    def change_ranking(self, name: str, **ranking: Any) -> wire.MapFacts:
+        """Change how a map ranks, from the next query on; what is not named stays."""
+        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"ranking": ranking})
 
     def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on the map's own views, and describe them by it."""
@@ -306,6 +311,20 @@ class Revisit:
     def job(self, job_id: str) -> wire.Job:
         """One job."""
         return self._connection.receive(wire.Job, "GET", f"/jobs/{job_id}")
+
+    def jobs(self, map: str | None = None, *, kind: str | None = None, state: str | None = None) -> Iterator[wire.Job]:
+        """Iterate over jobs, newest first, fetched in pages as they are needed."""
+        params = texts({"map": map, "kind": kind, "state": state})
+        while True:
+            answer = self._connection.receive(wire.Jobs, "GET", "/jobs", params=params)
+            yield from answer.jobs
+            if answer.next is None:
+                return
+            params = {**params, "cursor": answer.next}
+
+    def cancel_job(self, job_id: str) -> wire.Job:
+        """Cancel a describe job that is waiting, or a job of a map that has not finished."""
+        return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
 
     def wait_for_job(self, job_id: str, *, timeout: float = 600.0) -> wire.Job:
         """Wait until a job is done, at most `timeout` seconds.

@@ -62,7 +62,8 @@ def recipe_fields(
     dynamic: Sequence[str] | None,
     preset: str | None,
     parameters: Mapping[str, Any] | None,
+    ranking: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """The fields of `wire.PutMap` that are given; the service chooses the others."""
-    fields = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters}
+    """What a map is to be made with, as far as it is given; the service chooses the rest."""
+    fields = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters, "ranking": ranking}
     return {name: value for name, value in fields.items() if value is not None}

@@ -4,7 +4,7 @@ With ``--compare IMAGE...``: how far the mode ``single`` and lower precisions de
 
 One process per row, so that each row's memory is its own. Without ``--weights`` the network has random ones: its
 speed does not depend on them. The machine's speed at multiplying matrices is measured beside it, as the bound; the
-arithmetic is counted by `worker.encoders.lseg.cost`.
+arithmetic is counted by `lab.benchmarks.lseg_cost`.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from schemas.image import Image
 from worker.description.presets import PAPER_LABELS
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED
-from worker.encoders.lseg.cost import multiply_adds
+from lab.benchmarks.lseg_cost import multiply_adds
 from worker.encoders.lseg.encoder import LsegEncoder, Mode
 from worker.encoders.lseg.enlarge import Axis, enlarge
 from worker.encoders.lseg.linear import linear

@@ -3,6 +3,8 @@
 import io
 import json
 import logging
+import re
+import sys
 
 import pytest
 
@@ -26,14 +28,55 @@ def test_sizes(count: float, text: str) -> None:
     assert console.size(count) == text
 
 
-def test_progress_without_a_terminal_says_how_it_ended() -> None:
-    stream = io.StringIO()
-    progress = console.Progress(2, "pictures", stream)
-    progress.step()
-    progress.step()
-    progress.end()
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
 
-    assert stream.getvalue().splitlines()[-1].startswith("2/2 pictures")
+
+def test_progress_without_a_terminal_is_a_line_for_each_tenth(capsys: pytest.CaptureFixture[str]) -> None:
+    with console.progress_bar(40, "images") as step:
+        for number in range(40):
+            step(f"{number}.jpg")
+
+    out, err = capsys.readouterr()
+    assert err.splitlines() == [f"{done}/40 images" for done in range(4, 41, 4)]
+    assert out == ""
+
+
+def test_progress_of_less_than_ten_ends_with_all_of_them(capsys: pytest.CaptureFixture[str]) -> None:
+    with console.progress_bar(2, "images") as step:
+        step("a.jpg")
+        step("b.jpg")
+
+    assert capsys.readouterr().err.splitlines()[-1] == "2/2 images"
+
+
+def test_quiet_progress_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with console.progress_bar(1, "images", quiet=True) as step:
+        step("a.jpg")
+
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_bar_on_a_terminal_leaves_results_and_the_cursor_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal, results = Terminal(), io.StringIO()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(sys, "stdout", results)
+    monkeypatch.setenv("TERM", "xterm")
+
+    def interrupted() -> None:
+        with console.progress_bar(2, "images") as step:
+            step("[a].jpg")
+            console.show("a result")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+
+    assert results.getvalue() == "a result\n"
+    assert "1/2 images" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())
+    assert "[a].jpg" in terminal.getvalue()
+    assert terminal.getvalue().rindex("\x1b[?25h") > terminal.getvalue().rindex("\x1b[?25l")  # shown after hidden
 
 
 def test_json_lines_carry_the_fields_of_an_event() -> None:

@@ -124,7 +124,7 @@ def test_positions_travel(service: FakeService, folder: Path, capsys: Out) -> No
     assert b"48.5" in bodies[True]
     assert b"11.25" in bodies[True]
     assert b'name="lat"' not in bodies[False]
-    assert "2 of 3 pictures are not in" in capsys.readouterr().err
+    assert "2 of 3 images are not in" in capsys.readouterr().err
 
 
 def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:

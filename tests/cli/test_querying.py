@@ -90,11 +90,11 @@ def test_one_map_shows_its_labels(service: FakeService, capsys: Out) -> None:
 
 
 def test_a_map_is_deleted_by_name_only(service: FakeService, capsys: Out) -> None:
-    service.replies["DELETE /maps/campus"] = 200, {"views": 3, "pictures": 2, "revision": None}
+    service.replies["DELETE /maps/campus"] = 200, {"views": 3, "images": 2, "revision": None}
 
     assert main(["maps", "--delete"]) == 2
     assert main(["maps", "campus", "--delete"]) == 0
-    assert "3 views, 2 pictures" in capsys.readouterr().out
+    assert "3 views, 2 images" in capsys.readouterr().out
 
 
 def test_views_failed_ones_with_their_reason(service: FakeService, capsys: Out) -> None:
@@ -136,15 +136,24 @@ def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, caps
     service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("done", kind="recipe")
 
     assert main(["recipe"]) == 0
-    assert json.loads(capsys.readouterr().out)["preset"] == "default"
+    assert json.loads(capsys.readouterr().out)["ranking"]["preset"] == "default"
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
     assert json.loads(service.asked[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
 
 
+def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> None:
+    service.replies["PATCH /maps/default"] = 200, answers.map_facts()
+
+    assert main(["recipe", "--ranking", '{"candidates": 100}']) == 0
+    assert json.loads(capsys.readouterr().out)["ranking"]["id"] == "def"
+    assert [json.loads(body) for _, body in service.asked] == [{"ranking": {"candidates": 100}}]
+
+
+@pytest.mark.parametrize("option", ["--parameters", "--ranking"])
 @pytest.mark.parametrize("text", ["{", "[1]"])
-def test_parameters_need_to_be_a_json_object(text: str) -> None:
-    assert main(["recipe", "--parameters", text]) == 2
+def test_parameters_need_to_be_a_json_object(option: str, text: str) -> None:
+    assert main(["recipe", option, text]) == 2
 
 
 def test_a_vocabulary_that_cannot_be_trained_says_why(service: FakeService, capsys: Out) -> None:

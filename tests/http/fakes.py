@@ -22,6 +22,7 @@ from schemas import wire
 from schemas.errors import Conflict, KeyReused, NotFound, RevisitError
 from schemas.image import ImageFacts
 from schemas.records import Filters, Replay, ViewAttributes
+from schemas.requests import PutMap
 from schemas.settings import Settings
 from worker.images.codec import Limits, decode, facts, thumbnail
 
@@ -70,7 +71,7 @@ class FakeRecogniser:
     calls: dict[str, tuple[str, Replay | None]] = field(default_factory=dict)
     fails: dict[str, BaseException] = field(default_factory=dict)
     given: dict[str, Any] = field(default_factory=dict)
-    made: dict[str, wire.PutMap] = field(default_factory=dict)
+    made: dict[str, PutMap] = field(default_factory=dict)
     hold: asyncio.Event | None = None
     enrolments: int = 0
     events: list[str] = field(default_factory=list)
@@ -217,7 +218,7 @@ class FakeRecogniser:
             created_at=NOW,
         )
 
-    async def put_map(self, name: str, wanted: wire.PutMap) -> tuple[wire.MapFacts, bool]:
+    async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         if any(kept.map == name for kept in self.kept.values()):
             raise Conflict(f"the map {name!r} has views; POST /maps/{name}/recipe describes them anew")
         created = name not in self.made
@@ -249,7 +250,7 @@ class FakeRecogniser:
             links={"self": f"/jobs/{job_id}"},
         )
 
-    async def switch_recipe(self, name: str, wanted: wire.PutMap) -> wire.Job:
+    async def switch_recipe(self, name: str, wanted: PutMap) -> wire.Job:
         await self.map(name)
         return self._job("j1")
 
@@ -308,6 +309,13 @@ class FakeRecogniser:
 
     async def stop(self) -> None:
         self.events.append("stop")
+
+    async def jobs(self, map_name: str | None, **how: Any) -> wire.Jobs:
+        self.given = {"map": map_name, **how}
+        return wire.Jobs(jobs=[self._job("j1")], next=None)
+
+    async def change_ranking(self, name: str, changes: dict[str, Any]) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"ranking": {"id": "changed", **changes}})
 
 
 @dataclass

@@ -186,7 +186,7 @@ def test_a_file_under_another_name_is_named(client: CheckedClient) -> None:
     answer = client.post("/enroll", files=[("photo", ("a.jpg", photo(), "image/jpeg"))])
     assert code(answer) == "invalid-parameter"
     assert answer.json()["errors"] == [
-        {"parameter": "photo", "detail": "is a file; pictures are sent as parts named image"}
+        {"parameter": "photo", "detail": "is a file; images are sent as parts named image"}
     ]
 
 

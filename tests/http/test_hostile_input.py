@@ -24,10 +24,9 @@ from app.http.parameters import (
     EnrollParameters,
     ListViews,
     QueryParameters,
-    read,
-    validated,
 )
 from app.http.problems import KINDS, code_of
+from app.http.validation import read, validated
 from schemas.errors import InvalidParameters, RevisitError
 from tests.sample_images import PNG_MAGIC, drawn, encoded, png_chunk
 from worker.images.codec import Limits, decode, probe, thumbnail

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from schemas.wire import PutMap
+from schemas.requests import PutMap
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -45,9 +45,38 @@ def test_a_map_that_cannot_be_made_is_told_why(client: CheckedClient, body: dict
     assert [e["parameter"] for e in answer.json()["errors"]] == [wrong]
 
 
+def test_some_numbers_of_a_ranking_change_at_once(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    client.put("/maps/campus")
+    answer = client.patch(
+        "/maps/campus",
+        json={"ranking": {"candidates": 100}},
+        headers={"content-type": "application/merge-patch+json"},
+    )
+    assert (answer.status_code, answer.json()["ranking"]) == (200, {"id": "changed", "candidates": 100})
+    assert client.patch("/maps/nowhere", json={"ranking": {}}).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("body", "wrong"),
+    [
+        ({}, "ranking"),
+        ({"ranking": None}, "ranking"),
+        ({"ranking": [1]}, "ranking"),
+        ({"ranking": {}, "labels": ["wall"]}, "labels"),
+    ],
+)
+def test_a_ranking_that_cannot_be_changed_is_told_why(client: CheckedClient, body: dict[str, Any], wrong: str) -> None:
+    client.put("/maps/campus")
+    answer = client.patch("/maps/campus", json=body)
+    assert answer.status_code == 422
+    assert [e["parameter"] for e in answer.json()["errors"]] == [wrong]
+    assert client.patch("/maps/campus", content=b"[").status_code == 400
+
+
 @pytest.mark.parametrize("name", [".hidden", "a%20b", "%C3%A9", "a" * 65, "a%0A"])
 def test_a_name_that_no_map_can_have_is_refused(client: CheckedClient, name: str) -> None:
-    for answer in (client.get(f"/maps/{name}"), client.put(f"/maps/{name}"), client.delete(f"/maps/{name}")):
+    patched = client.patch(f"/maps/{name}", json={"ranking": {}})
+    for answer in (client.get(f"/maps/{name}"), client.put(f"/maps/{name}"), patched, client.delete(f"/maps/{name}")):
         assert answer.status_code == 422
         assert answer.json()["errors"][0]["parameter"] == "map"
 
@@ -68,3 +97,18 @@ def test_places_and_jobs(client: CheckedClient) -> None:
     assert client.get("/jobs/gone").status_code == 404
     assert client.delete("/jobs/j1").status_code == 409
     assert client.get("/jobs/j1?x=1").status_code == 422
+
+
+def test_jobs_are_listed_by_map_kind_and_state(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    page = client.get("/jobs?map=campus&kind=recipe&state=running&cursor=abc&limit=7").json()
+    assert [job["id"] for job in page["jobs"]] == ["j1"]
+    assert recogniser.given == {"map": "campus", "kind": "recipe", "state": "running", "cursor": "abc", "limit": 7}
+    client.get("/jobs")
+    assert recogniser.given == {"map": None, "kind": None, "state": None, "cursor": None, "limit": 50}
+
+
+@pytest.mark.parametrize("query", ["map=.x", "kind=odd", "state=ready", "cursor=", "limit=501", "place=hall"])
+def test_a_list_of_jobs_refuses_what_it_does_not_know(client: CheckedClient, query: str) -> None:
+    answer = client.get(f"/jobs?{query}")
+    assert answer.status_code == 422
+    assert [e["parameter"] for e in answer.json()["errors"]] == [query.partition("=")[0]]

@@ -198,6 +198,9 @@ def test_every_route_documents_its_bodies_and_refusals(client: CheckedClient) ->
         for method, operation in methods.items():
             assert operation["description"], path
             assert "500" in operation["responses"], path
+            for parameter in operation.get("parameters", []):
+                assert parameter["description"], f"{method} {path} {parameter['name']}"
+                assert "anyOf" not in parameter["schema"], "text on the wire is never null"
             assert {"post": True, "put": True, "patch": True}.get(method, False) <= (
                 "requestBody" in operation or path.endswith("/vocabulary")
             )
@@ -228,6 +231,15 @@ def test_every_route_errs_in_the_same_shape(client: CheckedClient) -> None:
         assert (body.status, body.title) == (answer.status_code, kind.title)
         assert body.request_id == answer.headers["x-request-id"]
     assert answers[2].headers["allow"] == "POST"
+
+
+def test_every_route_refuses_what_is_given_twice(client: CheckedClient) -> None:
+    for path, methods in client.get("/openapi.json").json()["paths"].items():
+        for method in methods:
+            url = path.replace("{map}", "m") + "?no=such&no=such"
+            answer = client.request(method, url, content=photo() if path in ("/enroll", "/query") else None)
+            told = {f"{e['parameter']} {e['detail']}".partition(";")[0] for e in answer.json()["errors"]}
+            assert told - {"map is required"} == {"no was given 2 times", "no is unknown"}, f"{method} {path}"
 
 
 def test_the_documentation_of_errors_is_the_table() -> None:

@@ -1,6 +1,5 @@
 """`/views` and the pictures of a view: list, look, correct, delete."""
 
-import asyncio
 from datetime import UTC, datetime
 from io import BytesIO
 from typing import Any
@@ -53,6 +52,38 @@ def test_a_list_refuses_what_it_does_not_know(client: CheckedClient, query: str)
     answer = client.get(f"/views?{query}")
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["parameter"] == query.partition("=")[0]
+
+
+@pytest.mark.parametrize("method", ["GET", "DELETE"])
+def test_all_mistakes_of_a_url_are_listed_at_once(client: CheckedClient, method: str) -> None:
+    query = (
+        "map=.x&place=a&place=b&frame=geo&after=2026-01-02T00:00:00Z&before=2026-01-01T00:00:00Z&colour=red"
+        "&exclude=a,,b&exclude=c&metadata.floor=1&metadata.floor=2"
+    )
+    answer = client.request(method, f"/views?{query}")
+    assert answer.status_code == 422
+    told = [f"{e['parameter']} {e['detail']}".partition(" (got")[0] for e in answer.json()["errors"]]
+    known = {
+        "GET": "after, before, cursor, exclude, exclude_last, frame, limit, map, metadata.KEY, near, place, sort, "
+        "state",
+        "DELETE": "after, all, before, exclude, exclude_last, frame, map, metadata.KEY, near, place",
+    }
+    assert sorted(told) == [
+        "after is later than before: no view can fit",
+        f"colour is unknown; known are {known[method]}",
+        "exclude was given 2 times",
+        "frame is of use only with near",
+        "map String should match pattern '^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$'",
+        "metadata.floor was given 2 times",
+        "place was given 2 times",
+    ]
+
+
+def test_filters_that_are_lists_of_numbers_or_ids_arrive(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    assert client.get("/views?near=1,2.5,30&exclude=a,b&exclude_last=10&metadata.KEY=x").status_code == 200
+    assert recogniser.given["filters"] == Filters(
+        near=(1, 2.5, 30), exclude=("a", "b"), exclude_last=10, metadata={"KEY": "x"}
+    )
 
 
 @pytest.mark.parametrize(
@@ -199,28 +230,3 @@ def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: Chec
 @pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])
 def test_a_picture_refuses_options_it_does_not_know(client: CheckedClient, view: str, path: str) -> None:
     assert client.get(f"/views/{view}/{path}").status_code == 422
-
-
-def test_two_patches_at_once_lose_nothing(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
-    original = recogniser.attributes_of
-
-    async def slowly(view_id: str) -> ViewAttributes:
-        found = await original(view_id)
-        await asyncio.sleep(0.01)
-        return found
-
-    recogniser.attributes_of = slowly  # type: ignore[method-assign]
-
-    async def both() -> None:
-        import httpx
-
-        transport = httpx.ASGITransport(client.app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://test") as http:
-            await asyncio.gather(
-                http.patch(f"/views/{view}", json={"place": "cellar"}),
-                http.patch(f"/views/{view}", json={"position": {"heading": 5}}),
-            )
-
-    asyncio.run(both())
-    assert recogniser.kept[view].attributes.place == "cellar"
-    assert recogniser.kept[view].attributes.position.heading == 5

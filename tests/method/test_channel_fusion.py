@@ -9,7 +9,7 @@ from schemas.description import Floats
 from worker.method import channel_fusion, dense_cells
 from worker.method.byte_vectors import quantise
 
-SHARES = {"words": 0.35, "detail": 0.65}
+SHARES = {"semantic": 0.35, "detail": 0.65}
 
 
 def cells(seed: int, dimensions: int = 16) -> Floats:
@@ -19,32 +19,34 @@ def cells(seed: int, dimensions: int = 16) -> Floats:
 
 
 def test_a_channel_cut_out_of_joined_cells_compares_as_it_would_by_itself() -> None:
-    query, view = ({"words": cells(seed), "detail": cells(seed + 1)} for seed in (0, 2))
+    query, view = ({"semantic": cells(seed), "detail": cells(seed + 1)} for seed in (0, 2))
     view["detail"] = np.roll(query["detail"], 1, axis=1) * 0.8 + view["detail"] * 0.6
     view["detail"] /= np.linalg.norm(view["detail"], axis=2, keepdims=True)
     ours, theirs = (quantise(dense_cells.join(image, SHARES)) for image in (query, view))
 
-    mine = channel_fusion.part(ours, SHARES, "detail")
-    cut = channel_fusion.alone(ours, theirs[None], SHARES, "detail")
+    mine = channel_fusion.slice_channel(ours, SHARES, "detail")
+    cut = channel_fusion.single_channel_similarity(ours, theirs[None], SHARES, "detail")
 
     alone = dense_cells.compare(query["detail"], view["detail"][None])
     assert channel_fusion.length(mine) == pytest.approx(np.sqrt(0.65), rel=0.01)
     assert cut == pytest.approx(alone.scores, abs=0.01)
-    words = channel_fusion.part(ours, SHARES, "words")
+    words = channel_fusion.slice_channel(ours, SHARES, "semantic")
     np.testing.assert_array_equal(np.concatenate([mine, words], axis=-1), ours)
 
 
 def test_at_half_size_a_part_is_as_long_as_it_is_and_likenesses_stay_what_they_would_be_alone() -> None:
     """Four neighbours have the same words and unlike details: averaged, little is left of the details."""
     words = np.repeat(np.repeat(cells(0)[::2, ::2], 2, axis=0), 2, axis=1)
-    joined = {"words": words, "detail": cells(1)}
+    joined = {"semantic": words, "detail": cells(1)}
     whole = quantise(dense_cells.join(joined, SHARES))
     half = quantise(dense_cells.halve(whole))
 
-    mine = channel_fusion.part(half, SHARES, "detail")
+    mine = channel_fusion.slice_channel(half, SHARES, "detail")
 
     assert channel_fusion.length(mine) < np.sqrt(0.65) - 0.1
-    assert channel_fusion.alone(half, half[None], SHARES, "detail") == pytest.approx([1.0], abs=0.15)
+    assert channel_fusion.single_channel_similarity(half, half[None], SHARES, "detail") == pytest.approx(
+        [1.0], abs=0.15
+    )
     assert channel_fusion.length(np.zeros((2, 3, 4), np.int8)) == 1
 
 

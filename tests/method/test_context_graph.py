@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from schemas.description import ContextGraph
-from worker.description.regions import components
+from worker.description.describer import components
 from worker.method import context_graph
 
 SQUARE = (1.0, 1.0)

@@ -1,30 +1,27 @@
 """What a verdict is made of."""
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from schemas.records import ViewRecord
 from worker.method.calibration import Calibration, Logistic, Thresholds
+from worker.method.cascade import DenseEvidence, RankedCandidate
 from worker.method.decision import UNCALIBRATED, decide, features
 from worker.method.verification import Verified
-from worker.search.searcher import Dense, ScoredView
-
-ANY_VIEW = cast(ViewRecord, None)
 
 
 def found(
     score: float,
     similarity: float | None = None,
     median_similarity: float = 0.0,
-    high: float = 0.0,
+    p85_similarity: float = 0.0,
     inliers: int = 0,
     **parts: Any,
-) -> ScoredView:
-    dense = None if similarity is None else Dense(similarity, median_similarity, high, (0, 0), 1.0)
+) -> RankedCandidate:
+    dense = None if similarity is None else DenseEvidence(similarity, median_similarity, p85_similarity, (0, 0), 1.0)
     verified = Verified(inliers, inliers, None, np.zeros((inliers, 4), np.float32)) if inliers else None
-    return ScoredView(ANY_VIEW, score, parts, {}, {}, dense, None, verified)
+    return RankedCandidate(1, score, parts, {}, {}, dense, None, verified)
 
 
 def by(feature: str, steepness: float = 10.0) -> Calibration:
@@ -33,13 +30,15 @@ def by(feature: str, steepness: float = 10.0) -> Calibration:
 
 
 def test_the_evidence_of_each_match() -> None:
-    read = features([found(0.8, 0.7, 0.2, 0.3, inliers=9, close=0.5), found(0.6), found(0.5, 0.1, 0.2, close=0.1)])
+    read = features(
+        [found(0.8, 0.7, 0.2, 0.3, inliers=9, dense_full=0.5), found(0.6), found(0.5, 0.1, 0.2, dense_full=0.1)]
+    )
     assert read["score"].tolist() == [0.8, 0.6, 0.5]
     assert read["lead"] == pytest.approx([0.2, -0.2, -0.3])
     assert read["standing"] == pytest.approx([0.5, 0.0, -0.1])
     assert read["margin"] == pytest.approx([0.4, 0.0, 0.1])
     assert read["inliers"] == pytest.approx([np.log(10), 0, 0])
-    assert read["part.close"].tolist() == [0.5, 0.0, 0.1]
+    assert read["part.dense_full"].tolist() == [0.5, 0.0, 0.1]
 
 
 def test_a_view_that_stands_out_is_matched_and_one_among_many_alike_is_not() -> None:
@@ -51,10 +50,10 @@ def test_a_view_that_stands_out_is_matched_and_one_among_many_alike_is_not() -> 
     assert decide([usual], by("standing")).status == "no_match"
 
 
-def test_a_stranger_that_looks_like_the_few_views_of_its_kind_is_not_matched() -> None:
+def test_an_unknown_place_that_looks_like_the_few_views_of_its_kind_is_not_matched() -> None:
     place, unknown_place = (
-        found(0.6, 0.9, median_similarity=0.1, high=0.2),
-        found(0.6, 0.9, median_similarity=0.1, high=0.85),
+        found(0.6, 0.9, median_similarity=0.1, p85_similarity=0.2),
+        found(0.6, 0.9, median_similarity=0.1, p85_similarity=0.85),
     )
     assert decide([place], by("margin")).status == "matched"
     assert decide([unknown_place], by("margin")).status == "no_match"

@@ -182,9 +182,9 @@ def test_a_scale_is_measured_whatever_the_shift_and_pulled_towards_one_when_few_
 
 
 def test_a_similarity_counts_less_the_more_the_scale_differs_either_way() -> None:
-    near = dense_cells.nearness(np.array([1.0, 1.25, 0.8, 2.0], np.float32), 0.5)
+    near = dense_cells.scale_penalty(np.array([1.0, 1.25, 0.8, 2.0], np.float32), 0.5)
     np.testing.assert_allclose(near, [1, np.sqrt(0.8), np.sqrt(0.8), np.sqrt(0.5)], rtol=1e-6)
-    assert dense_cells.nearness(np.array([0.5], np.float32), 0.0).tolist() == [1.0]
+    assert dense_cells.scale_penalty(np.array([0.5], np.float32), 0.0).tolist() == [1.0]
 
 
 @settings(deadline=None)  # a crowded machine is no failure

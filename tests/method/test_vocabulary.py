@@ -27,7 +27,7 @@ def test_distance_decides_and_not_the_inner_product() -> None:
 def test_no_descriptor_gives_zeros_and_not_a_division_by_zero() -> None:
     nothing = np.zeros((0, 2), np.float32)
     assert vocabulary.histogram(nothing, WORDS).tolist() == [0, 0, 0]
-    channel = Channel(layer="words", words=3, normalisation="hellinger")
+    channel = Channel(layer="words", vocabulary_size=3, normalisation="hellinger")
     assert vocabulary.vector(nothing, ChannelVocabulary(WORDS), channel).tolist() == [0, 0, 0]
 
 
@@ -45,7 +45,7 @@ def test_another_encoders_vocabulary_is_refused_with_both_sizes() -> None:
 
 def test_hellinger_takes_the_root_and_has_unit_length() -> None:
     descriptors = np.array([[1, 0], [1, 0], [1, 0], [0, 1]], np.float32)
-    channel = Channel(layer="words", words=3, normalisation="hellinger")
+    channel = Channel(layer="words", vocabulary_size=3, normalisation="hellinger")
     vector = vocabulary.vector(descriptors, ChannelVocabulary(WORDS), channel)
     np.testing.assert_allclose(vector, [np.sqrt(0.75), 0.5, 0], rtol=1e-6)
 

@@ -258,7 +258,8 @@ def upgrade(database: Database, revision: str) -> None:
 def _old_view(seq: int, map_id: int) -> dict[str, object]:
     return {
         "seq": seq, "id": f"view-{seq}", "map_id": map_id, "metadata": "{}", "enrolled_at": MOMENT,
-        "sha256": f"{seq:064x}", "width": 640, "height": 480, "byte_count": 9, "format": "png", "state": "pending" if seq == 2 else "ready",
+        "sha256": f"{seq:064x}", "width": 640, "height": 480, "byte_count": 9, "format": "png",
+        "state": "pending" if seq == 2 else "ready",
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""A data folder of a few drawn pictures, with everything that training looks for."""
+"""A data folder of a few drawn images, with everything that training looks for."""
 
 import json
 from pathlib import Path
@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from training.start import KEPT_AT_STRIDE4, State
+from training.data.lexicon import ClipVectors, Lexicon
+from training.data.sources import CLIP_FILE, find_classes
+from training.models.checkpoints import State
+from training.models.initialization import KEPT_AT_STRIDE4
 from worker.encoders.compact.network import CompactNetwork
 
-CLIP_WORDS = (
+CLIP_LABELS = (
     *("road", "sidewalk", "building", "wall", "fence", "pole", "traffic sign", "traffic light", "vegetation", "tree"),
     *("terrain", "grass", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door"),
     *("floor", "ceiling", "background", "parking space", "branch", "wood", "plant", "ground", "house", "van"),
@@ -39,12 +42,12 @@ def _one_thread() -> None:
 
 @pytest.fixture
 def data_folder(tmp_path: Path) -> Path:
-    """Four street pictures with road below and sky above, two rooms, and a square by day and by night."""
+    """Four streets with road below and sky above, two rooms, and a square by day and by night."""
     rng = np.random.default_rng(0)
     folder = tmp_path / "data"
     (folder / "text").mkdir(parents=True)
-    vectors = rng.standard_normal((len(CLIP_WORDS), 512)) + 2
-    np.savez(folder / "text" / "words_ViT-B-16.npz", words=np.array(CLIP_WORDS), vectors=vectors.astype(np.float16))
+    vectors = rng.standard_normal((len(CLIP_LABELS), 512)) + 2
+    np.savez(folder / "text" / "words_ViT-B-16.npz", words=np.array(CLIP_LABELS), vectors=vectors.astype(np.float16))
     street = folder / "segmentation" / "camvid"
     for part in ("images", "labels"):
         (street / "train" / part).mkdir(parents=True)
@@ -66,6 +69,12 @@ def data_folder(tmp_path: Path) -> Path:
         for number, image in enumerate(images):
             cv2.imwrite(str(folder / name / f"{number}.jpg"), image)
     return folder
+
+
+@pytest.fixture
+def lexicon(data_folder: Path) -> Lexicon:
+    """The classes and labels of the data folder."""
+    return Lexicon(ClipVectors(data_folder / CLIP_FILE), find_classes(data_folder))
 
 
 @pytest.fixture

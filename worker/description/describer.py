@@ -64,7 +64,7 @@ class Describer:
         """The context graph of a field."""
         least = self.recipe.parameters.graph.min_region_cells
         return context_graph.build(
-            segmentation.labels, segmentation.static, field.semantic, field.extent, _components, least
+            segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
         )
 
     def keypoints(self, image: Image) -> LocalFeatures | None:
@@ -111,7 +111,7 @@ class Describer:
         )
 
 
-def _components(mask: Booleans) -> Regions:
+def components(mask: Booleans) -> Regions:
     """8-connected components; see `context_graph.Components`."""
     numbered: Regions = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1]
     return numbered

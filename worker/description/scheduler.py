@@ -81,7 +81,7 @@ class Scheduler:
         self._queue: queue.PriorityQueue[_Request] = queue.PriorityQueue()
         self._numbers = count()
         self._lock = threading.Lock()
-        self._asked = 0
+        self._pending_queries = 0
         self._pace_s = 0.2  # seconds per picture, a moving average; the start is a guess that the first ones correct
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
@@ -141,9 +141,9 @@ class Scheduler:
             if self._closed:
                 raise Unavailable("the service is stopping", 5)
             if urgent:
-                if self._asked >= self._queries:
-                    raise Busy.queue(self._asked, self._pace_s, "questions")
-                self._asked += 1
+                if self._pending_queries >= self._queries:
+                    raise Busy.queue(self._pending_queries, self._pace_s, "queries")
+                self._pending_queries += 1
                 future.add_done_callback(self._answered)
             urgency = QUERY if urgent else ENROLMENT
             self._queue.put(
@@ -153,7 +153,7 @@ class Scheduler:
 
     def _answered(self, _: "Future[Any]") -> None:
         with self._lock:
-            self._asked -= 1
+            self._pending_queries -= 1
 
     def _run(self) -> None:
         while True:

@@ -3,7 +3,6 @@
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +12,7 @@ from schemas.errors import NotFound
 from schemas.image import Image
 from worker.images import drawing
 from worker.method.cascade import RankedCandidate
-
-if TYPE_CHECKING:
-    from worker.service.query import RankedResults, ScoredView
+from worker.service.results import RankedResults, ScoredView
 
 Point = tuple[float, float]
 
@@ -35,9 +32,9 @@ class Explained:
 
     image: Image
     description: Description
-    results: "RankedResults"
+    results: RankedResults
 
-    def view(self, view_id: str | None) -> "ScoredView":
+    def view(self, view_id: str | None) -> ScoredView:
         """The result that is this view, or the first one; raises NotFound."""
         for scored in self.results.views:
             if view_id is None or scored.view.id == view_id:

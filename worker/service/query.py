@@ -10,20 +10,21 @@ from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
-from schemas.records import Filters, ViewRecord
+from schemas.records import Filters
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
-from worker.method.cascade import Evidence, RankedCandidate, ViewGone
+from worker.method.cascade import Evidence, ViewGone
 from worker.method.decision import Decision, decide
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
 from worker.service.explanations import Explained, Explanations
 from worker.service.ports import Listings, Maps, Views
+from worker.service.results import RankedResults, ScoredView
 
 ROUNDS = 5
 """How often a search may start anew because a view it found was deleted meanwhile."""
@@ -34,35 +35,6 @@ AT_LEAST = 2
 
 class RecipeChanged(Exception):
     """The map changed over to another recipe: the query must be described by that one."""
-
-
-@dataclass(frozen=True, eq=False)
-class ScoredView(RankedCandidate):
-    """A ranked candidate, and the view that it is."""
-
-    view: ViewRecord
-
-
-@dataclass(frozen=True, eq=False)
-class RankedResults:
-    """What a search found, best first, at one revision of the map and by one recipe.
-
-    Parameters
-    ----------
-    views : tuple of ScoredView
-    revision : int
-    recipe : MapRecipe
-    searched : int
-        How many views the search looked at.
-    timing_ms : mapping of stage to milliseconds
-        ``search``, ``rerank``, ``verify``.
-    """
-
-    views: tuple[ScoredView, ...]
-    revision: int
-    recipe: MapRecipe
-    searched: int
-    timing_ms: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)

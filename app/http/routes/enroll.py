@@ -1,4 +1,4 @@
-"""`POST /enroll`: keep pictures and what is said about them."""
+"""`POST /enroll`: keep images and what is said about them."""
 
 import asyncio
 from typing import Any
@@ -10,13 +10,14 @@ from app.http.body import Sent, take
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import ENROLLED
 from app.http.idempotency import HEADER, fingerprint, key_of, once
-from app.http.openapi import asks_images, refusals
-from app.http.parameters import EnrollParameters, read
+from app.http.openapi import refusals, takes_images
+from app.http.parameters import EnrollParameters
 from app.http.problems import KINDS, URN, code_of
+from app.http.validation import read
 from schemas.errors import Busy, InvalidParameters, RevisitError
 from schemas.wire import Enrolled, EnrolledMany, EnrolmentError, ProblemParameter
 
-router = APIRouter(tags=["enrol and ask"])
+router = APIRouter(tags=["enrol and query"])
 
 _LOCATION = {"Location": {"description": "The view, or the job that describes it.", "schema": {"type": "string"}}}
 _KEY: dict[str, Any] = {
@@ -33,7 +34,7 @@ _ANY = Enrolled | EnrolledMany
     "/enroll",
     status_code=201,
     response_model=_ANY,
-    openapi_extra=asks_images(EnrollParameters, several=True, headers=[_KEY]),
+    openapi_extra=takes_images(EnrollParameters, several=True, headers=[_KEY]),
     responses={
         200: {"model": _ANY, "description": "The map had these very bytes already.", "headers": _LOCATION},
         201: {
@@ -42,7 +43,7 @@ _ANY = Enrolled | EnrolledMany
             "content": {"application/json": {"example": ENROLLED}},
         },
         202: {"model": _ANY, "description": "Durable; `job` describes it.", "headers": _LOCATION},
-        207: {"model": EnrolledMany, "description": "Some pictures were refused; `errors` says why."},
+        207: {"model": EnrolledMany, "description": "Some images were refused; `errors` says why."},
         **refusals(
             "no-picture",
             "malformed-body",
@@ -60,7 +61,7 @@ _ANY = Enrolled | EnrolledMany
     },
 )
 async def enroll(request: Request, recogniser: Recognises, curator: Curates, metrics: Measures) -> Response:
-    """Enrol one picture, or several, in a map."""
+    """Enrol one image, or several, in a map."""
     sent = await take(request)
     params = read(EnrollParameters, sent.parameters, sent.errors)
 
@@ -79,7 +80,7 @@ async def enroll(request: Request, recogniser: Recognises, curator: Curates, met
 
 
 def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
-    """One picture: its view or its refusal. Several: what came of each, unless nothing came of any."""
+    """One image: its view or its refusal. Several: what came of each, unless nothing came of any."""
     views = [o for o in outcomes if isinstance(o, Enrolled)]
     refused = [(index, o) for index, o in enumerate(outcomes) if isinstance(o, RevisitError)]
     if len(outcomes) == 1 and refused:
@@ -125,14 +126,14 @@ def _refusal(index: int, filename: str | None, error: RevisitError) -> Enrolment
 
 
 def _all_refused(refused: list[tuple[int, RevisitError]]) -> RevisitError:
-    """The first refusal, its text naming every picture; one that trying again may cure goes before the others."""
+    """The first refusal, its text naming every image; one that trying again may cure goes before the others."""
     first = next((error for _, error in refused if isinstance(error, Busy)), refused[0][1])
     first.detail = "; ".join(f"image {index}: {error.detail}" for index, error in refused)
     return first
 
 
 def _slowest(views: list[Enrolled]) -> dict[str, float]:
-    """The longest time of each stage: pictures of one request are worked on side by side."""
+    """The longest time of each stage: images of one request are worked on side by side."""
     times: dict[str, float] = {}
     for view in views:
         for stage, milliseconds in view.timing_ms.items():

@@ -1,15 +1,15 @@
-"""Pictures of a view: as enrolled, small, and as the method sees it. All with an ETag."""
+"""Images of a view: as enrolled, small, and as the method sees it. All with an ETag."""
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from app.http.dependencies import Curates, in_url, no_parameters
-from app.http.openapi import answers_bytes, asks, refusals
+from app.http.dependencies import Curates, QueryId, ViewId, no_parameters
+from app.http.openapi import answers_bytes, refusals
 from app.http.parameters import ExplanationParameters, SegmentationParameters, ThumbnailParameters
 
-router = APIRouter(tags=["pictures"])
+router = APIRouter(tags=["images"])
 
 _TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff")
 _DRAWN = ("too-many-requests",)
@@ -26,10 +26,10 @@ def _responses(*types: str, description: str, drawn: bool = False) -> dict[int |
     "/views/{view_id}/image",
     response_class=Response,
     dependencies=[no_parameters],
-    responses=_responses(*_TYPES, description="The enrolled picture, byte for byte."),
+    responses=_responses(*_TYPES, description="The enrolled image, byte for byte."),
 )
-async def image(view_id: str, request: Request, curator: Curates) -> Response:
-    """The picture as it was enrolled."""
+async def image(view_id: ViewId, request: Request, curator: Curates) -> Response:
+    """The image as it was enrolled."""
     etag = await curator.view_etag(view_id, "image")
     if _is_fresh(request, etag):
         return _unchanged(etag)
@@ -40,16 +40,15 @@ async def image(view_id: str, request: Request, curator: Curates) -> Response:
 @router.get(
     "/views/{view_id}/thumbnail",
     response_class=Response,
-    openapi_extra=asks(ThumbnailParameters),
-    responses=_responses("image/jpeg", description="The picture, small and upright."),
+    responses=_responses("image/jpeg", description="The image, small and upright."),
 )
 async def thumbnail(
-    view_id: str,
-    params: Annotated[ThumbnailParameters, Depends(in_url(ThumbnailParameters))],
+    view_id: ViewId,
+    params: Annotated[ThumbnailParameters, Query()],
     request: Request,
     curator: Curates,
 ) -> Response:
-    """A small JPEG of the picture."""
+    """A small JPEG of the image."""
     etag = await curator.view_etag(view_id, f"thumbnail-{params.size}")
     if _is_fresh(request, etag):
         return _unchanged(etag)
@@ -59,16 +58,15 @@ async def thumbnail(
 @router.get(
     "/views/{view_id}/segmentation.png",
     response_class=Response,
-    openapi_extra=asks(SegmentationParameters),
     responses=_responses("image/png", description="Each pixel is an index into the map's labels.", drawn=True),
 )
 async def segmentation(
-    view_id: str,
-    params: Annotated[SegmentationParameters, Depends(in_url(SegmentationParameters))],
+    view_id: ViewId,
+    params: Annotated[SegmentationParameters, Query()],
     request: Request,
     curator: Curates,
 ) -> Response:
-    """What each pixel of the picture was taken for, as finely as the encoder can tell; the method has coarser cells."""
+    """What each pixel of the image was taken for, as finely as the encoder can tell; the method has coarser cells."""
     etag = await curator.view_etag(view_id, "overlay" if params.overlay else "segmentation")
     if _is_fresh(request, etag):
         return _unchanged(etag)
@@ -81,8 +79,8 @@ async def segmentation(
     dependencies=[no_parameters],
     responses=_responses("image/png", description="Nodes, labels and edges over the photo.", drawn=True),
 )
-async def graph(view_id: str, request: Request, curator: Curates) -> Response:
-    """The context graph, drawn over the picture."""
+async def graph(view_id: ViewId, request: Request, curator: Curates) -> Response:
+    """The context graph, drawn over the image."""
     etag = await curator.view_etag(view_id, "graph")
     if _is_fresh(request, etag):
         return _unchanged(etag)
@@ -92,15 +90,14 @@ async def graph(view_id: str, request: Request, curator: Curates) -> Response:
 @router.get(
     "/queries/{query_id}/explanation.png",
     response_class=Response,
-    openapi_extra=asks(ExplanationParameters),
     responses={
         **answers_bytes("image/png", description="Query and match side by side, with what agrees."),
         **refusals("not-found"),
     },
 )
 async def explanation(
-    query_id: str,
-    params: Annotated[ExplanationParameters, Depends(in_url(ExplanationParameters))],
+    query_id: QueryId,
+    params: Annotated[ExplanationParameters, Query()],
     curator: Curates,
 ) -> Response:
     """Why a query that was asked with `explain=true` got its answer; kept for a bounded time."""

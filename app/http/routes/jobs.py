@@ -2,18 +2,18 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Query
 
-from app.http.dependencies import Curates, in_url, no_parameters
-from app.http.openapi import asks, refusals
+from app.http.dependencies import Curates, JobId, no_parameters
+from app.http.openapi import refusals
 from app.http.parameters import ListJobs
 from schemas.wire import Job, Jobs
 
 router = APIRouter(tags=["jobs"])
 
 
-@router.get("/jobs", response_model=Jobs, openapi_extra=asks(ListJobs), responses=refusals("not-found"))
-async def list_jobs(params: Annotated[ListJobs, Depends(in_url(ListJobs))], curator: Curates) -> Jobs:
+@router.get("/jobs", response_model=Jobs, responses=refusals("not-found"))
+async def list_jobs(params: Annotated[ListJobs, Query()], curator: Curates) -> Jobs:
     """A page of jobs, newest first."""
     return await curator.jobs(
         params.map, kind=params.kind, state=params.state, cursor=params.cursor, limit=params.limit
@@ -21,7 +21,7 @@ async def list_jobs(params: Annotated[ListJobs, Depends(in_url(ListJobs))], cura
 
 
 @router.get("/jobs/{job_id}", response_model=Job, dependencies=[no_parameters], responses=refusals("not-found"))
-async def get_job(job_id: str, curator: Curates) -> Job:
+async def get_job(job_id: JobId, curator: Curates) -> Job:
     """One job: what it does, and how far it is."""
     return await curator.job(job_id)
 
@@ -32,6 +32,6 @@ async def get_job(job_id: str, curator: Curates) -> Job:
     dependencies=[no_parameters],
     responses=refusals("not-found", "conflict"),
 )
-async def cancel_job(job_id: str, curator: Curates) -> Job:
+async def cancel_job(job_id: JobId, curator: Curates) -> Job:
     """Cancel a describe job that is waiting, or a job of a map that has not finished."""
     return await curator.cancel_job(job_id)

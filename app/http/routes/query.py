@@ -6,18 +6,19 @@ from fastapi.responses import Response
 from app.http.body import IMAGE_PART, take
 from app.http.dependencies import Measures, Recognises
 from app.http.examples import QUERY_ANSWER
-from app.http.openapi import asks_images, refusals
-from app.http.parameters import QueryParameters, read
+from app.http.openapi import refusals, takes_images
+from app.http.parameters import QueryParameters
+from app.http.validation import read
 from schemas.errors import ParameterError
 from schemas.wire import QueryAnswer
 
-router = APIRouter(tags=["enrol and ask"])
+router = APIRouter(tags=["enrol and query"])
 
 
 @router.post(
     "/query",
     response_model=QueryAnswer,
-    openapi_extra=asks_images(QueryParameters, several=False),
+    openapi_extra=takes_images(QueryParameters, several=False),
     responses={
         200: {"content": {"application/json": {"example": QUERY_ANSWER}}},
         **refusals(
@@ -35,11 +36,11 @@ router = APIRouter(tags=["enrol and ask"])
     },
 )
 async def query(request: Request, recogniser: Recognises, metrics: Measures) -> Response:
-    """Which views of a map show the place of this picture?"""
+    """Which views of a map show the place of this image?"""
     sent = await take(request)
     errors = list(sent.errors)
     if len(sent.images) > 1:
-        errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} pictures; a question is about one"))
+        errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} images; a query is about one"))
     params = read(QueryParameters, sent.parameters, errors)
     answer = await recogniser.query(
         sent.images[0][1],

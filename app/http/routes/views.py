@@ -3,14 +3,15 @@
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Query, Request
 
 from app.http.body import json_object
-from app.http.dependencies import Curates, in_url, no_parameters
+from app.http.dependencies import Curates, ViewId, no_parameters
 from app.http.examples import PATCH, VIEW
 from app.http.merge_patch import merge
-from app.http.openapi import asks, refusals, takes_json
-from app.http.parameters import AttributesDocument, DeleteViews, ListViews, validated
+from app.http.openapi import refusals, takes_json
+from app.http.parameters import AttributesDocument, DeleteViews, ListViews
+from app.http.validation import validated
 from app.http.values import METADATA_DEPTH, within_depth
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.records import ViewAttributes
@@ -37,8 +38,8 @@ _PATCH_SCHEMA: dict[str, Any] = {
 _FIELDS = ("place", "position", "captured_at", "metadata")
 
 
-@router.get("/views", response_model=Views, openapi_extra=asks(ListViews), responses=refusals("not-found"))
-async def list_views(params: Annotated[ListViews, Depends(in_url(ListViews))], curator: Curates) -> Views:
+@router.get("/views", response_model=Views, responses=refusals("not-found"))
+async def list_views(params: Annotated[ListViews, Query()], curator: Curates) -> Views:
     """A page of views, in the order of their enrolment."""
     return await curator.views(
         params.map,
@@ -50,10 +51,8 @@ async def list_views(params: Annotated[ListViews, Depends(in_url(ListViews))], c
     )
 
 
-@router.delete(
-    "/views", response_model=Deleted, openapi_extra=asks(DeleteViews), responses=refusals("not-found", "conflict")
-)
-async def delete_views(params: Annotated[DeleteViews, Depends(in_url(DeleteViews))], curator: Curates) -> Deleted:
+@router.delete("/views", response_model=Deleted, responses=refusals("not-found", "conflict"))
+async def delete_views(params: Annotated[DeleteViews, Query()], curator: Curates) -> Deleted:
     """Delete the views of a map that fit the filters, or all of them with `all=true`."""
     return await curator.delete_views(params.map, params.filters())
 
@@ -61,7 +60,7 @@ async def delete_views(params: Annotated[DeleteViews, Depends(in_url(DeleteViews
 @router.get(
     "/views/{view_id}", response_model=View, dependencies=[no_parameters], responses={**_VIEW, **refusals("not-found")}
 )
-async def get_view(view_id: str, curator: Curates) -> View:
+async def get_view(view_id: ViewId, curator: Curates) -> View:
     """One view."""
     return await curator.view(view_id)
 
@@ -75,7 +74,7 @@ async def get_view(view_id: str, curator: Curates) -> View:
     ),
     responses={**_VIEW, **refusals("malformed-body", "not-found", "body-too-large", "disk-full")},
 )
-async def patch_view(view_id: str, request: Request, curator: Curates) -> View:
+async def patch_view(view_id: ViewId, request: Request, curator: Curates) -> View:
     """Correct what was said about a view: place, position, captured_at, metadata."""
     patch = await json_object(request)
     return await curator.patch_view(view_id, lambda attributes: _patched(attributes, patch))
@@ -84,8 +83,8 @@ async def patch_view(view_id: str, request: Request, curator: Curates) -> View:
 @router.delete(
     "/views/{view_id}", response_model=Deleted, dependencies=[no_parameters], responses=refusals("not-found")
 )
-async def delete_view(view_id: str, curator: Curates) -> Deleted:
-    """Delete a view and its picture."""
+async def delete_view(view_id: ViewId, curator: Curates) -> Deleted:
+    """Delete a view and its image."""
     return await curator.delete_view(view_id)
 
 

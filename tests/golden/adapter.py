@@ -1,0 +1,381 @@
+"""The one file of the golden tests that knows what the product calls things today; the others use neutral names.
+
+Nearly all goes through the HTTP door. Beside it are only descriptions as arrays and the places where a query can be
+interrupted.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from fastapi.testclient import TestClient
+
+from app.main import create_app
+from schemas.settings import Settings
+from tests import pictures
+from worker.bootstrap import build
+from worker.scenes import scene
+
+EncoderName = Literal["color", "compact"]
+Evidence = dict[str, Any]
+Pixels = npt.NDArray[np.uint8]
+
+encoded = pictures.encoded
+blobs = pictures.drawn
+
+CHANNELS = {"semantic": "words", "detail": "detail"}
+TERMS = {
+    "dense_full": "close",
+    "dense": "dense",
+    "histogram.semantic": "histogram.words",
+    "histogram.detail": "histogram.detail",
+    "graph": "graph",
+    "verification": "verification",
+}
+NUMBERS: Mapping[str, tuple[str, ...]] = {
+    "candidates": ("candidates",),
+    "ranking": ("ranking",),
+    "dense_cells": ("dense",),
+    "full_resolution_top_k": ("dense", "closely"),
+    "scale_penalty": ("dense", "scale_penalty"),
+    "local_features": ("verification",),
+    "verification_top_k": ("verification", "candidates"),
+    "graph_cosine": ("graph", "cosine"),
+    "graph_tau": ("graph", "tau"),
+    "min_region_cells": ("graph", "min_region_cells"),
+    "dynamic_margin": ("dynamic", "margin"),
+}
+OF_CHANNELS = {"assignments": "assignments", "vocabulary_size": "words", "sampled_descriptors": "descriptors"}
+"""Numbers that each channel has: neutral name to ours."""
+
+STAGES = {
+    "search": ("catalogue", "index"),
+    "catch_up": ("store", "since"),
+    "half_resolution": ("store", "appearances"),
+    "full_resolution": ("store", "cells"),
+    "local_features": ("store", "local_features"),
+    "views": ("store", "views_at"),
+}
+"""What a query fetches, in this order: where a call can be interrupted."""
+
+DENSE = {"similarity": "similarity", "median_similarity": "typical", "p85_similarity": "high"}
+
+PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture to enrol and what is said about it; `name` is what answers call it."""
+
+    name: str
+    image: bytes
+    place: str | None = None
+    position: Mapping[str, float] = field(default_factory=dict)
+    captured_at: str | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """What a map is made with; `numbers` are named as NUMBERS, OF_CHANNELS and `_parameters` say."""
+
+    preset: str = "default"
+    labels: Sequence[str] | None = None
+    dynamic: Sequence[str] | None = None
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Query:
+    """A query; `filters` are named as `_filters` says."""
+
+    image: bytes
+    top: int = 5
+    candidates: int | None = None
+    filters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a query: evidence without ids, times and revisions, and what only a test of one run may look at."""
+
+    evidence: Evidence
+    recipe: str | None
+    revision: int | None
+
+
+def drawn_place(
+    name: str,
+    size: tuple[int, int] = (320, 240),
+    light: Literal["noon", "overcast", "dusk", "night"] = "noon",
+    things: Sequence[str] = (),
+    **moved: float,
+) -> Pixels:
+    """A drawn place, uint8 (height, width, 3); `moved` by dx, ahead, up in metres and turn, tilt in degrees."""
+    return scene(name).at(light).seen_from(**moved).behind(*things).sized(*size).pixels
+
+
+class Service:
+    """A whole service over a data folder, spoken to through its HTTP door."""
+
+    def __init__(self, data: Path, encoder: EncoderName) -> None:
+        self._house = build(Settings(data=data, encoder=encoder, threads=1))
+        self._client = TestClient(create_app(self._house), raise_server_exceptions=False)
+        self._ids: dict[tuple[str, str], str] = {}
+
+    def __enter__(self) -> Self:
+        self._client.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.__exit__(kind, error, trace)
+
+    # maps and views
+
+    def make_map(self, name: str, options: MapOptions) -> Evidence:
+        """Make a map; what its recipe says of it, or why it was refused."""
+        return _refusal(self._client.put(f"/maps/{name}", json=_wanted(options))) or self.map_facts(name)
+
+    def map_facts(self, name: str) -> Evidence:
+        """What does not change from run to run of what a map says of itself."""
+        facts = self._client.get(f"/maps/{name}").json()
+        ours = {known: neutral for neutral, known in CHANNELS.items()}
+        return {
+            "labels": [label["word"] for label in facts["labels"]],
+            "dynamic": [label["word"] for label in facts["labels"] if label["dynamic"]],
+            **{f"vocabulary_size.{ours[c]}": size for c, size in facts["vocabulary"]["words"].items()},
+            **{f"dimensions.{ours[c]}": size for c, size in facts["vocabulary"]["dimensions"].items()},
+        }
+
+    def recipe_of(self, name: str) -> str:
+        """Id of the recipe that a map answers by."""
+        return str(self._client.get(f"/maps/{name}").json()["recipe"]["id"])
+
+    def enroll(self, map_name: str, view: View) -> Evidence:
+        """Enrol a picture and wait for its description; the facts of it, or why it was refused."""
+        said = {"map": map_name, "place": view.place, "captured_at": view.captured_at, **view.position}
+        answer = self._client.post(
+            "/enroll",
+            files=[("image", (view.name, view.image, "application/octet-stream"))],
+            data={name: str(value) for name, value in said.items() if value is not None}
+            | {"metadata": json.dumps({**view.metadata, "name": view.name})},
+        )
+        if answer.status_code != 201:
+            return _refusal(answer) or {"http_status": answer.status_code}
+        enrolled = answer.json()["view"]
+        self._ids[map_name, view.name] = enrolled["id"]
+        described = enrolled["description"]
+        return {
+            "sampled_descriptors": described["keypoints"],
+            "static_share": described["static_share"],
+            "nodes": described["nodes"],
+            **_labels("", described["labels"]),
+        }
+
+    def delete(self, map_name: str, view: str) -> None:
+        """Delete a view."""
+        self._client.delete(f"/views/{self._ids[map_name, view]}").raise_for_status()
+
+    def change_recipe(self, name: str, options: MapOptions) -> None:
+        """Describe a map's views by another recipe, and wait until the map answers by it."""
+        begun = self._client.post(f"/maps/{name}/recipe", json=_wanted(options))
+        begun.raise_for_status()
+        until = time.monotonic() + PATIENCE_S
+        while (job := self._client.get(begun.headers["location"]).json())["state"] != "done":
+            if job["state"] == "failed" or time.monotonic() > until:
+                raise AssertionError(f"the map {name} did not change over: {job}")
+            time.sleep(0.01)
+
+    # queries
+
+    def query(self, map_name: str, query: Query) -> Answer:
+        """Ask which views of a map show the place of a picture, with all evidence."""
+        parameters = {"map": map_name, "top": query.top, "explain": "true"} | self._filters(map_name, query.filters)
+        if query.candidates is not None:
+            parameters["candidates"] = query.candidates
+        answer = self._client.post(
+            "/query", params=parameters, content=query.image, headers={"content-type": "application/octet-stream"}
+        )
+        refused = _refusal(answer)
+        if refused:
+            return Answer(refused, None, None)
+        body = answer.json()
+        return Answer(_evidence(body), body["recipe"], body["revision"])
+
+    def _filters(self, map_name: str, filters: Mapping[str, Any]) -> dict[str, str]:
+        """Filters as the URL has them: near and near_degrees (three numbers), place, after, before, exclude_last,
+        exclude (names of views), metadata (a mapping)."""
+        written = {name: str(filters[name]) for name in ("place", "after", "before", "exclude_last") if name in filters}
+        if "near" in filters:
+            written["near"] = ",".join(map(str, filters["near"]))
+        if "near_degrees" in filters:
+            written |= {"near": ",".join(map(str, filters["near_degrees"])), "frame": "geo"}
+        if "exclude" in filters:
+            written["exclude"] = ",".join(self._ids[map_name, name] for name in filters["exclude"])
+        return written | {f"metadata.{key}": value for key, value in filters.get("metadata", {}).items()}
+
+    # beside the door
+
+    def describe(self, map_name: str, image: bytes) -> Evidence:
+        """A picture's description by a map's recipe: arrays, and numbers."""
+        house = self._house
+        describer = house.describers.of(house.store.map(map_name).recipe)
+        handed_in = house.desk.hand_in(house.decode(image), describer.describe, urgent=True, beside=describer.keypoints)
+        found = handed_in.result(PATIENCE_S).value
+        graph = found.appearance.graph
+        arrays = {
+            **{f"histogram.{name}": found.vectors[ours] for name, ours in CHANNELS.items() if ours in found.vectors},
+            "dense_full": found.cells,
+            "dense_half": found.appearance.coarse,
+            "graph.labels": graph.labels,
+            "graph.positions": graph.positions,
+            "graph.embeddings": graph.embeddings,
+            "graph.shares": graph.shares,
+            "label_shares": found.label_shares,
+            "extent": np.array(found.appearance.extent),
+        }
+        if found.keypoints is not None:
+            arrays["local_features.positions"] = found.keypoints.positions
+            arrays["local_features.descriptors"] = found.keypoints.descriptors
+        return {**arrays, "static_share": found.static_share, "sampled_descriptors": found.descriptor_count}
+
+    @contextmanager
+    def interrupted(self, stage: str, action: Callable[[], None], times: int = 1) -> Iterator[list[str]]:
+        """Have `action` done inside the first `times` calls of a stage of STAGES, before the stage does its work.
+
+        Yields
+        ------
+        list of str
+            Grows by the stage's name with every call of it.
+        """
+        part, method = STAGES[stage]
+        owner = getattr(self._house, part)
+        original = getattr(owner, method)
+        calls: list[str] = []
+        busy = False
+
+        def wrapped(*given: Any, **named: Any) -> Any:
+            nonlocal busy
+            if not busy:  # what the action itself fetches is not the query's
+                calls.append(stage)
+                if len(calls) <= times:
+                    busy = True
+                    try:
+                        action()
+                    finally:
+                        busy = False
+            return original(*given, **named)
+
+        setattr(owner, method, wrapped)
+        try:
+            yield calls
+        finally:
+            delattr(owner, method)
+
+
+def _wanted(options: MapOptions) -> dict[str, Any]:
+    body: dict[str, Any] = {"preset": options.preset, "parameters": _parameters(options.numbers)}
+    if options.labels is not None:
+        body["labels"] = list(options.labels)
+    if options.dynamic is not None:
+        body["dynamic"] = list(options.dynamic)
+    return body
+
+
+def _parameters(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Neutral numbers as our parameters: beside NUMBERS and OF_CHANNELS, `weights` by term, `channel_weights` by
+    channel, and `detail_only_top_k`."""
+    parameters: dict[str, Any] = {}
+
+    def put(path: Sequence[str], value: Any) -> None:
+        inner = parameters
+        for key in path[:-1]:
+            inner = inner.setdefault(key, {})
+        inner[path[-1]] = value
+
+    for name, value in numbers.items():
+        if name == "weights":
+            put(("weights",), {TERMS[term]: weight for term, weight in value.items()})
+        elif name == "channel_weights":
+            put(("dense", "shares"), {CHANNELS[channel]: weight for channel, weight in value.items()})
+        elif name == "detail_only_top_k":
+            put(("dense", "alone"), {"detail": value})
+        elif name in OF_CHANNELS:
+            for channel, number in value.items():
+                put(("channels", CHANNELS[channel], OF_CHANNELS[name]), number)
+        else:
+            put(NUMBERS[name], value)
+    return parameters
+
+
+def _refusal(answer: Any) -> Evidence | None:
+    """Status and code of a problem; None when it is none."""
+    if answer.status_code < 400:
+        return None
+    problem = answer.json()
+    refused: Evidence = {"http_status": answer.status_code, "refused": problem["type"].rpartition(":")[2]}
+    if problem.get("errors"):
+        refused["parameters"] = len(problem["errors"])
+    return refused
+
+
+def _labels(prefix: str, shares: Sequence[Mapping[str, Any]]) -> Evidence:
+    return {f"{prefix}labels": [s["label"] for s in shares], f"{prefix}label_shares": [s["share"] for s in shares]}
+
+
+def _evidence(body: Mapping[str, Any]) -> Evidence:
+    """An answer as a flat mapping; what each match has is a list over the matches, best first."""
+    names = {match["view"]["id"]: match["view"]["metadata"]["name"] for match in body["matches"]}
+    found: Evidence = {
+        "verdict": body["status"],
+        "confidence": body["confidence"],
+        "searched": body["searched"],
+        "query.size": [body["query"]["width"], body["query"]["height"]],
+        "query.static_share": body["query"]["static_share"],
+        **_labels("query.", body["query"]["labels"]),
+        "estimate": None,
+    }
+    if body["estimate"] is not None:
+        position = body["estimate"]["position"]
+        found["estimate"] = {axis: value for axis, value in position.items() if value is not None}
+        found["estimate.radius_m"] = body["estimate"]["radius_m"]
+        found["estimate.views"] = [names[view] for view in body["estimate"]["views"]]
+    rows = [_match(match) for match in body["matches"]]
+    columns = dict.fromkeys(key for row in rows for key in row)
+    return found | {f"match.{key}": [row.get(key) for row in rows] for key in columns}
+
+
+def _match(match: Mapping[str, Any]) -> Evidence:
+    view, dense, graph, verified = match["view"], match["dense"], match["graph"], match["verification"]
+    row: Evidence = {
+        "view": view["metadata"]["name"],
+        "rank": match["rank"],
+        "score": match["score"],
+        "confidence": match["confidence"],
+        "sampled_descriptors": view["description"]["keypoints"],
+    }
+    row |= {f"parts.{term}": match["parts"][ours] for term, ours in TERMS.items() if ours in match["parts"]}
+    for channel, ours in CHANNELS.items():
+        if ours in match["channels"]:
+            row[f"distance.{channel}"] = match["channels"][ours]["distance"]
+            row[f"rank.{channel}"] = match["channels"][ours]["rank"]
+    if dense is not None:
+        row |= {f"dense.{name}": dense[ours] for name, ours in DENSE.items()}
+        row |= {"dense.shift": dense["shift"], "dense.scale": dense["scale"]}
+    if graph is not None:
+        numbers = ("similarity", "correspondences", "nodes_query", "nodes_view", "edges_agreeing")
+        row |= {f"graph.{name}": graph[name] for name in numbers}
+        row["graph.pairs"] = [[p["label"], p["cosine"], *p["query"], *p["view"]] for p in graph["pairs"]]
+    if verified is not None:
+        row |= {f"verification.{name}": verified[name] for name in ("inliers", "matches", "transform")}
+        row["verification.pairs"] = [[*ours, *theirs] for ours, theirs in verified["pairs"]]
+    return row

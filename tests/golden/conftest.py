@@ -1,0 +1,35 @@
+"""What the golden tests share: one gallery of maps, what is expected, and how exactly."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.golden.comparing import CLOSE, EXACT, SIMILAR, Tolerance, differences
+from tests.golden.descriptions import DESCRIBED
+from tests.golden.gallery import Gallery
+from tests.golden.record import Golden, read
+
+
+@pytest.fixture(scope="session")
+def gallery(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gallery]:
+    with Gallery(tmp_path_factory.mktemp("golden")) as gallery:
+        yield gallery
+
+
+@pytest.fixture(scope="session")
+def golden() -> Golden:
+    return read()
+
+
+@pytest.fixture(scope="session")
+def exact(pytestconfig: pytest.Config) -> bool:
+    return bool(pytestconfig.getoption("golden_exact"))
+
+
+@pytest.fixture(scope="session")
+def tolerance(gallery: Gallery, golden: Golden, exact: bool) -> Tolerance:
+    """Of answers. Where descriptions have the recorded bits, nothing but the ranking can make answers differ."""
+    if exact:
+        return EXACT
+    described = {name: gallery.described(*of) for name, of in DESCRIBED.items()}
+    return SIMILAR if any(differences(golden["descriptions"], described, EXACT)) else CLOSE

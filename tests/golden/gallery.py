@@ -1,0 +1,128 @@
+"""Services with maps that are made when they are first needed, and the runs whose outcomes are golden."""
+
+import hashlib
+import json
+import re
+from contextlib import ExitStack
+from itertools import count
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from tests.golden.adapter import EncoderName, Evidence, Service
+from tests.golden.cases import CASES
+from tests.golden.images import image
+from tests.golden.maps import MAPS, Map
+
+PAIRS = 2
+"""Pairs of a match that are kept as they are."""
+
+LABELS = ("query.labels", "query.label_shares")
+FIRST_LABELS = 3
+"""Labels of a query that are kept with their shares; in its description all are."""
+
+NUMBERS = 6
+"""Numbers of an array that are kept as they are."""
+
+DIGITS = 16
+"""Of a SHA-256, in hexadecimal."""
+
+
+class Gallery:
+    """Services, one for each encoder, started when first needed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they keep their data.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._services: dict[EncoderName, Service] = {}
+        self._made: dict[str, Evidence] = {}
+        self._described: dict[tuple[str, str], Evidence] = {}
+        self._numbers = count()
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def service(self, encoder: EncoderName) -> Service:
+        """The service with an encoder."""
+        if encoder not in self._services:
+            self._services[encoder] = self._open.enter_context(Service(self._folder / encoder, encoder))
+        return self._services[encoder]
+
+    def map(self, name: str) -> tuple[Service, str, Evidence]:
+        """The service of one of MAPS, what the map is called there, and what came of making it."""
+        wanted = MAPS[name]
+        service, called = self.service(wanted.encoder), re.sub(r"[^a-z0-9]+", "-", name)
+        if name not in self._made:
+            made = {"map": service.make_map(called, wanted.options)}
+            self._made[name] = made | {
+                enrolled.image: service.enroll(called, enrolled.view()) for enrolled in wanted.views
+            }
+        return service, called, self._made[name]
+
+    def fresh(self, wanted: Map) -> tuple[Service, str]:
+        """A map that nobody else queries, and that may be changed."""
+        service, called = self.service(wanted.encoder), f"fresh-{next(self._numbers)}"
+        service.make_map(called, wanted.options)
+        for enrolled in wanted.views:
+            service.enroll(called, enrolled.view())
+        return service, called
+
+    def answered(self, name: str) -> Evidence:
+        """What came of one of CASES."""
+        service, called, _ = self.map(CASES[name].map)
+        return condensed(service.query(called, CASES[name].query()).evidence)
+
+    def described(self, map_name: str, image_name: str) -> Evidence:
+        """The description of a picture by a map's recipe, in short."""
+        if (map_name, image_name) not in self._described:
+            self._described[map_name, image_name] = self.described_again(map_name, image_name)
+        return self._described[map_name, image_name]
+
+    def described_again(self, map_name: str, image_name: str) -> Evidence:
+        """The same, never from memory."""
+        service, called, _ = self.map(map_name)
+        described = service.describe(called, image(image_name))
+        return {name: in_short(value) if isinstance(value, np.ndarray) else value for name, value in described.items()}
+
+
+def condensed(evidence: Evidence) -> Evidence:
+    """Evidence with the first of the query's labels and of the pairs of each match; instead digests of all of them."""
+    short: Evidence = {}
+    for name, column in evidence.items():
+        if name.endswith(".pairs"):
+            short[name] = [None if pairs is None else pairs[:PAIRS] for pairs in column]
+        elif name in LABELS:
+            short[name] = column[:FIRST_LABELS]
+        else:
+            short[name] = column
+            continue
+        short[f"{name}.sha256"] = _digest(json.dumps(column).encode())
+    return short
+
+
+def in_short(array: Any) -> Evidence:
+    """An array's type, shape, leading numbers, mean absolute number and digest."""
+    return {
+        "type": str(array.dtype),
+        "shape": list(array.shape),
+        "leading": array.ravel()[:NUMBERS].tolist(),
+        "mean size": float(np.abs(array.astype(np.float64)).mean()) if array.size else None,
+        "sha256": _digest(np.ascontiguousarray(array).tobytes()),
+    }
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:DIGITS]

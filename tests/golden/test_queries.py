@@ -1,0 +1,25 @@
+"""Queries are answered as they were when their answers were recorded: every stage, every edge of the cascade."""
+
+import pytest
+
+from tests.golden.cases import CASES
+from tests.golden.comparing import Tolerance, differences
+from tests.golden.gallery import Gallery
+from tests.golden.maps import FACTS
+from tests.golden.record import Golden
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_query_is_answered_as_it_was(gallery: Gallery, golden: Golden, tolerance: Tolerance, name: str) -> None:
+    assert list(differences(golden["answers"][name], gallery.answered(name), tolerance)) == []
+
+
+@pytest.mark.parametrize("name", FACTS)
+def test_a_map_and_its_views_say_of_themselves_what_they_did(
+    gallery: Gallery, golden: Golden, tolerance: Tolerance, name: str
+) -> None:
+    assert list(differences(golden["maps"][name], gallery.map(name)[2], tolerance)) == []
+
+
+def test_nothing_is_golden_not_queried(golden: Golden) -> None:
+    assert (set(golden["answers"]), set(golden["maps"])) == (set(CASES), set(FACTS))

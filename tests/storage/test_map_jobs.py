@@ -1,0 +1,220 @@
+"""What a store promises about jobs of whole maps: durable, with progress, cancelled cleanly, pruned after."""
+
+from datetime import timedelta
+
+import pytest
+import sqlalchemy as sa
+
+from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.records import JobProgress
+from tests.storage.conftest import Open
+from tests.storage.material import LEASE, NOW, RECIPE, describe_all, enroll, finish, recipe
+from worker.storage.jobs import ATTEMPTS
+from worker.storage.store import SqlStore
+
+PAPER = recipe("paper")
+LEARNED = RECIPE.description.model_copy(update={"vocabulary": "1" * 64})
+LATER = NOW + LEASE + timedelta(seconds=1)
+
+
+def descriptions(store: SqlStore) -> dict[str, int]:
+    """How many descriptions are kept by each recipe."""
+    with store.maps._database.reading() as connection:
+        rows = connection.execute(sa.text("SELECT recipe, count(*) AS views FROM descriptions GROUP BY recipe"))
+        return {row.recipe: row.views for row in rows}
+
+
+def campus_of_two(store: SqlStore) -> None:
+    for name in ("gate", "pond"):
+        enroll(store, name)
+    describe_all(store)
+
+
+def test_a_recipe_job_tells_how_far_it_is_and_ends_with_the_last_view(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.switch_recipe("campus", PAPER, NOW)
+    assert (job.kind, job.state, job.progress, job.finished_at) == ("recipe", "running", JobProgress(0, 2), None)
+    first, last = store.jobs.claim("worker", 2, LEASE, NOW)
+    finish(store, first)
+    assert store.jobs.get(job.id).progress == JobProgress(1, 2)
+    finish(store, last, LATER)
+    done = store.jobs.get(job.id)
+    assert (done.state, done.progress, done.finished_at) == ("done", JobProgress(2, 2), LATER)
+    assert done.result == {"recipe": PAPER.description.id}
+
+
+def test_a_job_that_tries_failed_views_again_ends_when_they_are_described(store: SqlStore) -> None:
+    enroll(store, "gate")
+    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    store.jobs.fail(claim, "internal", "a bad day", NOW)
+    job = store.jobs.switch_recipe("campus", RECIPE, NOW)
+    assert job.state == "running"
+    describe_all(store)
+    assert store.jobs.get(job.id).state == "done"
+
+
+def test_jobs_of_maps_survive_a_restart(store: SqlStore, reopen: Open) -> None:
+    campus_of_two(store)
+    job = store.jobs.switch_recipe("campus", PAPER, NOW)
+    store.close()
+    again = reopen()
+    again.recover(NOW)
+    assert again.jobs.get(job.id) == job
+    describe_all(again)
+    assert again.jobs.get(job.id).state == "done"
+    assert again.maps.get("campus").description == PAPER.description
+
+
+def test_a_vocabulary_is_trained_under_a_lease_and_described_by_as_one_job(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    assert (job.kind, job.state, job.progress) == ("vocabulary", "waiting", None)
+
+    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+
+    assert claim is not None
+    assert (claim.job_id, claim.map) == (job.id, "campus")
+    assert store.jobs.claim_map_job("other", LEASE, NOW) is None
+    store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW)
+    assert store.jobs.get(job.id).progress == JobProgress(1, 2)
+    store.jobs.finish_training(claim, LEARNED, NOW)
+    assert (store.jobs.get(job.id).state, store.jobs.get(job.id).progress) == ("running", JobProgress(0, 2))
+    assert store.jobs.claim_map_job("other", LEASE, LATER) is None
+    describe_all(store, LATER)
+    done = store.jobs.get(job.id)
+    assert (done.state, done.progress, done.result) == ("done", JobProgress(2, 2), {"recipe": LEARNED.id})
+    assert store.maps.get("campus").description == LEARNED
+    assert store.maps.get("campus").ranking == RECIPE.ranking
+
+
+def test_training_whose_worker_died_is_taken_up_by_another_thrice(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    moments = [NOW + (LEASE + timedelta(seconds=1)) * number for number in range(ATTEMPTS + 1)]
+    claims = [store.jobs.claim_map_job("worker", LEASE, moment) for moment in moments[:-1]]
+    moment = moments[-1]
+    assert store.jobs.claim_map_job("worker", LEASE, moment) is None
+    ended = store.jobs.get(job.id)
+    assert ended.failure is not None
+    assert (ended.state, ended.failure[0]) == ("failed", "worker-died")
+    for claim in claims:
+        assert claim is not None
+        with pytest.raises(LeaseLost):
+            store.jobs.report(claim, JobProgress(0, 2), LEASE, moment)
+
+
+def test_progress_renews_the_lease(store: SqlStore) -> None:
+    campus_of_two(store)
+    store.jobs.queue_vocabulary("campus", NOW)
+    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    assert claim is not None
+    store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW + LEASE / 2)
+    assert store.jobs.claim_map_job("other", LEASE, LATER) is None
+
+
+def test_training_put_back_begins_again_and_counts_no_attempt(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    assert claim is not None
+    store.jobs.release_map_job(claim)
+    assert (store.jobs.get(job.id).state, store.jobs.get(job.id).attempts) == ("waiting", 0)
+    assert store.jobs.claim_map_job("worker", LEASE, NOW) is not None
+
+
+@pytest.mark.parametrize("moment", ["waiting", "training", "describing"])
+def test_a_cancelled_vocabulary_job_leaves_the_map_as_it_was(store: SqlStore, moment: str) -> None:
+    campus_of_two(store)
+    before = store.maps.get("campus")
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    claim = None
+    if moment != "waiting":
+        claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+        assert claim is not None
+    if moment == "describing":
+        assert claim is not None
+        store.jobs.finish_training(claim, LEARNED, NOW)
+
+    cancelled = store.jobs.cancel(job.id, NOW)
+
+    assert (cancelled.state, cancelled.finished_at) == ("cancelled", NOW)
+    assert store.jobs.count_waiting(redescriptions=True) == 0
+    if claim is not None:
+        with pytest.raises(LeaseLost):
+            store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW)
+    assert store.jobs.claim_map_job("worker", LEASE, LATER) is None
+    assert store.maps.get("campus") == before
+    with pytest.raises(Conflict, match="is cancelled"):
+        store.jobs.cancel(job.id, NOW)
+    store.jobs.switch_recipe("campus", PAPER, NOW)  # the map is free again
+
+
+def test_a_cancelled_switch_keeps_the_recipe_and_prunes_what_was_described(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.switch_recipe("campus", PAPER, NOW)
+    first, running = store.jobs.claim("worker", 2, LEASE, NOW)
+    finish(store, first)
+    store.jobs.cancel(job.id, NOW)
+    with pytest.raises(LeaseLost):
+        finish(store, running)
+    assert store.maps.get("campus").description == RECIPE.description
+    assert descriptions(store) == {RECIPE.description.id: 2, PAPER.description.id: 1}
+    assert store.pruning.prune() == 1
+    assert descriptions(store) == {RECIPE.description.id: 2}
+    assert store.pruning.prune() == 0
+
+
+def test_the_descriptions_before_stay_for_a_way_back_and_older_ones_go(store: SqlStore) -> None:
+    campus_of_two(store)
+    third = recipe("third")
+    store.vocabularies.keep("2" * 64, b"of nobody")
+    for made in (PAPER, third):
+        store.jobs.switch_recipe("campus", made, NOW)
+        describe_all(store)
+    while store.pruning.prune():
+        pass
+    assert descriptions(store) == {PAPER.description.id: 2, third.description.id: 2}
+    with pytest.raises(NotFound):
+        store.vocabularies.get("2" * 64)
+    back = store.jobs.switch_recipe("campus", PAPER, NOW)
+    assert (back.state, back.progress) == ("done", JobProgress(0, 0))
+
+
+def test_jobs_are_listed_newest_first_by_map_kind_and_state(store: SqlStore) -> None:
+    campus_of_two(store)
+    enroll(store, "door", map="museum")
+    job = store.jobs.switch_recipe("campus", PAPER, NOW)
+    everything, following = store.jobs.list(None, limit=100)
+    assert following is None
+    assert [one.kind for one in everything] == ["describe", "describe", "recipe", "describe", "describe", "describe"]
+    assert [one.id for one in store.jobs.list("campus", kind="recipe")[0]] == [job.id]
+    assert [one.map for one in store.jobs.list(None, kind="describe", state="waiting")[0]] == [
+        "campus", "campus", "museum",
+    ]  # fmt: skip
+    first, cursor = store.jobs.list(None, limit=4)
+    rest, end = store.jobs.list(None, limit=4, cursor=cursor)
+    assert [*first, *rest] == everything
+    assert end is None
+    with pytest.raises(NotFound):
+        store.jobs.list("nowhere")
+
+
+def test_a_second_change_of_a_map_names_the_job_that_is_under_way(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    with pytest.raises(Conflict, match=job.id):
+        store.jobs.queue_vocabulary("campus", NOW)
+    with pytest.raises(Conflict, match=job.id):
+        store.jobs.switch_recipe("campus", PAPER, NOW)
+
+
+def test_jobs_go_with_their_map(store: SqlStore) -> None:
+    campus_of_two(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    assert claim is not None
+    store.removals.delete_map("campus")
+    with pytest.raises(NotFound):
+        store.jobs.get(job.id)
+    with pytest.raises(LeaseLost):
+        store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW)

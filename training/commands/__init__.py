@@ -1,0 +1,1 @@
+"""Command lines, each run as ``python -m training.commands.NAME``; `train` also as ``python -m training``."""

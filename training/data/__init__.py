@@ -1,0 +1,1 @@
+"""What networks learn from: images, label maps, text labels, augmentation, and the batches drawn from them."""
