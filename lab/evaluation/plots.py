@@ -32,7 +32,7 @@ def recall(e: Evaluation) -> bytes:
             axes.vlines(e.depths, [f.low for f in m.recall], [f.high for f in m.recall], color=color, alpha=0.6)
         axes.plot(e.depths, e.chance, label="chance", **GUIDE)
         axes.plot([e.depths[0], e.depths[-1]], [1, 1], label="ceiling", **GUIDE | {"linestyle": ":"})
-        axes.set(xlabel="first N answers", ylabel="recall@N", xlim=(0, None), ylim=(0, 1.02))
+        axes.set(xlabel="first N answers", ylabel="recall@N", xticks=[0, *e.depths], xlim=(0, None), ylim=(0, 1.02))
 
     return _svg(draw)
 
@@ -41,10 +41,10 @@ def known_place(e: Evaluation) -> bytes:
     """Precision over recall of the claim to know a place, of every method that gives a confidence."""
 
     def draw(axes: "Axes") -> None:
-        for m in e.methods:
+        for number, m in enumerate(e.methods):
             if m.known_place is not None and len(m.known_place.curve) > 1:
                 _, precision, share = zip(*m.known_place.curve, strict=True)
-                axes.step(share, precision, where="post", label=m.method)
+                axes.step(share, precision, where="post", color=f"C{number % 10}", label=m.method)
         axes.axhline(e.chance_of_all[0], label="chance", **GUIDE)
         axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
 
