@@ -1,4 +1,4 @@
-"""What every baseline promises, and how they read images."""
+"""What every baseline promises, and how baselines read images."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -26,10 +26,6 @@ class Baseline(Protocol):
     def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
         """Distances, float32 (queries, database), small for alike; whatever is learned comes from the database."""
         ...
-
-
-def nothing() -> None:
-    """A tick that nobody watches."""
 
 
 def grey(path: Path) -> npt.NDArray[np.uint8]:

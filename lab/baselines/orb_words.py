@@ -41,11 +41,11 @@ class OrbWords:
         known = [self._bits(path, tick) for path in database]
         vocabulary = self._vocabulary(np.concatenate(known))
         counts = self._counts(known, vocabulary)
-        results = self._counts([self._bits(path, tick) for path in queries], vocabulary)
+        queried = self._counts([self._bits(path, tick) for path in queries], vocabulary)
         # A word in every image tells nothing; a word in none cannot be met in the database.
         seen = (counts > 0).sum(axis=0)
         idf = np.log(len(database) / np.maximum(seen, 1)).astype(np.float32)
-        return 1 - unit(results * idf) @ unit(counts * idf).T
+        return 1 - unit(queried * idf) @ unit(counts * idf).T
 
     def _bits(self, path: Path, tick: Tick) -> Floats:
         """ORB descriptors as bits, float32 (features, 256): their squared distance is Hamming's."""

@@ -1,4 +1,4 @@
-"""A set of images with ground truth, and what all readers share."""
+"""A set of images with ground truth, and what all modules that read one share."""
 
 import csv
 import re
@@ -19,7 +19,7 @@ RADIUS_M = 25.0
 
 
 class UnexpectedLayout(RevisitError):
-    """A folder does not hold what a reader looks for; the text shows what it expected and what it found."""
+    """A folder does not hold what is looked for; the text shows what was expected and what was found."""
 
     code = "unexpected-layout"
 
@@ -29,7 +29,7 @@ class UnexpectedLayout(RevisitError):
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Images to enrol, images to ask with, and which answers are right.
+    """Images to enrol, images to query with, and which answers are right.
 
     Parameters
     ----------

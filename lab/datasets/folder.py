@@ -26,7 +26,7 @@ def read(
     radius_m: float = RADIUS_M,
     heading_tolerance: float | None = None,
 ) -> list[Dataset]:
-    """One set whose right answers were taken near the query and, if asked, looking the same way.
+    """One set whose right answers were taken near the query and, if wanted, looking the same way.
 
     Parameters
     ----------

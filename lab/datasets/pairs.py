@@ -25,7 +25,7 @@ def read(root: Path, *, table: str = "ground_truth.csv", unlisted: bool = False)
     table : str
         Name of the table.
     unlisted : bool
-        Whether images of a query folder that no row names are asked as queries without a right answer. Off by
+        Whether images of a query folder that no row names are queries without a right answer. Off by
         default: an image may be absent from a table because nobody looked, not because its place is unknown.
 
     Returns
@@ -51,16 +51,16 @@ def _sets(table: Path, unlisted: bool) -> list[Dataset]:
         pair = right.setdefault((row["query_folder"], row["database_folder"]), {})
         pair.setdefault(row["query_file"], set()).add(row["database_file"])
     sets = []
-    for (results, searched), answers in right.items():
+    for (queried, searched), answers in right.items():
         database = images_in(folder / searched, EXPECTED)
-        queries = [p for p in images_in(folder / results, EXPECTED) if unlisted or p.name in answers]
+        queries = [p for p in images_in(folder / queried, EXPECTED) if unlisted or p.name in answers]
         number = {p.name: i for i, p in enumerate(database)}
-        missing = {f"{results}/{q}" for q in answers.keys() - {p.name for p in queries}}
+        missing = {f"{queried}/{q}" for q in answers.keys() - {p.name for p in queries}}
         missing |= {f"{searched}/{d}" for named in answers.values() for d in named - number.keys()}
         if missing:
             problem = f"{len(missing)} images that the table names are not there: {', '.join(sorted(missing)[:5])}"
             raise UnexpectedLayout(table, problem, EXPECTED)
         positives = tuple(np.array(sorted(number[d] for d in answers.get(q.name, ())), np.int64) for q in queries)
-        name = f"{folder.name} {results} -> {searched}"
+        name = f"{folder.name} {queried} -> {searched}"
         sets.append(Dataset(name, tuple(database), tuple(queries), positives, f"the pairs of {table.name}"))
     return sets

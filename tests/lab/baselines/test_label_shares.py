@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.baselines.baseline import nothing
 from lab.baselines.label_shares import LabelShares
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.image import Image
@@ -40,7 +39,7 @@ def decode(path: Path) -> Image:
 
 def test_shares_are_of_what_stays_and_cars_do_not_matter() -> None:
     baseline = LabelShares(RowsOfLabels(), ("sky", "building", "car"), ("car",), decode)
-    distances = baseline.rank([Path("8_0"), Path("5_0")], [Path("8_0"), Path("4_5"), Path("0_10")], nothing)
+    distances = baseline.rank([Path("8_0"), Path("5_0")], [Path("8_0"), Path("4_5"), Path("0_10")], lambda: None)
     assert distances[0] == pytest.approx([0, np.hypot(0.3, 0.3)], abs=1e-3)
     assert distances[1] == pytest.approx([0, np.hypot(0.3, 0.3)], abs=1e-3)  # 4 of the 5 static cells are sky
     assert distances[2] == pytest.approx([np.hypot(0.8, 0.2), np.hypot(0.5, 0.5)], abs=1e-3)
