@@ -72,7 +72,7 @@ def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) ->
     """
     weights = config.weights.terms()
     if len(reranked) == 0:
-        weights = {name: weights.get(name, 1.0) for name in terms}
+        weights = {name: weights.get(name) or 1.0 for name in terms}
     elif config.mode == "graph":
         weights = {"graph": 1.0}
     total, parts = weigh(terms, weights)
