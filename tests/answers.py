@@ -20,7 +20,7 @@ def view(view_id: str = ID, **changes: Any) -> dict[str, Any]:
         "image": {"width": 640, "height": 480, "bytes": 1000, "format": "png", "sha256": "0" * 64},
         "state": "ready",
         "failure": None,
-        "description": {"recipe": "r", "keypoints": 10, "static_share": 1.0, "labels": [], "nodes": 2},
+        "description": {"recipe": "r", "sampled_descriptors": 10, "static_share": 1.0, "labels": [], "nodes": 2},
         "links": {"self": "/s", "image": "/i", "thumbnail": "/t", "segmentation": "/g", "graph": "/h"},
     } | changes
 
@@ -38,7 +38,7 @@ def match(rank: int = 1, score: float = 0.8, **changes: Any) -> dict[str, Any]:
         "score": score,
         "confidence": 0.93,
         "parts": {"dense": score},
-        "channels": {"words": {"distance": 0.4, "rank": rank}},
+        "channels": {"semantic": {"distance": 0.4, "rank": rank}},
         "dense": None,
         "graph": None,
         "verification": {"inliers": 40, "matches": 60, "transform": None, "pairs": None},
@@ -53,6 +53,7 @@ def query_answer(*matches: dict[str, Any], status: str = "matched") -> dict[str,
         "map": "default",
         "revision": 3,
         "recipe": "r",
+        "ranking": "k",
         "searched": 3,
         "status": status,
         "confidence": 0.93,
@@ -71,8 +72,9 @@ def map_facts(name: str = "default") -> dict[str, Any]:
         "places": 2,
         "bytes": 3000,
         "recipe": {"id": "abc", "encoder": "compact", "preset": "default"},
+        "ranking": {"id": "k"},
         "labels": [
-            {"index": 0, "word": "sky", "mapped_to": ["sky"], "trained": True, "dynamic": False, "colour": "#4682b4"}
+            {"index": 0, "label": "sky", "mapped_to": ["sky"], "trained": True, "dynamic": False, "colour": "#4682b4"}
         ],
         "vocabulary": {},
         "extent": None,
@@ -89,6 +91,8 @@ def job(state: str = "done", **changes: Any) -> dict[str, Any]:
         "map": "default",
         "view": ID,
         "attempts": 1,
+        "progress": None,
+        "result": None,
         "created_at": NOON,
         "finished_at": None,
         "failure": None,

@@ -61,8 +61,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
     rows = []
     for facts in maps:
         counts = [facts.views.get(state, 0) for state in ("ready", "pending", "failed")]
-        recipe = facts.recipe
-        kind = (recipe.get("preset"), recipe.get("encoder"))
+        kind = (facts.ranking.get("preset"), facts.recipe.get("encoder"))
         rows.append((facts.name, *counts, facts.places, size(facts.bytes), facts.revision, *kind))
     show(table(heads, rows))
     if arguments.name is not None:

@@ -19,7 +19,7 @@ VERDICTS = {
 def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser("query", help="ask where a picture was taken")
-    parser.add_argument("picture", type=Path, metavar="PICTURE")
+    parser.add_argument("image", type=Path, metavar="PICTURE")
     parser.add_argument("--map", help="map to search (default: default)")
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=int, metavar="N", help="how many of each channel are re-ranked")

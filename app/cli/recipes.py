@@ -24,7 +24,7 @@ def add(verbs: Verbs) -> None:
         "recipe",
         help="show a map's recipe, or change it",
         description="Show a map's recipe. With any of the options its views are described anew; until that is done, "
-        "questions are answered by the old recipe.",
+        "queries are answered by the old recipe.",
     )
     recipe.add_argument("--map", default="default")
     recipe.add_argument("--preset", help="named set of parameters, such as default or paper")
@@ -59,11 +59,12 @@ def run_recipe(arguments: argparse.Namespace) -> int:
         except ValueError as error:
             wrong_use(f"--parameters is not JSON: {error}")
         if not isinstance(parameters, dict):
-            wrong_use('--parameters takes a JSON object such as {"candidates": 50}')
+            wrong_use('--parameters takes a JSON object such as {"local_features": 500}')
     labels, dynamic = _words(arguments.labels), _words(arguments.dynamic)
     with Revisit(arguments.url) as revisit:
         if arguments.preset is None and labels is None and dynamic is None and parameters is None:
-            show_json(revisit.map(arguments.map).recipe)
+            facts = revisit.map(arguments.map)
+            show_json({"recipe": facts.recipe, "ranking": facts.ranking})
             return DONE
         job = revisit.switch_recipe(
             arguments.map, labels=labels, dynamic=dynamic, preset=arguments.preset, parameters=parameters
