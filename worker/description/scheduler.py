@@ -142,7 +142,7 @@ class Scheduler:
                 raise Unavailable("the service is stopping", 5)
             if urgent:
                 if self._asked >= self._queries:
-                    raise Busy.queue(self._asked, self._pace_s, "questions")
+                    raise Busy.queue(self._asked, self._pace_s, "queries")
                 self._asked += 1
                 future.add_done_callback(self._answered)
             urgency = QUERY if urgent else ENROLMENT
