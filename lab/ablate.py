@@ -22,18 +22,17 @@ from lab.metrics.recall import Doubles, bootstrap_interval, first_right
 from schemas.description import Floats, PixelField
 from schemas.errors import RevisitError
 from schemas.image import Image
-from worker.description.ports import Encoder
 from schemas.recipe import Channel, Graph, Parameters, Recipe
 from schemas.records import Meaning
 from schemas.settings import read_settings
-from worker.runtime import build, make_product
 from worker.description import vocabularies
 from worker.description.describer import Describer
 from worker.description.describers import Describers
+from worker.description.ports import Encoder
 from worker.description.presets import PRESETS, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
 from worker.loop import Loop
-from worker.runtime import Runtime
+from worker.runtime import Runtime, build, make_product
 
 Change = Callable[[Parameters], Parameters]
 

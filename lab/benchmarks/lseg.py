@@ -25,10 +25,10 @@ import numpy as np
 import torch
 from PIL import Image as PilImage
 
+from lab.benchmarks.lseg_cost import multiply_adds
 from schemas.image import Image
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED
-from lab.benchmarks.lseg_cost import multiply_adds
 from worker.encoders.lseg.encoder import LsegEncoder, Mode
 from worker.encoders.lseg.enlarge import Axis, enlarge
 from worker.encoders.lseg.linear import linear

@@ -15,10 +15,10 @@ from scenes.scene import Scene, scene
 from schemas.description import PixelField
 from schemas.image import Image
 from schemas.settings import Settings
-from worker.runtime import make_encoder
 from worker.description.describer import Describer
 from worker.description.presets import general_vocabulary, make_recipe
 from worker.images import drawing
+from worker.runtime import make_encoder
 
 SEEN = scene("market street").behind("car", "person")
 

@@ -26,6 +26,7 @@ import cv2
 import faiss
 import numpy as np
 from fastapi.testclient import TestClient
+from worker.search.searcher import Searcher
 
 from app.http.application import create_app
 from lab.benchmarks.filling import fill
@@ -34,10 +35,8 @@ from schemas.description import Description
 from schemas.image import Image
 from schemas.records import Filters
 from schemas.settings import Settings
-from worker.runtime import build, make_product
 from worker.description.describer import Describer
-from worker.runtime import Runtime
-from worker.search.searcher import Searcher
+from worker.runtime import Runtime, build, make_product
 
 SIZE = (640, 480)
 NEAREST = 25

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from worker.bootstrap import build
 
 from lab.ablate import VARIANTS, ablate, as_markdown, recipe_of, remembering
 from lab.calibrate import evidence
@@ -17,7 +18,6 @@ from lab.evaluation.querying import ask
 from schemas.errors import RevisitError
 from schemas.records import Position
 from schemas.settings import Settings
-from worker.bootstrap import build
 from worker.description.presets import general_vocabulary
 from worker.description.vocabularies import Vocabulary
 from worker.runtime import Runtime
