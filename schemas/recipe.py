@@ -139,16 +139,15 @@ class TermWeights(Frozen):
 
     @model_validator(mode="after")
     def _some_term_counts(self) -> Self:
-        if not self.terms():
+        if not any(self.terms().values()):
             raise ValueError("every weight is 0, so that all views would score the same; give at least one above 0")
         return self
 
     def terms(self) -> dict[str, float]:
-        """Weights above 0 by the names that terms have in an answer, ``histogram.CHANNEL`` for the histograms."""
+        """Weights by the names that terms have in an answer, ``histogram.CHANNEL`` for the histograms."""
         named = {"dense_full": self.dense_full, "dense": self.dense}
         named |= {f"histogram.{channel}": weight for channel, weight in self.histogram.items()}
-        named |= {"graph": self.graph, "verification": self.verification}
-        return {term: weight for term, weight in named.items() if weight > 0}
+        return named | {"graph": self.graph, "verification": self.verification}
 
 
 class RankingConfig(Identified):

@@ -13,33 +13,39 @@ SWITCH_S = 0.001
 many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment: docs/speed.md)."""
 
 
-def configure(threads: int, *, torch_threads: int | None = None, device: str = "cpu") -> None:
-    """Set what belongs to the whole process. How many threads numpy's products take is set in `worker.__init__`.
+def configure(threads: int) -> None:
+    """Set what belongs to the whole process, torch apart.
+
+    How many threads numpy's products take is set in `worker.__init__`.
 
     Parameters
     ----------
     threads : int
         Of OpenCV.
-    torch_threads : int, optional
-        Of torch; None leaves torch alone, which is not imported then. More than 1 says that torch runs the network:
-        the allocator is then told to keep freed memory.
+    """
+    cv2.setNumThreads(threads)
+    # A search is bound by memory; threads that contend for cores make it several times slower.
+    faiss.omp_set_num_threads(1)
+    sys.setswitchinterval(SWITCH_S)
+
+
+def configure_torch(threads: int, device: str = "cpu") -> None:
+    """Import torch and set its threads, for the whole process.
+
+    Parameters
+    ----------
+    threads : int
     device : str
-        Where torch runs the network.
+        Where torch runs a network.
 
     Raises
     ------
     SetupError
         There is no such device.
     """
-    cv2.setNumThreads(threads)
-    # A search is bound by memory; threads that contend for cores make it several times slower.
-    faiss.omp_set_num_threads(1)
-    sys.setswitchinterval(SWITCH_S)
-    if torch_threads is None:
-        return
     import torch
 
-    torch.set_num_threads(torch_threads)
+    torch.set_num_threads(threads)
     if device != "cpu" and not torch.cuda.is_available():
         raise SetupError(f"REVISIT_DEVICE={device}, but this torch sees no GPU; set it to cpu")
 

@@ -67,10 +67,12 @@ def test_a_missing_file_is_named(capsys: Out) -> None:
 
 
 def test_maps_as_a_table_and_as_json(service: FakeService, capsys: Out) -> None:
-    service.replies["GET /maps"] = 200, {"maps": [answers.map_facts("campus")]}
+    campus = answers.map_facts("campus") | {"ranking": {"id": "k", "preset": "paper"}}
+    service.replies["GET /maps"] = 200, {"maps": [campus]}
 
     assert main(["maps"]) == 0
-    assert capsys.readouterr().out.splitlines()[2].split()[:2] == ["campus", "3"]
+    row = capsys.readouterr().out.splitlines()[2].split()
+    assert (row[:2], row[-2:]) == (["campus", "3"], ["paper", "compact"])
     assert main(["maps", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["name"] == "campus"
 
@@ -131,12 +133,15 @@ def test_places(service: FakeService, capsys: Out) -> None:
 
 
 def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, capsys: Out) -> None:
-    service.replies["GET /maps/default"] = 200, answers.map_facts()
+    facts = answers.map_facts() | {"ranking": {"id": "k", "preset": "default"}}
+    service.replies["GET /maps/default"] = 200, facts
     service.replies["POST /maps/default/recipe"] = 202, answers.job("waiting", kind="recipe")
     service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("done", kind="recipe")
 
     assert main(["recipe"]) == 0
-    assert json.loads(capsys.readouterr().out)["ranking"]["preset"] == "default"
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["ranking"]["preset"] == "default"
+    assert shown["recipe"] == facts["recipe"]
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
     assert json.loads(service.asked[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -17,55 +18,57 @@ import numpy as np
 import numpy.typing as npt
 from fastapi.testclient import TestClient
 
-from app.main import create_app
+from app.http.application import create_app
+from scenes import scene
 from schemas.settings import Settings
-from tests import pictures
-from worker.bootstrap import build
-from worker.scenes import scene
+from tests import sample_images
+from worker.runtime import build
 
 EncoderName = Literal["color", "compact"]
 Evidence = dict[str, Any]
 Pixels = npt.NDArray[np.uint8]
 
-encoded = pictures.encoded
-blobs = pictures.drawn
+encoded = sample_images.encoded
+blobs = sample_images.drawn
 
-CHANNELS = {"semantic": "words", "detail": "detail"}
-TERMS = {
-    "dense_full": "close",
-    "dense": "dense",
-    "histogram.semantic": "histogram.words",
-    "histogram.detail": "histogram.detail",
-    "graph": "graph",
-    "verification": "verification",
-}
-NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "candidates": ("candidates",),
-    "ranking": ("ranking",),
+CHANNELS = {"semantic": "semantic", "detail": "detail"}
+TERMS = ("dense_full", "dense", "histogram.semantic", "histogram.detail", "graph", "verification")
+
+DESCRIPTION: Mapping[str, tuple[str, ...]] = {
     "dense_cells": ("dense",),
-    "full_resolution_top_k": ("dense", "closely"),
-    "scale_penalty": ("dense", "scale_penalty"),
-    "local_features": ("verification",),
-    "verification_top_k": ("verification", "candidates"),
-    "graph_cosine": ("graph", "cosine"),
-    "graph_tau": ("graph", "tau"),
+    "local_features": ("local_features",),
     "min_region_cells": ("graph", "min_region_cells"),
     "dynamic_margin": ("dynamic", "margin"),
+    "channel_weights": ("dense", "channel_weights"),
 }
-OF_CHANNELS = {"assignments": "assignments", "vocabulary_size": "words", "sampled_descriptors": "descriptors"}
+"""Numbers that describe, and where our parameters have them."""
+
+RANKING: Mapping[str, str] = {
+    "candidates": "candidates",
+    "ranking": "mode",
+    "full_resolution_top_k": "full_resolution_top_k",
+    "detail_only_top_k": "detail_only_top_k",
+    "scale_penalty": "scale_penalty",
+    "verification_top_k": "verified_top_k",
+    "graph_cosine": "graph_cosine",
+    "graph_tau": "graph_max_edge",
+}
+"""Numbers that rank, and what our ranking calls them."""
+
+OF_CHANNELS = {"assignments": "assignments", "vocabulary_size": "vocabulary_size", "sampled_descriptors": "descriptors"}
 """Numbers that each channel has: neutral name to ours."""
 
 STAGES = {
     "search": ("catalogue", "index"),
-    "catch_up": ("store", "since"),
-    "half_resolution": ("store", "appearances"),
-    "full_resolution": ("store", "cells"),
-    "local_features": ("store", "local_features"),
-    "views": ("store", "views_at"),
+    "catch_up": ("store.descriptions", "since"),
+    "half_resolution": ("store.descriptions", "appearances"),
+    "full_resolution": ("store.descriptions", "cells"),
+    "local_features": ("store.descriptions", "local_features"),
+    "views": ("store.views", "at"),
 }
 """What a query fetches, in this order: where a call can be interrupted."""
 
-DENSE = {"similarity": "similarity", "median_similarity": "typical", "p85_similarity": "high"}
+DENSE = {"similarity": "similarity", "median_similarity": "median_similarity", "p85_similarity": "p85_similarity"}
 
 PATIENCE_S = 60.0
 
@@ -84,7 +87,7 @@ class View:
 
 @dataclass(frozen=True)
 class MapOptions:
-    """What a map is made with; `numbers` are named as NUMBERS, OF_CHANNELS and `_parameters` say."""
+    """What a map is made with; `numbers` are named as DESCRIPTION, RANKING, OF_CHANNELS and `_halves` say."""
 
     preset: str = "default"
     labels: Sequence[str] | None = None
@@ -126,8 +129,8 @@ class Service:
     """A whole service over a data folder, spoken to through its HTTP door."""
 
     def __init__(self, data: Path, encoder: EncoderName) -> None:
-        self._house = build(Settings(data=data, encoder=encoder, threads=1))
-        self._client = TestClient(create_app(self._house), raise_server_exceptions=False)
+        self._runtime = build(Settings(data=data, encoder=encoder, threads=1))
+        self._client = TestClient(create_app(self._runtime), raise_server_exceptions=False)
         self._ids: dict[tuple[str, str], str] = {}
 
     def __enter__(self) -> Self:
@@ -148,12 +151,11 @@ class Service:
     def map_facts(self, name: str) -> Evidence:
         """What does not change from run to run of what a map says of itself."""
         facts = self._client.get(f"/maps/{name}").json()
-        ours = {known: neutral for neutral, known in CHANNELS.items()}
         return {
-            "labels": [label["word"] for label in facts["labels"]],
-            "dynamic": [label["word"] for label in facts["labels"] if label["dynamic"]],
-            **{f"vocabulary_size.{ours[c]}": size for c, size in facts["vocabulary"]["words"].items()},
-            **{f"dimensions.{ours[c]}": size for c, size in facts["vocabulary"]["dimensions"].items()},
+            "labels": [label["label"] for label in facts["labels"]],
+            "dynamic": [label["label"] for label in facts["labels"] if label["dynamic"]],
+            **{f"vocabulary_size.{c}": size for c, size in facts["vocabulary"]["vocabulary_size"].items()},
+            **{f"dimensions.{c}": size for c, size in facts["vocabulary"]["dimensions"].items()},
         }
 
     def recipe_of(self, name: str) -> str:
@@ -175,7 +177,7 @@ class Service:
         self._ids[map_name, view.name] = enrolled["id"]
         described = enrolled["description"]
         return {
-            "sampled_descriptors": described["keypoints"],
+            "sampled_descriptors": described["sampled_descriptors"],
             "static_share": described["static_share"],
             "nodes": described["nodes"],
             **_labels("", described["labels"]),
@@ -227,10 +229,8 @@ class Service:
 
     def describe(self, map_name: str, image: bytes) -> Evidence:
         """A picture's description by a map's recipe: arrays, and numbers."""
-        house = self._house
-        describer = house.describers.of(house.store.map(map_name).recipe)
-        handed_in = house.desk.hand_in(house.decode(image), describer.describe, urgent=True, beside=describer.keypoints)
-        found = handed_in.result(PATIENCE_S).value
+        query = self._runtime.services.query
+        found = query.describe(self._runtime.decode(image), query.describer(map_name)).value
         graph = found.appearance.graph
         arrays = {
             **{f"histogram.{name}": found.vectors[ours] for name, ours in CHANNELS.items() if ours in found.vectors},
@@ -258,7 +258,7 @@ class Service:
             Grows by the stage's name with every call of it.
         """
         part, method = STAGES[stage]
-        owner = getattr(self._house, part)
+        owner = attrgetter(part)(self._runtime)
         original = getattr(owner, method)
         calls: list[str] = []
         busy = False
@@ -283,7 +283,8 @@ class Service:
 
 
 def _wanted(options: MapOptions) -> dict[str, Any]:
-    body: dict[str, Any] = {"preset": options.preset, "parameters": _parameters(options.numbers)}
+    parameters, ranking = _halves(options.numbers)
+    body: dict[str, Any] = {"preset": options.preset, "parameters": parameters, "ranking": ranking}
     if options.labels is not None:
         body["labels"] = list(options.labels)
     if options.dynamic is not None:
@@ -291,30 +292,28 @@ def _wanted(options: MapOptions) -> dict[str, Any]:
     return body
 
 
-def _parameters(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Neutral numbers as our parameters: beside NUMBERS and OF_CHANNELS, `weights` by term, `channel_weights` by
-    channel, and `detail_only_top_k`."""
+def _halves(numbers: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Neutral numbers as our parameters and our ranking; `weights` are by term, those of OF_CHANNELS by channel."""
     parameters: dict[str, Any] = {}
+    ranking: dict[str, Any] = {}
 
-    def put(path: Sequence[str], value: Any) -> None:
-        inner = parameters
+    def put(inner: dict[str, Any], path: Sequence[str], value: Any) -> None:
         for key in path[:-1]:
             inner = inner.setdefault(key, {})
         inner[path[-1]] = value
 
     for name, value in numbers.items():
         if name == "weights":
-            put(("weights",), {TERMS[term]: weight for term, weight in value.items()})
-        elif name == "channel_weights":
-            put(("dense", "shares"), {CHANNELS[channel]: weight for channel, weight in value.items()})
-        elif name == "detail_only_top_k":
-            put(("dense", "alone"), {"detail": value})
+            for term, weight in value.items():
+                put(ranking, ("weights", *term.split(".")), weight)
+        elif name in RANKING:
+            ranking[RANKING[name]] = value
         elif name in OF_CHANNELS:
             for channel, number in value.items():
-                put(("channels", CHANNELS[channel], OF_CHANNELS[name]), number)
+                put(parameters, ("channels", channel, OF_CHANNELS[name]), number)
         else:
-            put(NUMBERS[name], value)
-    return parameters
+            put(parameters, DESCRIPTION[name], value)
+    return parameters, ranking
 
 
 def _refusal(answer: Any) -> Evidence | None:
@@ -361,9 +360,9 @@ def _match(match: Mapping[str, Any]) -> Evidence:
         "rank": match["rank"],
         "score": match["score"],
         "confidence": match["confidence"],
-        "sampled_descriptors": view["description"]["keypoints"],
+        "sampled_descriptors": view["description"]["sampled_descriptors"],
     }
-    row |= {f"parts.{term}": match["parts"][ours] for term, ours in TERMS.items() if ours in match["parts"]}
+    row |= {f"parts.{term}": match["parts"][term] for term in TERMS if term in match["parts"]}
     for channel, ours in CHANNELS.items():
         if ours in match["channels"]:
             row[f"distance.{channel}"] = match["channels"][ours]["distance"]

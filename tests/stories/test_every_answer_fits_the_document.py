@@ -1,4 +1,4 @@
-"""The real house, asked on every route: each answer is held against the OpenAPI document by the client itself."""
+"""The real service, called on every route: each answer is held against the OpenAPI document by the client itself."""
 
 import time
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
-from worker.bootstrap import build
+from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 
@@ -37,8 +37,8 @@ def test_a_map_from_its_first_picture_to_its_end(client: CheckedClient) -> None:
     assert enroll(client, 1, "map=campus&place=yard&x=5&y=0").status_code == 201
     assert enroll(client, 0).status_code == 200
 
-    asked = client.post("/query?map=campus&explain=true", content=street(0), headers=JPEG).json()
-    assert [match["view"]["place"] for match in asked["matches"]] == ["gate", "yard"]
+    answer = client.post("/query?map=campus&explain=true", content=street(0), headers=JPEG).json()
+    assert [match["view"]["place"] for match in answer["matches"]] == ["gate", "yard"]
     assert client.post("/query?map=campus&place=yard", content=street(0), headers=JPEG).json()["searched"] == 1
     assert client.post("/query?map=campus&near=0,0,1", content=street(1), headers=JPEG).json()["searched"] == 1
 
