@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from worker.bootstrap import build
 
 from lab.ablate import VARIANTS, ablate, as_markdown, recipe_of, remembering
 from lab.benchmarks.ranking import measure, steps
