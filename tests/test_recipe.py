@@ -74,7 +74,7 @@ class TestTermWeights:
         )
 
         names = ("dense_full", "dense", "histogram.semantic", "histogram.detail", "graph", "verification")
-        assert weights.terms() == {name: value for name, value in zip(names, values, strict=True)}
+        assert weights.terms() == dict(zip(names, values, strict=True))
 
 
 class TestFields:

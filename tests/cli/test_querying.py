@@ -31,7 +31,7 @@ def test_a_known_place(service: FakeService, image: Path, capsys: Out) -> None:
     assert lines[3].split()[:4] == ["1", "square", "0.800", "0.930"]
     assert "1.00, 2.00 m" in lines[3]
     assert lines[4].split()[1] == "canal"
-    assert b"1.0,2.0,30.0" in service.asked[0][1]
+    assert b"1.0,2.0,30.0" in service.requests[0][1]
 
 
 def test_an_unknown_place_is_an_answer_too(service: FakeService, image: Path, capsys: Out) -> None:
@@ -108,7 +108,7 @@ def test_views_failed_ones_with_their_reason(service: FakeService, capsys: Out) 
     lines = capsys.readouterr().out.splitlines()
     assert lines[2].startswith("v1")
     assert "failed: nothing-static" in lines[3]
-    assert "map=campus" in service.asked[0][0]
+    assert "map=campus" in service.requests[0][0]
 
 
 def test_a_view_is_written_to_files(service: FakeService, tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, caps
     assert shown["recipe"] == facts["recipe"]
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
-    assert json.loads(service.asked[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
+    assert json.loads(service.requests[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
 
 
 def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> None:
@@ -152,7 +152,7 @@ def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> N
 
     assert main(["recipe", "--ranking", '{"candidates": 100}']) == 0
     assert json.loads(capsys.readouterr().out)["ranking"]["id"] == "def"
-    assert [json.loads(body) for _, body in service.asked] == [{"ranking": {"candidates": 100}}]
+    assert [json.loads(body) for _, body in service.requests] == [{"ranking": {"candidates": 100}}]
 
 
 @pytest.mark.parametrize("option", ["--parameters", "--ranking"])

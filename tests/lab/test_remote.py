@@ -50,10 +50,10 @@ def test_a_map_of_its_own_is_used_and_removed(tmp_path: Path) -> None:
 
     assert answer.views == answer.before == (answers.ID,)
     assert answer.status == "matched"
-    calls = [path for path, _ in service.asked]
-    assert json.loads(service.asked[0][1]) == {"preset": "paper"}
+    calls = [path for path, _ in service.requests]
+    assert json.loads(service.requests[0][1]) == {"preset": "paper"}
     assert calls[-1] == "DELETE /maps/m"
-    plain = [body for path, body in service.asked if path == "POST /query"][1]
+    plain = [body for path, body in service.requests if path == "POST /query"][1]
     assert b'name="candidates"' in plain
 
 

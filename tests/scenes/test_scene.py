@@ -12,7 +12,7 @@ def share(labels: np.ndarray, label: str) -> float:
     return float((labels == LABELS.index(label)).mean())
 
 
-def test_the_same_scene_is_the_same_picture() -> None:
+def test_the_same_scene_is_the_same_image() -> None:
     first, second = Scene(3, size=SMALL).render(), Scene(3, size=SMALL).render()
 
     np.testing.assert_array_equal(first[0], second[0])

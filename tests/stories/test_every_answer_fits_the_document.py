@@ -31,7 +31,7 @@ def enroll(client: CheckedClient, seed: int, query: str = "map=campus", **header
     return client.post(f"/enroll?{query}", content=street(seed), headers=JPEG | headers)
 
 
-def test_a_map_from_its_first_picture_to_its_end(client: CheckedClient) -> None:
+def test_a_map_from_its_first_image_to_its_end(client: CheckedClient) -> None:
     first = enroll(client, 0, "map=campus&place=gate&x=0&y=0&heading=90&captured_at=2026-03-01T09:30:00Z")
     assert first.status_code == 201
     assert enroll(client, 1, "map=campus&place=yard&x=5&y=0").status_code == 201
@@ -72,7 +72,7 @@ def test_a_map_from_its_first_picture_to_its_end(client: CheckedClient) -> None:
     assert client.get("/maps/campus").status_code == 404
 
 
-def test_a_picture_that_nobody_waits_for_and_a_call_that_is_repeated(client: CheckedClient) -> None:
+def test_a_image_that_nobody_waits_for_and_a_call_that_is_repeated(client: CheckedClient) -> None:
     first = enroll(client, 3, "wait=false", **{"idempotency-key": "k1"})
     again = enroll(client, 3, "wait=false", **{"idempotency-key": "k1"})
     assert (first.status_code, again.content, again.headers["idempotent-replayed"]) == (202, first.content, "true")

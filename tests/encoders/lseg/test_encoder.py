@@ -76,7 +76,7 @@ def test_the_mode_is_part_of_the_digest() -> None:
     assert len(encoder("single").digest) == 64
 
 
-def test_fields_are_made_when_they_are_asked_for() -> None:
+def test_fields_are_made_when_they_are_wanted() -> None:
     passes = []
     one = encoder()
     one._network.register_forward_hook(lambda *_: passes.append(1))
