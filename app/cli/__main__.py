@@ -65,14 +65,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _foreseen(error: Exception) -> str | None:
     """What to say about an error that needs no traceback; None for a mistake of ours."""
+    if isinstance(error, ModuleNotFoundError) and error.name is not None:
+        if error.name.partition(".")[0] in ("lab", "scenes", "training"):
+            return "this installation holds the service alone; run this command in a checkout of the repository"
+        return f"the package {error.name} is not installed; `./revisit set-up` installs what is needed"
     from revisit_client import ClientError
 
     from schemas.errors import RevisitError
 
     if isinstance(error, ClientError | RevisitError | TimeoutError):
         return str(error)
-    if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in ("lab", "scenes", "training"):
-        return "this installation holds the service alone; run this command in a checkout of the repository"
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return None
