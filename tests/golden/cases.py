@@ -48,6 +48,7 @@ CASES: Mapping[str, Case] = {
     "fog": _town("fog", top=3),
     # how many
     "one match": _town("lane, at dusk", top=1),
+    "one match, never enrolled": _town("stranger", top=1),
     "more matches than views": _town("lane, at dusk", top=100),
     "histograms alone": _town("lane, aside", candidates=0, top=4),
     "one candidate": _town("lane, aside", candidates=1),
@@ -82,6 +83,7 @@ CASES: Mapping[str, Case] = {
     "paper, the same picture": Case("paper", "lane", top=3),
     "code-words, another spot": Case("code-words", "lane, aside", top=3),
     "ranked by graph, histograms alone": Case("ranked by graph", "lane, at dusk", candidates=0, top=4),
+    "ranked by graph, where the second is the surer": Case("ranked by graph", "chapel, held across", top=4),
     "one in full, fog": Case("one in full", "fog", top=4),
     # the encoder of colours
     "colours": Case("colours", "blobs 1, cut"),
@@ -90,6 +92,9 @@ CASES: Mapping[str, Case] = {
     "colours, a blank wall": Case("few, in colours", "wall"),
     "colours, not alike in detail": Case("few, in colours", "checks"),
     "colours, few candidates": Case("colours", "blobs 2, darker", candidates=2, top=6),
+    "colours, others would be ahead": Case(
+        "only histograms", "checks", candidates=1, filters={"exclude": ["blobs 2", "blobs 3"]}
+    ),
     "colours, paper": Case("colours, paper", "blobs 1, cut"),
     "most of it moves, half of it counts": Case("roads move", "blobs 3", top=3),
     # refusals

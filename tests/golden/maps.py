@@ -106,6 +106,7 @@ MAPS: Mapping[str, Map] = {
     **{name: Map(encoder, FEW, options) for name, (encoder, options) in _CHANGED.items()},
     "few, in colours": Map("color", FEW),
     "colours": Map("color", COLOURS),
+    "only histograms": Map("color", COLOURS, _numbers(weights=only("histogram.semantic", "histogram.detail"))),
     "colours, paper": Map("color", COLOURS, MapOptions("paper")),
     "roads move": Map("color", COLOURS[:3], MapOptions(labels=ROAD_AND_SKY, dynamic=["road"])),
     "roads move, paper": Map("color", (), MapOptions("paper", labels=ROAD_AND_SKY, dynamic=["road"])),
