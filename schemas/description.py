@@ -1,4 +1,4 @@
-"""What an encoder and the method make of a picture: frozen arrays that check their own shapes."""
+"""What an encoder and the method make of an image: frozen arrays that check their own shapes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ DETAIL = "detail"
 
 @dataclass(frozen=True, eq=False)
 class PixelField:
-    """Embeddings of a picture's cells, one layer per kind of embedding.
+    """Embeddings of an image's cells, one layer per kind of embedding.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class PixelField:
         Unit length per cell. ``words`` lies in the space of `Encoder.text_vectors`.
         All layers share rows and columns.
     extent : (float, float)
-        (width, height) of the picture as fractions of its longer side.
+        (width, height) of the image as fractions of its longer side.
     """
 
     layers: Mapping[str, Floats]
@@ -64,11 +64,11 @@ class ContextGraph:
     labels : int16 of shape (nodes,)
         Index into the map's label set.
     positions : float32 of shape (nodes, 2)
-        (x, y) of the centroid, in fractions of the picture's longer side.
+        (x, y) of the centroid, in fractions of the image's longer side.
     embeddings : float32 of shape (nodes, channels)
         Unit length; the embedding of the region's cell nearest to the centroid.
     shares : float32 of shape (nodes,)
-        Share of the picture's cells in the region.
+        Share of the image's cells in the region.
     """
 
     labels: npt.NDArray[np.int16]
@@ -95,7 +95,7 @@ class LocalFeatures:
     Parameters
     ----------
     positions : float32 of shape (keypoints, 2)
-        (x, y) in fractions of the picture's longer side.
+        (x, y) in fractions of the image's longer side.
     descriptors : int8 of shape (keypoints, channels)
         Reduced descriptors; their inner products order as the cosines do.
     """
@@ -121,7 +121,7 @@ class Appearance:
         Dense cells at half size; without rows and columns when the recipe has none.
     graph : ContextGraph
     extent : (float, float)
-        (width, height) of the picture as fractions of its longer side.
+        (width, height) of the image as fractions of its longer side.
     """
 
     coarse: Int8s
@@ -131,7 +131,7 @@ class Appearance:
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What one recipe makes of one picture.
+    """What one recipe makes of one image.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Description:
     keypoints : LocalFeatures or None
         None when the recipe does not verify.
     label_shares : float32 of shape (labels,)
-        Share of the picture's cells that carry each label; sums to 1.
+        Share of the image's cells that carry each label; sums to 1.
     static_share : float
         Share of cells that are not dynamic, 0..1.
     descriptor_count : int

@@ -4,7 +4,7 @@
 
     RevisitError
     ├── BadBody            no-picture, malformed-body
-    ├── BadPicture         not-a-picture, undecodable-picture, picture-too-large, picture-too-small
+    ├── BadImage         not-a-picture, undecodable-picture, picture-too-large, picture-too-small
     ├── BodyTooLarge       body-too-large
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static
@@ -54,7 +54,7 @@ class RevisitError(Exception):
 
 
 class BadBody(RevisitError):
-    """The request's body holds no picture, or cannot be taken apart."""
+    """The request's body holds no image, or cannot be taken apart."""
 
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(detail)
@@ -62,7 +62,7 @@ class BadBody(RevisitError):
 
 
 class BadImage(RevisitError):
-    """Bytes that are not a usable picture."""
+    """Bytes that are not a usable image."""
 
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(detail)
@@ -91,7 +91,7 @@ class InvalidParameters(RevisitError):
 
 
 class NothingStatic(RevisitError):
-    """Every pixel of the picture belongs to something that moves: there is nothing to know the place by."""
+    """Every pixel of the image belongs to something that moves: there is nothing to know the place by."""
 
     code = "nothing-static"
 
@@ -135,7 +135,7 @@ class Busy(RevisitError):
     Parameters
     ----------
     retry_after_s : int
-        Seconds after which the queue will have drained, from its length and the measured time per picture.
+        Seconds after which the queue will have drained, from its length and the measured time per image.
     """
 
     code = "too-many-requests"

@@ -1,4 +1,4 @@
-"""A decoded picture."""
+"""A decoded image."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ Bytes2D = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A picture as the method sees it: upright, RGB, eight bits.
+    """An image as the method sees it: upright, RGB, eight bits.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class Image:
     format : str
         ``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
     byte_count : int
-        Length of the encoded picture.
+        Length of the encoded image.
     """
 
     pixels: Bytes2D
@@ -36,7 +36,7 @@ class Image:
 
     @classmethod
     def of(cls, pixels: Bytes2D) -> "Image":
-        """A picture that was drawn rather than decoded; its digest is that of its pixels."""
+        """An image that was drawn rather than decoded; its digest is that of its pixels."""
         return cls(np.ascontiguousarray(pixels), hashlib.sha256(pixels.tobytes()).hexdigest(), "png", pixels.nbytes)
 
     @property
@@ -63,7 +63,7 @@ def extent_of(width: int, height: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ImageFacts:
-    """What is kept of a picture besides its bytes."""
+    """What is kept of an image besides its bytes."""
 
     width: int
     height: int

@@ -79,7 +79,7 @@ class MapRecord:
 
 @dataclass(frozen=True)
 class MapCounts:
-    """Size of a map: views by state, places, bytes of pictures, and the box of positions, if any."""
+    """Size of a map: views by state, places, bytes of images, and the box of positions, if any."""
 
     views: Mapping[str, int]
     places: int

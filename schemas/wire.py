@@ -25,7 +25,7 @@ class Answer(BaseModel):
 
 
 class Position(Answer):
-    """Where a picture was taken: metres in the map's frame, or WGS 84 degrees; never both."""
+    """Where an image was taken: metres in the map's frame, or WGS 84 degrees; never both."""
 
     x: float | None = Field(None, description="Metres, right-handed, in the map's frame.")
     y: float | None = None
@@ -37,14 +37,14 @@ class Position(Answer):
 
 
 class LabelShare(Answer):
-    """How much of a picture carries a label."""
+    """How much of an image carries a label."""
 
     label: str
     share: float = Field(ge=0, le=1)
 
 
 class ImageFacts(Answer):
-    """The enrolled picture, upright."""
+    """The enrolled image, upright."""
 
     width: int
     height: int
@@ -54,7 +54,7 @@ class ImageFacts(Answer):
 
 
 class DescriptionFacts(Answer):
-    """What the map's recipe made of the picture."""
+    """What the map's recipe made of the image."""
 
     recipe: str
     sampled_descriptors: int = Field(description="Pixel descriptors that the histograms count.")
@@ -81,7 +81,7 @@ class ViewLinks(Answer):
 
 
 class View(Answer):
-    """One enrolled picture and what was said about it."""
+    """One enrolled image and what was said about it."""
 
     id: str
     map: str
@@ -98,7 +98,7 @@ class View(Answer):
 
 
 class Enrolled(Answer):
-    """One picture was enrolled, or was there already."""
+    """One image was enrolled, or was there already."""
 
     view: View
     created: bool = Field(description="False when these very bytes were in the map already.")
@@ -108,7 +108,7 @@ class Enrolled(Answer):
 
 
 class EnrolmentError(Answer):
-    """One picture of several that was refused."""
+    """One image of several that was refused."""
 
     index: int = Field(description="Position among the pictures sent, from 0.")
     filename: str | None
@@ -120,7 +120,7 @@ class EnrolmentError(Answer):
 
 
 class EnrolledMany(Answer):
-    """Several pictures were sent."""
+    """Several images were sent."""
 
     views: list[Enrolled]
     errors: list[EnrolmentError]
@@ -129,7 +129,7 @@ class EnrolledMany(Answer):
 
 
 class QueryFacts(Answer):
-    """The picture that was asked about."""
+    """The image that was asked about."""
 
     id: str
     width: int
@@ -196,7 +196,7 @@ class VerificationMatch(Answer):
 
 
 class MatchLinks(Answer):
-    """Pictures of a match."""
+    """Images of a match."""
 
     image: str
     thumbnail: str

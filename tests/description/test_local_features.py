@@ -1,4 +1,4 @@
-"""Keypoints: where they are, how they are stored, and that the same picture gives the same ones."""
+"""Keypoints: where they are, how they are stored, and that the same image gives the same ones."""
 
 import numpy as np
 import pytest

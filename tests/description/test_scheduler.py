@@ -1,4 +1,4 @@
-"""Queries come first, one failure is one picture's, and stopping serves what was handed in."""
+"""Queries come first, one failure is one image's, and stopping serves what was handed in."""
 
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +14,7 @@ from worker.description.scheduler import Scheduler
 
 
 class GatedEncoder:
-    """Encodes one picture whenever the test lets it, and remembers the order."""
+    """Encodes one image whenever the test lets it, and remembers the order."""
 
     name = "gated"
     digest = "0" * 64

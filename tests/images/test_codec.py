@@ -1,4 +1,4 @@
-"""The codec takes what is a picture, upright and whole, and says of everything else what is wrong with it."""
+"""The codec takes what is an image, upright and whole, and says of everything else what is wrong with it."""
 
 import io
 import struct

@@ -1,4 +1,4 @@
-"""Pictures are whole and owned, or not there: whatever fails between the file and its row."""
+"""Images are whole and owned, or not there: whatever fails between the file and its row."""
 
 import errno
 import os
@@ -27,7 +27,7 @@ class PowerCut(BaseException):
 
 
 def files(data: Path) -> list[Path]:
-    """All files of pictures, whole or not."""
+    """All files of images, whole or not."""
     return sorted(path for path in (data / "pictures").rglob("*") if path.is_file() and path.name != ".lock")
 
 

@@ -66,7 +66,7 @@ class ModelView:
 
 @dataclass
 class ModelMap:
-    """A map: its views by picture."""
+    """A map: its views by image."""
 
     recipe: str
     following: str | None = None

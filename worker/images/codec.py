@@ -1,4 +1,4 @@
-"""Bytes to pictures and back, within limits; the only module that decodes what unknown places send.
+"""Bytes to images and back, within limits; the only module that decodes what unknown places send.
 
 The order matters: type by magic bytes, size from the header, completeness by structure, and only then the decoder.
 JPEG and PNG without peculiarities go through OpenCV, which is quicker; everything with alpha, a palette, CMYK or
@@ -35,12 +35,12 @@ _PLAIN_MODES = ("RGB", "L")  # what OpenCV decodes exactly as Pillow would
 
 @dataclass(frozen=True)
 class Limits:
-    """What a picture may measure.
+    """What an image may measure.
 
     Parameters
     ----------
     max_bytes : int
-        Of the encoded picture.
+        Of the encoded image.
     max_pixels : int
         Width times height, as its header says.
     """
@@ -55,7 +55,7 @@ class Limits:
 
 
 def decode(data: bytes, limits: Limits) -> Image:
-    """Decode a picture: upright, RGB, eight bits.
+    """Decode an image: upright, RGB, eight bits.
 
     Orientation follows EXIF. Grey is repeated, alpha is laid over white, sixteen bits keep their upper eight, CMYK is
     converted without a profile, and of several pages or frames of JPEG, PNG and TIFF the first counts.
@@ -72,18 +72,18 @@ def decode(data: bytes, limits: Limits) -> Image:
 
 
 def probe(data: bytes, limits: Limits) -> ImageFacts:
-    """All that can be said of a picture without decoding it; raises as `decode`, but overlooks damaged pixels."""
+    """All that can be said of an image without decoding it; raises as `decode`, but overlooks damaged pixels."""
     header = _Header.read(data, limits)
     return ImageFacts(header.width, header.height, len(data), header.format, hashlib.sha256(data).hexdigest())
 
 
 def facts(image: Image) -> ImageFacts:
-    """What is kept of a decoded picture besides its bytes."""
+    """What is kept of a decoded image besides its bytes."""
     return ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
 
 
 def thumbnail(data: bytes, longest: int) -> bytes:
-    """A JPEG of a picture that `decode` accepts, upright, its longer side at most `longest`; never enlarged.
+    """A JPEG of an image that `decode` accepts, upright, its longer side at most `longest`; never enlarged.
 
     It carries no EXIF: where a photo was taken is not told by its thumbnail.
     """
@@ -101,7 +101,7 @@ def thumbnail(data: bytes, longest: int) -> bytes:
 
 
 def shrink(image: Image, longest: int = 640) -> Image:
-    """The picture with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
+    """The image with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
     scale = longest / max(image.width, image.height)
     if scale >= 1:
         return image
@@ -115,7 +115,7 @@ _FORMATS = [name.upper() for name in ACCEPTED]
 
 @dataclass(frozen=True)
 class _Header:
-    """What a picture says of itself before it is decoded."""
+    """What an image says of itself before it is decoded."""
 
     format: str
     stored: tuple[int, int]  # (width, height) as encoded
@@ -174,7 +174,7 @@ def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
         return 1  # Pillow turns these by itself
     try:
         if pil_image.format == "PNG":
-            # Pillow's own reader of a PNG's EXIF decodes the picture, since the chunk may stand behind the pixels.
+            # Pillow's own reader of a PNG's EXIF decodes the image, since the chunk may stand behind the pixels.
             for kind, content in _png_chunks(data):
                 if kind == b"eXIf":
                     pil_image.info["exif"] = b"Exif\x00\x00" + content
@@ -188,7 +188,7 @@ def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
 
 
 # Where OpenCV gives up within a JPEG it leaves this grey; Pillow raises. A second opinion is asked only when the last
-# block is of exactly this grey, which hardly any sound picture has.
+# block is of exactly this grey, which hardly any sound image has.
 _UNWRITTEN = 128
 
 
@@ -252,7 +252,7 @@ _SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDA, 0xDE), *range(0xE0, 0xF0
 
 
 def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether one known segment follows another up to an end-of-image marker that closes the picture itself.
+    """Whether one known segment follows another up to an end-of-image marker that closes the image itself.
 
     Decoders fill what is missing with grey. Looking for the marker's bytes alone is not enough: the thumbnail in the
     EXIF block has one too.

@@ -1,6 +1,6 @@
-"""Pictures about pictures: labels as colours, the context graph over the photo, why two photos match.
+"""Images about images: labels as colours, the context graph over the photo, why two photos match.
 
-Pixels are uint8 RGB (height, width, 3); positions are (x, y) in fractions of a picture's longer side, as everywhere.
+Pixels are uint8 RGB (height, width, 3); positions are (x, y) in fractions of an image's longer side, as everywhere.
 """
 
 import io
@@ -34,7 +34,7 @@ def segmentation_png(labels: Integers, size: tuple[int, int], words: Sequence[st
     labels : integers of shape (rows, columns)
         Index into `words` per cell.
     size : (int, int)
-        (width, height) of the picture, which the PNG gets too.
+        (width, height) of the image, which the PNG gets too.
     words : sequence of str
         At most 256; the palette has the colour of each.
 
@@ -114,7 +114,7 @@ def explanation_png(
     nodes : sequence of (word, (x, y), (x, y))
         Nodes of the context graphs that correspond; thick lines in the word's colour, with the word.
     text : sequence of str
-        Lines under the pictures.
+        Lines under the images.
     """
     height = 480
     left, right = _at_height(_toned_down(query), height), _at_height(_toned_down(view), height)
@@ -150,7 +150,7 @@ def explanation_png(
 
 
 def _stretched(cells: npt.NDArray[Any], size: tuple[int, int]) -> Pixels:
-    """Cells as pixels of a picture of (width, height)."""
+    """Cells as pixels of an image of (width, height)."""
     return np.asarray(cv2.resize(cells.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
@@ -161,7 +161,7 @@ def _toned_down(pixels: Pixels) -> Pixels:
 
 
 def _unit(image: Pixels) -> float:
-    """How large a thing of one pixel in a picture 640 wide needs to be in this one."""
+    """How large a thing of one pixel in an image 640 wide needs to be in this one."""
     return int(max(image.shape[:2])) / 640
 
 
@@ -191,7 +191,7 @@ def _readable(background: Colour) -> Colour:
 
 
 def _with_key(image: Pixels, labels: Integers, words: Sequence[str], static: Booleans) -> Pixels:
-    """The picture with a key of its labels below, most frequent first."""
+    """The image with a key of its labels below, most frequent first."""
     unit = _unit(image)
     line, size = max(12, round(20 * unit)), max(8, round(12 * unit))
     scale, thickness = 0.45 * unit, max(1, round(unit))

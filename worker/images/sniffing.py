@@ -40,7 +40,7 @@ _OTHERS = (
     (b"MZ", "a program"),
 )
 
-# Brands of ISO base media files, by the picture or film they hold.
+# Brands of ISO base media files, by the image or film they hold.
 _BRANDS = {
     b"heic": "an HEIC picture",
     b"heix": "an HEIC picture",

@@ -112,7 +112,7 @@ def _bodies(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _appearances() -> sa.Select[Any]:
-    """Their appearances, and their pictures' sizes."""
+    """Their appearances, and their images' sizes."""
     reading = _bodies(APPEARANCES).add_columns(VIEWS.c.width, VIEWS.c.height)
     return reading.join(VIEWS, VIEWS.c.seq == APPEARANCES.c.seq)
 

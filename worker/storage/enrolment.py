@@ -1,4 +1,4 @@
-"""Enrolment: a picture and what was said about it, durable and queued."""
+"""Enrolment: an image and what was said about it, durable and queued."""
 
 from datetime import datetime
 from functools import cache
@@ -57,7 +57,7 @@ def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) 
 
 @cache
 def _same_image() -> sa.Select[Any]:
-    """The view of a map that has a picture already."""
+    """The view of a map that has an image already."""
     return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), VIEWS.c.sha256 == sa.bindparam("sha256"))
 
 
@@ -67,7 +67,7 @@ class Enrolment(Part):
     def submit(
         self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: MapRecipe, now: datetime
     ) -> Submitted:
-        """Keep a picture and queue its description; see `Store.submit`."""
+        """Keep an image and queue its description; see `Store.submit`."""
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:
             try:
                 row = find_map(connection, name)

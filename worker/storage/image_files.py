@@ -1,10 +1,10 @@
-"""Enrolled pictures as files, named by what is in them.
+"""Enrolled images as files, named by what is in them.
 
 A file is durable before the row that needs it is committed, and goes after the last such row has gone. What a crash
 leaves in between is a file without a row, never a row without its file; `sweep` removes it.
 
 Files live in ``ab/cd/abcd...``, named by the SHA-256 of their bytes. The first folder has a lock: whoever writes a
-picture holds it until the row is committed, and whoever removes one asks for the rows under it, so that no picture is
+image holds it until the row is committed, and whoever removes one asks for the rows under it, so that no image is
 taken away between another's file and row.
 """
 
@@ -36,7 +36,7 @@ def sync_folder(folder: Path) -> None:
 
 
 class Images:
-    """The folder of pictures.
+    """The folder of images.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ class Images:
 
     @contextmanager
     def kept(self, digest: str, image: bytes) -> Iterator[None]:
-        """Keep a picture durably for a block that commits a row with its digest.
+        """Keep an image durably for a block that commits a row with its digest.
 
         When the block raises, the file goes again unless a view needs it.
 
         Raises
         ------
         ValueError
-            The digest is not that of the picture.
+            The digest is not that of the image.
         DiskFull
         """
         if hashlib.sha256(image).hexdigest() != digest:
@@ -75,7 +75,7 @@ class Images:
                 raise
 
     def read(self, digest: str) -> bytes:
-        """The bytes of a picture.
+        """The bytes of an image.
 
         Raises
         ------
@@ -84,7 +84,7 @@ class Images:
         return self._path(digest).read_bytes()
 
     def discard(self, digests: Iterable[str]) -> int:
-        """Remove the pictures that no view needs any more, after their rows have gone; returns how many."""
+        """Remove the images that no view needs any more, after their rows have gone; returns how many."""
         removed = 0
         for first, group in groupby(sorted(set(digests)), key=lambda digest: digest[:2]):
             with self._locked(first):
@@ -92,7 +92,7 @@ class Images:
         return removed
 
     def sweep(self) -> int:
-        """Remove what a crash left: unfinished files and pictures without a view; returns how many."""
+        """Remove what a crash left: unfinished files and images without a view; returns how many."""
         removed = 0
         for folder in sorted(self._folder.glob("[0-9a-f][0-9a-f]")):
             with self._locked(folder.name):  # whoever was writing here has finished, or has died
@@ -111,7 +111,7 @@ class Images:
             yield
 
     def _write(self, digest: str, image: bytes) -> bool:
-        """Write a picture unless it is there; returns whether it was written."""
+        """Write an image unless it is there; returns whether it was written."""
         path = self._path(digest)
         # A file gets its name after its bytes are durable, so one of the right length is whole.
         if path.is_file() and path.stat().st_size == len(image):
@@ -135,7 +135,7 @@ class Images:
         return True
 
     def _sync_name(self, path: Path) -> None:
-        """Make the name of a picture durable, and those of its folders, which may be new."""
+        """Make the name of an image durable, and those of its folders, which may be new."""
         for folder in (path.parent, path.parent.parent, self._folder):
             sync_folder(folder)
 

@@ -5,7 +5,7 @@ from worker.storage.image_files import Images
 
 
 class Part:
-    """A part of the store: some of its promises, kept with one database and one folder of pictures.
+    """A part of the store: some of its promises, kept with one database and one folder of images.
 
     Parameters
     ----------

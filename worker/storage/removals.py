@@ -50,7 +50,7 @@ class Removals(Part):
         )
 
     def delete_map(self, name: str) -> Removal:
-        """Remove a map, its views and their pictures; raises NotFound."""
+        """Remove a map, its views and their images; raises NotFound."""
         with self._database.writing() as connection:
             map_id = find_map(connection, name).id
             # A map of this name that is made later begins after all that an index may know of this one.
@@ -82,7 +82,7 @@ class Removals(Part):
         return Removal(views, images, revision=None)
 
     def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
-        """Delete views of a map, and then the pictures that no view needs any more."""
+        """Delete views of a map, and then the images that no view needs any more."""
         with self._database.writing() as connection:
             which = VIEWS.c.seq.in_(seqs)
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))

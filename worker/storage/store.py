@@ -1,4 +1,4 @@
-"""The store: one database, SQLite or PostgreSQL, and a folder of pictures."""
+"""The store: one database, SQLite or PostgreSQL, and a folder of images."""
 
 import os
 from datetime import datetime
@@ -56,7 +56,7 @@ class SqlStore:
         self.pruning = Pruning(database, images)
 
     def _owned(self, digests: list[str]) -> set[str]:
-        """Those of these pictures that views need."""
+        """Those of these images that views need."""
         found: set[str] = set()
         with self._database.reading() as connection:
             for portion in batches(digests):
@@ -64,7 +64,7 @@ class SqlStore:
         return found
 
     def recover(self, now: datetime) -> None:
-        """After a crash: forget half-made calls and picture files that no view owns, finish deletions.
+        """After a crash: forget half-made calls and image files that no view owns, finish deletions.
 
         For the one `serve` of a data folder, before it takes its first call: a call that runs elsewhere would be
         forgotten too.

@@ -84,7 +84,7 @@ class Views(Part):
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
-        """The enrolled picture, byte for byte; raises NotFound."""
+        """The enrolled image, byte for byte; raises NotFound."""
         with self._database.reading() as connection:
             digest = find_view(connection, view_id).sha256
         try:
