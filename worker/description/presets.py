@@ -233,7 +233,7 @@ def make_recipe(
     Raises
     ------
     InvalidParameters
-        Lists everything that is wrong at once.
+        Lists all invalid parameters.
     """
     name = wanted.preset or preset
     base = preset_for(name, encoder)
