@@ -21,7 +21,7 @@ CLIP_LIMIT = 2.0
 """Of CLAHE in 8 x 8 tiles, which equalises contrast before SIFT."""
 
 PROJECTION = Path(__file__).with_name("rootsift_projection.npz")
-"""Mean and first 48 principal directions of RootSIFT on general images (`training.commands.fit_rootsift_projection`)."""
+"""Mean and first 48 principal directions of RootSIFT on many images (`training.commands.fit_rootsift_projection`)."""
 
 
 def local_features(pixels: Bytes2D, keypoints: int) -> LocalFeatures:
