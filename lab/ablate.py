@@ -5,37 +5,32 @@
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import timedelta
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lab import evaluate
 from lab.datasets.dataset import Dataset
+from lab.evaluation.in_process import runtime_for_measuring, train_vocabulary
 from lab.evaluation.measuring import RUN
-from lab.evaluation.querying import Progress, ask
+from lab.evaluation.progress import progress_bar
+from lab.evaluation.querying import Progress, query_all
 from lab.evaluation.service import map_of_its_own
 from lab.metrics.recall import Doubles, bootstrap_interval, first_right
-from schemas.description import Floats, PixelField
+from schemas.description import DETAIL, SEMANTIC, Floats, PixelField
 from schemas.errors import RevisitError
 from schemas.image import Image
-from worker.description.ports import Encoder
-from schemas.recipe import Channel, Graph, Parameters, Recipe
+from schemas.recipe import DynamicFilter, GraphNodes, MapRecipe
 from schemas.records import Meaning
-from schemas.settings import read_settings
-from worker.runtime import build, make_product
-from worker.description import vocabularies
-from worker.description.describer import Describer
-from worker.description.describers import Describers
-from worker.description.presets import PRESETS, general_vocabulary, make_recipe
-from worker.description.scheduler import Scheduler
-from worker.loop import Loop
-from worker.runtime import Runtime
+from schemas.settings import Settings, read_settings
+from worker.description.ports import Encoder
+from worker.description.presets import Wanted, make_recipe
+from worker.description.vocabularies import Vocabulary
+from worker.runtime import Runtime, make_encoder
 
-Change = Callable[[Parameters], Parameters]
+Change = Callable[[MapRecipe], MapRecipe]
 
 
 @dataclass(frozen=True)
@@ -47,12 +42,10 @@ class Variant:
     name : str
         In the table.
     change : function
-        Of the preset's parameters.
+        Of the preset's recipe.
     preset : str
-    static_only : bool
-        False keeps what moves.
     own_vocabulary : bool
-        Whether the vocabulary is trained on the set's database pictures instead of being the general one. Where
+        Whether the vocabulary is trained on the set's database images instead of being the general one. Where
         sizes change it must be; compare such variants with the one that changes nothing but the source.
     vocabulary : Path, optional
         A vocabulary of the preset's sizes to take instead of the one that ships: trained from another seed, say.
@@ -61,90 +54,105 @@ class Variant:
     name: str
     change: Change
     preset: str = "default"
-    static_only: bool = True
     own_vocabulary: bool = False
     vocabulary: Path | None = None
 
 
-def _same(p: Parameters) -> Parameters:
-    return p
+def _same(recipe: MapRecipe) -> MapRecipe:
+    return recipe
 
 
-def _with(**changes: object) -> Change:
-    """Replace parameters."""
-    return lambda p: p.model_copy(update=changes)
+def _described(**changes: object) -> Change:
+    """Replace parameters of the description."""
+
+    def change(recipe: MapRecipe) -> MapRecipe:
+        parameters = recipe.description.parameters.model_copy(update=changes)
+        description = recipe.description.model_copy(update={"parameters": parameters})
+        return recipe.model_copy(update={"description": description})
+
+    return change
+
+
+def _ranked(**changes: object) -> Change:
+    """Replace numbers of the ranking."""
+    return lambda recipe: recipe.model_copy(update={"ranking": recipe.ranking.model_copy(update=changes)})
 
 
 def _each_channel(**changes: object) -> Change:
     """Replace something of every channel."""
-    return lambda p: p.model_copy(
-        update={"channels": {name: c.model_copy(update=changes) for name, c in p.channels.items()}}
-    )
+
+    def change(recipe: MapRecipe) -> MapRecipe:
+        channels = recipe.description.parameters.channels
+        return _described(channels={name: c.model_copy(update=changes) for name, c in channels.items()})(recipe)
+
+    return change
 
 
-def _without(*terms: str) -> Change:
-    """Give terms of the score no weight."""
-    return lambda p: p.model_copy(
-        update={"weights": {t: 0.0 if t.startswith(terms) else w for t, w in p.weights.items()}}
-    )
-
-
-def _both(first: Change, second: Change) -> Change:
-    """One change after another."""
-    return lambda p: second(first(p))
+def _weighed(**weights: object) -> Change:
+    """Replace weights of terms of the score."""
+    return lambda recipe: _ranked(weights=recipe.ranking.weights.model_copy(update=weights))(recipe)
 
 
 def _only(channel: str) -> Change:
-    """Search and rank by one channel alone."""
+    """Search and rank by one channel."""
 
-    def change(p: Parameters) -> Parameters:
-        channels: dict[str, Channel] = {name: c for name, c in p.channels.items() if name == channel}
-        weights = {t: w for t, w in p.weights.items() if "." not in t or t.endswith(f".{channel}")}
-        dense = None if p.dense is None else p.dense.among(channels)
-        return p.model_copy(update={"channels": channels or p.channels, "weights": weights, "dense": dense})
-
-    return change
-
-
-def _in_cells(**changed: object) -> Change:
-    def change(p: Parameters) -> Parameters:
-        return p.model_copy(update={"dense": p.dense and p.dense.model_copy(update=changed)})
+    def change(recipe: MapRecipe) -> MapRecipe:
+        parameters, weights = recipe.description.parameters, recipe.ranking.weights
+        dense = parameters.dense
+        if dense is not None:
+            kept = {name: w for name, w in dense.channel_weights.items() if name == channel}
+            dense = dense.model_copy(update={"channel_weights": kept})
+        channels = {name: c for name, c in parameters.channels.items() if name == channel}
+        histogram = {name: w for name, w in weights.histogram.items() if name == channel}
+        return _weighed(histogram=histogram)(_described(channels=channels, dense=dense)(recipe))
 
     return change
+
+
+def _all_static(recipe: MapRecipe) -> MapRecipe:
+    """Keep what moves."""
+    return recipe.model_copy(update={"description": recipe.description.model_copy(update={"dynamic": ()})})
+
+
+def _unverified(recipe: MapRecipe) -> MapRecipe:
+    """Leave geometric verification out."""
+    return _weighed(verification=0.0)(_ranked(verified_top_k=0)(_described(local_features=None)(recipe)))
 
 
 VARIANTS = (
     Variant("default", _same),
-    Variant("without dynamic filtering", _same, static_only=False),
-    Variant("dynamic filtering without caution", lambda p: p.model_copy(update={"dynamic": type(p.dynamic)()})),
+    Variant("without dynamic filtering", _all_static),
+    Variant("dynamic filtering without caution", _described(dynamic=DynamicFilter())),
     Variant("hard assignment", _each_channel(assignments=1)),
     Variant("L1 instead of Hellinger", _each_channel(normalisation="l1")),
     Variant("1,000 drawn cells instead of all", _each_channel(descriptors=1000)),
-    Variant("channel words alone", _only("words")),
-    Variant("channel detail alone", _only("detail")),
-    Variant("histograms alone", _with(candidates=0)),
-    Variant("25 candidates", _with(candidates=25)),
-    Variant("views at any scale", _in_cells(scale_penalty=0.0)),
-    Variant("joined cells only", _in_cells(alone={})),
-    Variant("re-ranking without dense cells", _without("dense", "close")),
-    Variant("re-ranking without the graph", _without("graph")),
-    Variant("re-ranking without verification", _both(_without("verification"), _with(verification=None))),
-    Variant("the graph alone decides", _with(ranking="graph")),
+    Variant("channel semantic alone", _only(SEMANTIC)),
+    Variant("channel detail alone", _only(DETAIL)),
+    Variant("histograms alone", _ranked(candidates=0)),
+    Variant("25 candidates", _ranked(candidates=25)),
+    Variant("views at any scale", _ranked(scale_penalty=0.0)),
+    Variant("joined cells only", _ranked(detail_only_top_k=0)),
+    Variant("re-ranking without dense cells", _weighed(dense=0.0, dense_full=0.0)),
+    Variant("re-ranking without the graph", _weighed(graph=0.0)),
+    Variant("re-ranking without verification", _unverified),
+    Variant("the graph alone decides", _ranked(mode="graph")),
     Variant("vocabulary of the set", _same, own_vocabulary=True),
-    Variant("vocabulary of the set, 64 words", _each_channel(words=64, dimensions=None), own_vocabulary=True),
-    Variant("vocabulary of the set, 256 words", _each_channel(words=256, dimensions=None), own_vocabulary=True),
+    Variant("vocabulary of the set, 64 words", _each_channel(vocabulary_size=64, dimensions=None), own_vocabulary=True),
+    Variant(
+        "vocabulary of the set, 256 words", _each_channel(vocabulary_size=256, dimensions=None), own_vocabulary=True
+    ),
     Variant("vocabulary of the set, without PCA", _each_channel(dimensions=None), own_vocabulary=True),
     Variant("paper", _same, preset="paper", own_vocabulary=True),
-    Variant("paper, without dynamic filtering", _same, preset="paper", static_only=False, own_vocabulary=True),
-    Variant("paper, histograms alone", _with(candidates=0), preset="paper", own_vocabulary=True),
-    Variant("paper, 64 words", _each_channel(words=64), preset="paper", own_vocabulary=True),
+    Variant("paper, without dynamic filtering", _all_static, preset="paper", own_vocabulary=True),
+    Variant("paper, histograms alone", _ranked(candidates=0), preset="paper", own_vocabulary=True),
+    Variant("paper, 64 words", _each_channel(vocabulary_size=64), preset="paper", own_vocabulary=True),
     Variant(
         "paper, regions of 8 cells or more",
-        lambda p: p.model_copy(update={"graph": Graph(min_region_cells=8, cosine=p.graph.cosine, tau=p.graph.tau)}),
+        _described(graph=GraphNodes(min_region_cells=8)),
         preset="paper",
         own_vocabulary=True,
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +171,9 @@ class Measured:
 
 
 class RememberingEncoder:
-    """An encoder that encodes each picture once: variants differ in what is made of its field, not in the field.
+    """An encoder that encodes each image once: variants differ in what is made of its field, not in the field.
+
+    A set of 400 images takes some 2 GB.
 
     Parameters
     ----------
@@ -173,109 +183,89 @@ class RememberingEncoder:
     def __init__(self, encoder: Encoder) -> None:
         self._encoder = encoder
         self._fields: dict[str, PixelField] = {}
-
-    @property
-    def name(self) -> str:
-        """Of the encoder."""
-        return self._encoder.name
-
-    @property
-    def digest(self) -> str:
-        """Of the encoder."""
-        return self._encoder.digest
-
-    @property
-    def layers(self) -> Mapping[str, int]:
-        """Of the encoder."""
-        return self._encoder.layers
+        self.name, self.digest = encoder.name, encoder.digest
+        self.layers, self.known_labels = encoder.layers, encoder.known_labels
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
-        """Fields, from memory where the picture was met before."""
+        """Fields, from memory where the image was met before."""
         for image in images:
             if image.digest not in self._fields:
                 [self._fields[image.digest]] = self._encoder.encode([image])
             yield self._fields[image.digest]
 
-    def fine(self, image: Image) -> PixelField:
-        """Of the encoder; nothing is measured on it, so it is not remembered."""
-        return self._encoder.fine(image)
-
-    def text_vectors(self, words: Sequence[str]) -> Floats:
+    def text_vectors(self, labels: Sequence[str]) -> Floats:
         """Of the encoder."""
-        return self._encoder.text_vectors(words)
+        return self._encoder.text_vectors(labels)
 
-    def meanings(self, words: Sequence[str]) -> list[Meaning]:
+    def meanings(self, labels: Sequence[str]) -> list[Meaning]:
         """Of the encoder."""
-        return self._encoder.meanings(words)
-
-    def forget(self) -> None:
-        """Let go of all fields: a set of 400 pictures takes some 2 GB."""
-        self._fields.clear()
+        return self._encoder.meanings(labels)
 
 
-def remembering(runtime: Runtime) -> tuple[Runtime, RememberingEncoder]:
-    """A house that has not been started, with an encoder that encodes each picture once."""
-    encoder = RememberingEncoder(runtime.encoder)
-    scheduler = Scheduler(encoder, 1, runtime.settings.queries)
-    general = [general_vocabulary(encoder, name) for name in PRESETS]
-    describers = Describers(encoder, runtime.store, general, make_product(runtime.settings))
-    lease = timedelta(seconds=runtime.settings.lease_s)
-    loop = Loop(runtime.store, scheduler, describers, runtime.decode, name="ablation", batch=1, lease=lease)
-    return replace(runtime, encoder=encoder, scheduler=scheduler, describers=describers, loop=loop), encoder
+def remembering(settings: Settings, threads: int) -> tuple[RememberingEncoder, None]:
+    """The encoder that the settings name, each image encoded once; no segmenter, since nothing is drawn."""
+    encoder, _ = make_encoder(settings, threads)
+    return RememberingEncoder(encoder), None
 
 
-def recipe_of(variant: Variant, runtime: Runtime, dataset: Dataset) -> Recipe:
+def recipe_of(variant: Variant, runtime: Runtime, dataset: Dataset) -> MapRecipe:
     """The recipe of a variant; trains its vocabulary on the set's database where it has one of its own.
 
     Raises
     ------
     RevisitError, ValueError
-        The encoder cannot carry it, or the set has too few pictures for its sizes.
+        The encoder cannot carry it, or the set has too few images for its sizes.
     """
-    plain = make_recipe(runtime.encoder, variant.preset, dynamic=None if variant.static_only else ())
-    parameters = variant.change(plain.parameters)
-    general = general_vocabulary(runtime.encoder, variant.preset)
+    plain = make_recipe(runtime.encoder, Wanted(), preset=variant.preset)
+    changed = variant.change(plain)
+    description = changed.description
+    learned = None
     if variant.vocabulary is not None:
-        other = vocabularies.Vocabulary.read(variant.vocabulary.read_bytes(), variant.vocabulary.name)
-        other.check(parameters, runtime.encoder.layers)
-        runtime.store.vocabularies.keep(other.digest, other.tensors)
-        return plain.model_copy(update={"parameters": parameters, "vocabulary": other.digest})
-    if not variant.own_vocabulary:
-        general.check(parameters, runtime.encoder.layers)
-        return plain.model_copy(update={"parameters": parameters})
-    see = Describer(runtime.encoder, plain, general).see
-    images = (runtime.decode(path.read_bytes()) for path in dataset.database)
-    fields = runtime.encoder.encode(list(images))
-    learned = vocabularies.train(fields, lambda field: see(field).static, parameters, parameters.seed)
-    runtime.store.vocabularies.keep(learned.digest, learned.tensors)
-    return plain.model_copy(update={"parameters": parameters, "vocabulary": learned.digest})
+        learned = Vocabulary.read(variant.vocabulary.read_bytes(), variant.vocabulary.name)
+        runtime.store.vocabularies.keep(learned.digest, learned.tensors)
+    elif variant.own_vocabulary:
+        general = plain.description.model_copy(update={"dynamic": description.dynamic})
+        learned = train_vocabulary(runtime, dataset.database, runtime.describers.of(general), description.parameters)
+    if learned is not None:
+        description = description.model_copy(update={"vocabulary": learned.digest})
+    runtime.describers.of(description)  # refuses a vocabulary of other sizes
+    return changed.model_copy(update={"description": description})
 
 
 def ablate(
-    datasets: Sequence[Dataset],
+    dataset: Dataset,
     variants: Sequence[Variant],
     runtime: Runtime,
-    encoder: RememberingEncoder,
     *,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[Measured]:
-    """Measure every variant on every set; one that cannot be carried out is left out, and said on standard error."""
+    """Measure every variant on a set; one that cannot be carried out is left out, and said on standard error.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    variants : sequence of Variant
+    runtime : Runtime
+        Started; an encoder that remembers (`remembering`) saves most of the time.
+    seed : int
+        Of the order of enrolment.
+    progress : Progress, optional
+    """
     measured = []
-    for dataset in datasets:
-        for done, variant in enumerate(variants, start=1):
-            try:
-                recipe = recipe_of(variant, runtime, dataset)
-            except (RevisitError, ValueError) as reason:
-                print(f"{dataset.name}: left out {variant.name}: {reason}", file=sys.stderr)
-                continue
-            with map_of_its_own(runtime, recipe, variant.name, dataset) as retriever:
-                results = ask(dataset, retriever, seed=seed)
-            right = first_right(results.ranked, dataset.judged())[dataset.judged().answerable] == 1
-            measured.append(Measured(variant.name, dataset.name, right[:, None].astype(np.float64)))
-            if progress:
-                progress(f"{dataset.name}: variants", done, len(variants))
-        encoder.forget()
+    truth = dataset.judged()
+    for done, variant in enumerate(variants, start=1):
+        try:
+            recipe = recipe_of(variant, runtime, dataset)
+        except (RevisitError, ValueError) as reason:
+            print(f"{dataset.name}: left out {variant.name}: {reason}", file=sys.stderr)
+            continue
+        with map_of_its_own(runtime, recipe, variant.name, dataset) as retriever:
+            answers = query_all(dataset, retriever, seed=seed)
+        right = first_right(answers.ranked, truth)[truth.answerable] == 1
+        measured.append(Measured(variant.name, dataset.name, right[:, None].astype(np.float64)))
+        if progress:
+            progress("variants", done, len(variants))
     return measured
 
 
@@ -314,7 +304,7 @@ def _difference(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
-    parser = argparse.ArgumentParser(prog="ablation", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="ablate", description=__doc__.splitlines()[0])
     evaluate.add_arguments(parser)
     parser.add_argument("--write", type=Path, help="Markdown file to write the table to")
     parser.add_argument("--variants", help="comma-separated names or parts of names; default: all")
@@ -327,17 +317,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     chosen += [
         Variant(f"vocabulary {path.parent.name}/{path.name}", _same, vocabulary=path) for path in options.vocabulary
     ]
+    measured: list[Measured] = []
     try:
-        datasets = evaluate.read(options.dataset, options)
-        with tempfile.TemporaryDirectory() as folder:
-            runtime, encoder = remembering(build(read_settings(data=Path(folder), device=options.device)))
-            runtime.start()
-            try:
-                measured = ablate(
-                    datasets, chosen, runtime, encoder, seed=options.seed, progress=evaluate.Bar("ablation")
-                )
-            finally:
-                runtime.stop()
+        for dataset in evaluate.read(options.dataset, options):
+            # One after the other: what an encoder remembers of a set goes with it.
+            with (
+                runtime_for_measuring(read_settings(), options.device, remembering) as runtime,
+                progress_bar(dataset.name) as bar,
+            ):
+                measured += ablate(dataset, chosen, runtime, seed=options.seed, progress=bar)
     except RevisitError as refusal:
         print(refusal.detail, file=sys.stderr)
         return 2

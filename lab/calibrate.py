@@ -1,4 +1,4 @@
-"""Learn how sure an answer is from labelled queries, and judge that on sets it was not learned from.
+"""Learn how often an answer is right from labelled queries, and judge that on sets it was not learned from.
 
 ``python -m lab.calibrate pairs --root DIR --write FILE``.
 """
@@ -14,20 +14,13 @@ import numpy as np
 from lab import evaluate
 from lab.datasets.dataset import Dataset
 from lab.datasets.hold_out import hold_out
-from lab.evaluation.querying import RankedResults, ask
+from lab.evaluation.progress import progress_bar
+from lab.evaluation.querying import Answers, query_all
+from lab.fitting import Fit, Judgement, fit_isotonic, fit_logistic, judge, leave_one_out, threshold_for_precision
+from lab.libraries import FOR_FITTING, require
 from lab.metrics.recall import Booleans, Doubles, first_right
 from schemas.errors import RevisitError
-from worker.method.calibration import (
-    Calibration,
-    Curve,
-    Judgement,
-    Logistic,
-    Thresholds,
-    fit_logistic,
-    judge,
-    leave_one_out,
-    threshold_for_precision,
-)
+from worker.method.calibration import Calibration, Logistic, Thresholds
 
 MATCHED_PRECISION = 0.97
 """How often ``matched`` has to be right on the sets that the thresholds are learned from."""
@@ -37,6 +30,9 @@ HELD_OUT = 0.3
 
 AMBIGUOUS = 0.4
 """Probability below which an answer is no match, unless ``matched`` begins lower."""
+
+CURVES: Mapping[str, Fit] = {"logistic": fit_logistic, "isotonic": fit_isotonic}
+"""Curves by the names that the command line has for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +54,11 @@ class Evidence:
         return np.stack([self.features.get(name, nothing) for name in names], axis=1)
 
 
-def evidence(dataset: Dataset, results: RankedResults) -> Evidence:
+def evidence(dataset: Dataset, answers: Answers) -> Evidence:
     """The evidence in a run's answers; queries without any answer are left out, since their verdict needs no curve."""
-    answered = results.ranked[:, 0] >= 0
-    right = first_right(results.ranked, dataset.judged()) == 1
-    return Evidence({name: values[answered] for name, values in results.features.items()}, right[answered])
+    answered = answers.ranked[:, 0] >= 0
+    right = first_right(answers.ranked, dataset.judged()) == 1
+    return Evidence({name: values[answered] for name, values in answers.features.items()}, right[answered])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +86,8 @@ class Learned:
     matched: tuple[float, float]
 
 
-def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, penalty: float = 1.0) -> Learned:
-    """Learn a logistic curve over some features and its thresholds.
+def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, fit: Fit = fit_logistic) -> Learned:
+    """Learn a curve over some features and its thresholds.
 
     Parameters
     ----------
@@ -101,7 +97,7 @@ def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, penal
         Features that the curve reads.
     source : str
         For the record.
-    penalty : float
+    fit : function
 
     Raises
     ------
@@ -109,35 +105,27 @@ def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, penal
         Too few sets, or all answers right or all wrong.
     """
     rows = {name: (found.columns(names), found.right) for name, found in sets.items()}
-
-    def fit(features: Doubles, right: Booleans) -> Curve:
-        return fit_logistic(features, right, penalty=penalty)
-
-    def guess(features: Doubles, right: Booleans) -> Curve:
-        share = float(np.clip(right.mean(), 1e-3, 1 - 1e-3))
-        zeros = np.zeros(features.shape[1])
-        return Logistic(zeros, zeros + 1, zeros, float(np.log(share / (1 - share))))
-
-    by_set, together = leave_one_out(rows, fit)
-    _, constant = leave_one_out(rows, guess)
-    features = np.concatenate([f for f, _ in rows.values()])
+    # Judged, and thresholds chosen, by probabilities that were left out: the curve's own are too sure of themselves.
+    left_out, guessed = leave_one_out(rows, fit), leave_one_out(rows, _guess)
     right = np.concatenate([r for _, r in rows.values()])
-    curve = fit(features, right)
-    # Thresholds from probabilities that were left out: the curve's own are surer than they should be.
-    unseen = np.concatenate(
-        [
-            fit(
-                np.concatenate([f for other, (f, _) in rows.items() if other != name]),
-                np.concatenate([r for other, (_, r) in rows.items() if other != name]),
-            ).probability(rows[name][0])
-            for name in rows
-        ]
+    together, constant = (np.concatenate(list(found.values())) for found in (left_out, guessed))
+    matched = min(threshold_for_precision(together, right, MATCHED_PRECISION), 1.0)
+    claimed = together >= matched
+    curve = fit(np.concatenate([f for f, _ in rows.values()]), right)
+    return Learned(
+        calibration=Calibration(tuple(names), curve, Thresholds(matched, min(AMBIGUOUS, matched)), source),
+        by_set={name: judge(left_out[name], rows[name][1]) for name in rows},
+        together=judge(together, right),
+        constant=judge(constant, right),
+        matched=(float(claimed[right].mean()), float(claimed[~right].mean())),
     )
-    matched = min(threshold_for_precision(unseen, right, MATCHED_PRECISION), 1.0)
-    limits = Thresholds(matched=matched, ambiguous=min(AMBIGUOUS, matched))
-    claimed = unseen >= matched
-    shares = (float(claimed[right].mean()), float(claimed[~right].mean()))
-    return Learned(Calibration(tuple(names), curve, limits, source), by_set, together, constant, shares)
+
+
+def _guess(features: Doubles, right: Booleans) -> Logistic:
+    """A curve that knows only how often answers are right."""
+    share = float(np.clip(right.mean(), 1e-3, 1 - 1e-3))
+    zeros = np.zeros(features.shape[1])
+    return Logistic(zeros, zeros + 1, zeros, float(np.log(share / (1 - share))))
 
 
 def as_markdown(learned: Learned) -> str:
@@ -147,14 +135,6 @@ def as_markdown(learned: Learned) -> str:
     for name, j in rows:
         lines.append(f"| {name} | {j.queries} | {j.expected_error:.3f} | {j.brier:.3f} | {j.log_loss:.3f} |")
     return "\n".join(lines)
-
-
-def judged_on(calibration: Calibration, sets: Mapping[str, Evidence]) -> dict[str, Judgement]:
-    """How a calibration does on sets it may or may not have been learned from."""
-    found = {}
-    for name, seen in sets.items():
-        found[name] = judge(calibration.curve.probability(seen.columns(calibration.features)), seen.right)
-    return found
 
 
 def gather(options: argparse.Namespace, preset: str) -> dict[str, Evidence]:
@@ -171,10 +151,10 @@ def gather(options: argparse.Namespace, preset: str) -> dict[str, Evidence]:
                 parts.append(hold_out(dataset, HELD_OUT, np.random.default_rng(options.seed)))
             seen = []
             for part in parts:
-                with one.open(part) as retriever:
-                    bar = evaluate.Bar(part.name)
-                    results = ask(part, retriever, seed=options.seed, journals=options.out / "answers", progress=bar)
-                    seen.append(evidence(part, results))
+                with one.open(part) as retriever, progress_bar(part.name) as bar:
+                    journals = options.out / "answers"
+                    answers = query_all(part, retriever, seed=options.seed, journals=journals, progress=bar)
+                seen.append(evidence(part, answers))
             names = sorted({name for s in seen for name in s.features})
             columns = np.concatenate([s.columns(names) for s in seen])
             right = np.concatenate([s.right for s in seen])
@@ -187,13 +167,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
     evaluate.add_arguments(parser)
     parser.add_argument("--features", default="lead", help="what the curve reads, comma-separated")
+    parser.add_argument("--curve", choices=tuple(CURVES), default="logistic", help="isotonic reads one feature")
     parser.add_argument("--write", type=Path, help="JSON file for the calibration")
     options = parser.parse_args(argv)
     [preset] = options.preset or ["default"]
     try:
+        require(FOR_FITTING)
         sets = gather(options, preset)
         source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
-        learned = learn(sets, options.features.split(","), source)
+        learned = learn(sets, options.features.split(","), source, CURVES[options.curve])
     except (RevisitError, ValueError) as refusal:  # ValueError: too little to learn from
         print(refusal, file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""Measure a service on pictures with ground truth, beside chance, ceiling and baselines.
+"""Measure a service on images with ground truth, beside chance, ceiling and baselines.
 
 ``python -m lab.evaluate pairs --root DIR`` or ``./revisit evaluate``. docs/evaluation.md tells the protocol.
 """
@@ -23,18 +23,20 @@ from lab.datasets import aligned, folder, kitti, pairs, pitts30k
 from lab.datasets.dataset import Dataset
 from lab.datasets.hold_out import hold_out
 from lab.evaluation.contender import Contender
-from lab.evaluation.gallery import Artist, answers, the_papers_figures
+from lab.evaluation.gallery import Artist, first_answers, the_papers_figures
 from lab.evaluation.html import Example, as_html
 from lab.evaluation.measuring import Evaluation, frame, measure
-from lab.evaluation.querying import Progress, RankedResults, ask, counted, ranked_by
+from lab.evaluation.progress import progress_bar
+from lab.evaluation.querying import Answers, Progress, counted, query_all, ranked_by
 from lab.evaluation.tables import as_json, as_text, overview
+from lab.libraries import FOR_REPORTS, require
 from schemas.errors import InvalidParameters, RevisitError
 from schemas.settings import read_settings
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run on one set leaves: figures, and pictures for the report."""
+    """What a run on one set leaves: figures, and images for the report."""
 
     evaluation: Evaluation
     examples: list[Example] = field(default_factory=list)
@@ -73,11 +75,11 @@ def run(
     shown: list[Example] = []
     for contender in contenders:
         with contender.open(dataset) as retriever:
-            results = ask(dataset, retriever, seed=seed, journals=journals, progress=progress)
-            methods += measure(dataset, results, seed=seed)
+            answers = query_all(dataset, retriever, seed=seed, journals=journals, progress=progress)
+            methods += measure(dataset, answers, seed=seed)
             if examples:
                 artist = contender.artist(retriever) if contender.artist else None
-                shown += _images(dataset, results, artist, examples, seed)
+                shown += _images(dataset, answers, artist, examples, seed)
     for rival in rivals:
         total = len(dataset.database) + len(dataset.queries)
         distances = rival.rank(dataset.database, dataset.queries, counted(progress, rival.name, total))
@@ -86,8 +88,9 @@ def run(
     return Outcome(found, shown)
 
 
-def _images(dataset: Dataset, results: RankedResults, artist: Artist | None, count: int, seed: int) -> list[Example]:
-    return answers(dataset, results, artist, each=count, seed=seed) + the_papers_figures(dataset, results, artist, seed)
+def _images(dataset: Dataset, answers: Answers, artist: Artist | None, count: int, seed: int) -> list[Example]:
+    drawn = first_answers(dataset, answers, artist, each=count, seed=seed)
+    return drawn + the_papers_figures(dataset, answers, artist, seed)
 
 
 def _circumstances(seed: int) -> dict[str, str]:
@@ -161,9 +164,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     two = parser.add_argument_group("pitts30k")
     two.add_argument("--split", choices=["train", "val", "test"], default="val")
     two.add_argument("--queries", type=int, help="draw this many queries")
-    two.add_argument("--database", type=int, help="draw this many database pictures, distractors included")
+    two.add_argument("--database", type=int, help="draw this many database images, distractors included")
     rest = parser.add_argument_group("pairs, aligned, folder")
-    rest.add_argument("--unlisted", action="store_true", help="ask pictures that no row names, as unanswerable")
+    rest.add_argument("--unlisted", action="store_true", help="query images that no row names too, as unanswerable")
     rest.add_argument("--tolerance", type=int, default=2, help="frames by which an aligned answer may differ")
     rest.add_argument("--heading", type=float, help="degrees by which the heading may differ")
 
@@ -198,20 +201,22 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
     if options.truth_only:
         print("\n\n".join(as_text(frame(dataset)) for dataset in datasets))
         return 0
+    require(FOR_REPORTS)
     names = [] if options.baselines in ("", "none") else options.baselines.split(",")
     outcomes = []
     with services(options, connect) as (contenders, needs):
         rivals = baselines(names, needs, options.seed)
         for dataset in datasets:
-            outcome = run(
-                dataset,
-                contenders,
-                rivals,
-                seed=options.seed,
-                journals=options.out / "answers",
-                progress=Bar(dataset.name),
-                examples=options.examples,
-            )
+            with progress_bar(dataset.name) as progress:
+                outcome = run(
+                    dataset,
+                    contenders,
+                    rivals,
+                    seed=options.seed,
+                    journals=options.out / "answers",
+                    progress=progress,
+                    examples=options.examples,
+                )
             print(as_text(outcome.evaluation) + "\n", flush=True)
             outcomes.append(outcome)
     evaluations = [o.evaluation for o in outcomes]
@@ -228,7 +233,7 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
 def services(
     options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None
 ) -> Iterator[tuple[list[Contender], Needs]]:
-    """The services to measure, and what baselines can use of them: one house, started, with a map for each preset."""
+    """The services to measure, and what baselines can use of them: one runtime, started, with a map for each preset."""
     needs = Needs(netvlad=options.netvlad, device=options.device)
     presets = options.preset or ["default", "paper"]
     if options.no_service:
@@ -238,7 +243,7 @@ def services(
             raise InvalidParameters.of("url", "only `revisit evaluate` can measure a service by URL")
         yield [connect(options.url, preset) for preset in presets], needs
     else:
-        # Late: a house brings torch, the database and the index, which baselines do without.
+        # Late: a runtime brings torch, the database and the index, which baselines do without.
         from lab.evaluation.in_process import contender, runtime_for_measuring
 
         with runtime_for_measuring(read_settings(), options.device) as runtime:
@@ -251,28 +256,6 @@ def services(
                 decode=lambda path: runtime.decode(path.read_bytes()),
             )
             yield [contender(runtime, preset) for preset in presets], inside
-
-
-class Bar:
-    """Progress on standard error: one line, rewritten on a terminal, a line each tenth elsewhere."""
-
-    def __init__(self, title: str) -> None:
-        self.title, self.last = title, ""
-
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """`done` of `total` pictures have been dealt with."""
-        terminal = sys.stderr.isatty()
-        part = 20 * done // max(total, 1) if terminal else 10 * done // max(total, 1)
-        now = f"{what} {part}"
-        if now == self.last and not (terminal and done == total):
-            return
-        self.last = now
-        if terminal:
-            end = "\n" if done == total else ""
-            bar = "#" * part + "." * (20 - part)
-            print(f"\r{self.title}: {what} [{bar}] {done}/{total} ", end=end, file=sys.stderr)
-        elif part:
-            print(f"{self.title}: {what} {done}/{total}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -81,9 +81,11 @@ def test_the_worker_has_at_most_eleven_entries() -> None:
 
 @pytest.mark.parametrize("room", ["app", "worker", "lab"])
 def test_numpy_is_told_to_keep_to_one_thread_before_it_loads(room: str) -> None:
-    told = f"import {room}, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    printed = f"import {room}, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
     bare = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    told = subprocess.run([sys.executable, "-c", told], cwd=ROOT, env=bare, capture_output=True, text=True, check=False)
+    told = subprocess.run(
+        [sys.executable, "-c", printed], cwd=ROOT, env=bare, capture_output=True, text=True, check=False
+    )
     assert told.stdout.split() == ["1", "False"], told.stderr
 
 

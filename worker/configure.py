@@ -13,32 +13,39 @@ SWITCH_S = 0.001
 between native calls; Python's default of 5 ms delayed an enrolment by a tenth (docs/speed.md)."""
 
 
-def configure(threads: int, *, torch_threads: int | None = None, device: str = "cpu") -> None:
-    """Set threads and the switch interval of the process; `worker.__init__` sets the threads of numpy's products.
+def configure(threads: int) -> None:
+    """Set the threads of OpenCV and FAISS and the switch interval of the process.
+
+    `worker.__init__` sets the threads of numpy's products, `configure_torch` those of torch.
 
     Parameters
     ----------
     threads : int
         Of OpenCV.
-    torch_threads : int, optional
-        Of torch; None does not import torch.
+    """
+    cv2.setNumThreads(threads)
+    # A search is memory-bound; threads that compete for cores make it several times slower.
+    faiss.omp_set_num_threads(1)
+    sys.setswitchinterval(SWITCH_S)
+
+
+def configure_torch(threads: int, device: str = "cpu") -> None:
+    """Import torch and set its threads, for the whole process.
+
+    Parameters
+    ----------
+    threads : int
     device : str
-        Device on which torch runs the network.
+        Device on which torch runs a network.
 
     Raises
     ------
     SetupError
         There is no such device.
     """
-    cv2.setNumThreads(threads)
-    # A search is memory-bound; threads that compete for cores make it several times slower.
-    faiss.omp_set_num_threads(1)
-    sys.setswitchinterval(SWITCH_S)
-    if torch_threads is None:
-        return
     import torch
 
-    torch.set_num_threads(torch_threads)
+    torch.set_num_threads(threads)
     if device != "cpu" and not torch.cuda.is_available():
         raise SetupError(f"REVISIT_DEVICE={device}, but this torch sees no GPU; set it to cpu")
 

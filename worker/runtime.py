@@ -10,7 +10,7 @@ from functools import partial
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.settings import Settings
-from worker.configure import configure, keep_freed_memory
+from worker.configure import configure, configure_torch, keep_freed_memory
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
@@ -127,11 +127,9 @@ def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter |
         from worker.encoders.color import ColorEncoder
 
         return ColorEncoder(), None
-    in_torch = settings.encoder == "lseg" or settings.device != "cpu"
-    if in_torch:
+    if settings.encoder == "lseg" or settings.device != "cpu":
         keep_freed_memory()
-    # With ONNX Runtime torch computes only byte products: more threads would only spin.
-    configure(threads, torch_threads=threads if in_torch else 1, device=settings.device)
+        configure_torch(threads, settings.device)
     if settings.encoder == "compact":
         from worker.encoders.compact.encoder import CompactEncoder
 
@@ -155,6 +153,8 @@ def make_product(settings: Settings) -> Product:
         return float_product
     from worker.search.byte_product import fastest_product
 
+    if settings.encoder == "compact" and settings.device == "cpu":
+        configure_torch(1)  # nothing but these products runs in torch then: more threads would only spin
     return fastest_product()
 
 

@@ -1,12 +1,19 @@
 """``revisit evaluate | benchmark``: how well it recognises, and how fast. Their own arguments are their modules'."""
 
 import argparse
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
 
 from app.cli.console import Verbs
 
+if TYPE_CHECKING:
+    import httpx
+
+    from worker.runtime import Runtime
+
 PASSED_ON = {
-    "evaluate": "measure recognition on pictures with ground truth",
-    "benchmark": "measure the stages of enrolling and asking",
+    "evaluate": "measure recognition on images with ground truth",
+    "benchmark": "measure the stages of enrolling and querying",
 }
 
 
@@ -27,7 +34,16 @@ def run_evaluate(arguments: argparse.Namespace) -> int:
 
 
 def run_benchmark(arguments: argparse.Namespace) -> int:
-    """Hand over."""
+    """Hand over, with a way to call a runtime over HTTP."""
     from lab.benchmarks import __main__ as benchmarks
 
-    return benchmarks.main(arguments.rest)
+    return benchmarks.main(arguments.rest, over_http)
+
+
+def over_http(runtime: "Runtime") -> "AbstractContextManager[httpx.Client]":
+    """A client of a runtime's HTTP service in this process; the runtime runs while it is open."""
+    from fastapi.testclient import TestClient
+
+    from app.http.application import create_app
+
+    return TestClient(create_app(runtime))

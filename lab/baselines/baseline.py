@@ -1,4 +1,4 @@
-"""What every baseline promises, and how they read pictures."""
+"""What every baseline promises, and how baselines read images."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from schemas.description import Floats
 from schemas.errors import BadImage
 
 Tick = Callable[[], object]
-"""Called once for each picture that has been described."""
+"""Called once for each image that has been described."""
 
 
 class Baseline(Protocol):
@@ -28,12 +28,8 @@ class Baseline(Protocol):
         ...
 
 
-def nothing() -> None:
-    """A tick that nobody watches."""
-
-
 def grey(path: Path) -> npt.NDArray[np.uint8]:
-    """A picture as uint8 (height, width), upright.
+    """An image as uint8 (height, width), upright.
 
     Raises
     ------
@@ -44,23 +40,23 @@ def grey(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def rgb(path: Path) -> npt.NDArray[np.uint8]:
-    """A picture as uint8 (height, width, 3), RGB, upright; raises as `grey`."""
+    """An image as uint8 (height, width, 3), RGB, upright; raises as `grey`."""
     return _decoded(path, cv2.IMREAD_COLOR_RGB)
 
 
 def city_block(database: Floats, queries: Floats) -> Floats:
-    """Sums of absolute differences, float32 (queries, database), of descriptors (pictures, dimensions)."""
+    """Sums of absolute differences, float32 (queries, database), of descriptors (images, dimensions)."""
     return np.stack([np.abs(database - q).sum(axis=1, dtype=np.float32) for q in queries])
 
 
 def euclidean(database: Floats, queries: Floats) -> Floats:
-    """Euclidean distances, float32 (queries, database), of descriptors (pictures, dimensions)."""
+    """Euclidean distances, float32 (queries, database), of descriptors (images, dimensions)."""
     squares = (queries**2).sum(axis=1)[:, None] + (database**2).sum(axis=1) - 2 * queries @ database.T
     return np.asarray(np.sqrt(np.maximum(squares, 0)), np.float32)
 
 
 def described(images: Iterable[Path], describe: Callable[[Path], Floats], tick: Tick) -> Floats:
-    """Descriptors of pictures, float32 (pictures, dimensions)."""
+    """Descriptors of images, float32 (images, dimensions)."""
     rows = []
     for image in images:
         rows.append(describe(image))
@@ -71,5 +67,5 @@ def described(images: Iterable[Path], describe: Callable[[Path], Floats], tick: 
 def _decoded(path: Path, how: int) -> npt.NDArray[np.uint8]:
     pixels = cv2.imread(str(path), how)
     if pixels is None:
-        raise BadImage("undecodable-picture", f"{path} cannot be decoded as a picture")
+        raise BadImage("undecodable-picture", f"{path} cannot be decoded as an image")
     return np.asarray(pixels, np.uint8)

@@ -1,4 +1,4 @@
-"""Histograms of oriented gradients of the whole picture (Dalal and Triggs, CVPR 2005).
+"""Histograms of oriented gradients of the whole image (Dalal and Triggs, CVPR 2005).
 
 Written out, since OpenCV 5 no longer has ``cv2.HOGDescriptor``.
 """
@@ -33,7 +33,7 @@ class Hog:
 
 
 def gradients(image: npt.NDArray[np.uint8]) -> Floats:
-    """The descriptor of a 256 x 256 grey picture, float32 (8100,).
+    """The descriptor of a 256 x 256 grey image, float32 (8100,).
 
     Notes
     -----

@@ -16,12 +16,12 @@ from worker.description.ports import Encoder
 
 NAMES = ("random", "tiny", "hog", "orb", "labels", "netvlad")
 PLAIN = ("random", "tiny", "hog", "orb")
-"""Those that need nothing but the pictures."""
+"""Those that need nothing but the images."""
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What some baselines need besides the pictures."""
+    """What some baselines need besides the images."""
 
     encoder: Encoder | None = None
     labels: tuple[str, ...] = ()

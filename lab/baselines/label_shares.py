@@ -1,4 +1,4 @@
-"""How much road, sky and building a picture shows: the least that a segmentation can say about a place."""
+"""How much road, sky and building an image shows: the least that a segmentation can say about a place."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -37,7 +37,7 @@ class Pooling(nn.Module):
 
 
 class NetVlad(nn.Module):
-    """The network: pictures in, unit vectors out.
+    """The network: images in, unit vectors out.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class NetVlad(nn.Module):
         self.register_buffer("deviation", torch.tensor(DEVIATION).view(3, 1, 1), persistent=False)
 
     def features(self, images: Tensor) -> Tensor:
-        """Signed features, (n, 512, h // 16, w // 16), of pictures in 0..1, RGB, (n, 3, h, w)."""
+        """Signed features, (n, 512, h // 16, w // 16), of images in 0..1, RGB, (n, 3, h, w)."""
         features: Tensor = self.encoder((images - self.mean) / self.deviation)
         return features
 
@@ -87,7 +87,7 @@ class NetVlad(nn.Module):
 
 
 class NetVladBaseline:
-    """Euclidean distance between NetVLAD vectors. Pictures are neither resized nor cropped.
+    """Euclidean distance between NetVLAD vectors. Images are neither resized nor cropped.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ class NetVladBaseline:
         return euclidean(described(database, self.describe, tick), described(queries, self.describe, tick))
 
     def describe(self, path: Path) -> Floats:
-        """The descriptor of a picture, float32 (32768,)."""
-        # One at a time: pictures of one batch would have to be of one size, and resizing changes the descriptor.
+        """The descriptor of an image, float32 (32768,)."""
+        # One at a time: images of one batch would have to be of one size, and resizing changes the descriptor.
         pixels = torch.from_numpy(rgb(path)).permute(2, 0, 1)[None].to(self.device, torch.float32) / 255
         with torch.inference_mode():
             return np.asarray(self.network(pixels)[0].cpu().numpy(), np.float32)

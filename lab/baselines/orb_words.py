@@ -26,7 +26,7 @@ class OrbWords:
     words : int
         Size of the vocabulary, trained on the database alone.
     features : int
-        ORB features kept of a picture.
+        ORB features kept of an image.
     seed : int
     """
 
@@ -37,15 +37,15 @@ class OrbWords:
         self.detector = cv2.ORB.create(nfeatures=features)
 
     def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
-        """Distances in 0..1, float32 (queries, database); 1 for a picture without features."""
+        """Distances in 0..1, float32 (queries, database); 1 for an image without features."""
         known = [self._bits(path, tick) for path in database]
         vocabulary = self._vocabulary(np.concatenate(known))
         counts = self._counts(known, vocabulary)
-        results = self._counts([self._bits(path, tick) for path in queries], vocabulary)
-        # A word in every picture tells nothing; a word in none cannot be met in the database.
+        queried = self._counts([self._bits(path, tick) for path in queries], vocabulary)
+        # A word in every image tells nothing; a word in none cannot be met in the database.
         seen = (counts > 0).sum(axis=0)
         idf = np.log(len(database) / np.maximum(seen, 1)).astype(np.float32)
-        return 1 - unit(results * idf) @ unit(counts * idf).T
+        return 1 - unit(queried * idf) @ unit(counts * idf).T
 
     def _bits(self, path: Path, tick: Tick) -> Floats:
         """ORB descriptors as bits, float32 (features, 256): their squared distance is Hamming's."""
@@ -68,7 +68,7 @@ class OrbWords:
 
     @staticmethod
     def _counts(images: Sequence[Floats], vocabulary: Floats) -> Floats:
-        """How often each word occurs, float32 (pictures, words)."""
+        """How often each word occurs, float32 (images, words)."""
         lengths = (vocabulary**2).sum(axis=1)
         counts = np.zeros((len(images), len(vocabulary)), np.float32)
         for row, bits in zip(counts, images, strict=True):

@@ -1,4 +1,4 @@
-"""The tiny picture: 32 x 32 grey, each patch brought to the same brightness and contrast (as SeqSLAM does)."""
+"""The tiny image: 32 x 32 grey, each patch brought to the same brightness and contrast (as SeqSLAM does)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ SIDE, PATCH = 32, 8
 class TinyImage:
     """City-block distance between patch-normalised thumbnails."""
 
-    name = "tiny picture"
+    name = "tiny image"
 
     def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
         """Distances, float32 (queries, database)."""
@@ -23,7 +23,7 @@ class TinyImage:
 
 
 def thumbnail(path: Path) -> Floats:
-    """A picture as float32 (1024,): each 8 x 8 patch with mean 0 and deviation 1 (in grey levels, plus one)."""
+    """An image as float32 (1024,): each 8 x 8 patch with mean 0 and deviation 1 (in grey levels, plus one)."""
     small = cv2.resize(grey(path), (SIDE, SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
     patches = small.reshape(SIDE // PATCH, PATCH, SIDE // PATCH, PATCH)
     # One grey level is added to the deviation, or the noise of an even patch of sky would count as much as a facade.

@@ -1,19 +1,30 @@
-"""``python -m lab.benchmarks NAME``, or ``./revisit benchmark NAME``: run one benchmark; without a name, the stages."""
+"""``./revisit benchmark NAME``, or ``python -m lab.benchmarks NAME``: run one benchmark; without a name, the stages."""
 
 import importlib
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lab.benchmarks.stages import OverHttp
 
 BENCHMARKS = {
-    "stages": "the stages of enrolling and asking, at several sizes of a map",
+    "stages": "the stages of enrolling and querying, at several sizes of a map",
     "lseg": "the paper's network: precision, mode, batch",
-    "kitti_protocols": "what each protocol on KITTI is worth, without looking at a picture",
+    "kitti_protocols": "what each protocol on KITTI is worth, without looking at an image",
     "ranking": "what each part of the ranking gives, on places with ground truth",
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Hand over to a benchmark; its own arguments follow its name."""
+def main(arguments: Sequence[str] | None = None, over_http: "OverHttp | None" = None) -> int:
+    """Hand over to a benchmark; its own arguments follow its name.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+    over_http : function, optional
+        For the stages; see `lab.benchmarks.stages.OverHttp`.
+    """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] in (["-h"], ["--help"]):
         print("benchmarks:\n" + "\n".join(f"  {name:18}{text}" for name, text in BENCHMARKS.items()))
@@ -22,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name not in BENCHMARKS:
         print(f"no benchmark {name!r}; there are: {', '.join(BENCHMARKS)}", file=sys.stderr)
         return 2
-    return int(importlib.import_module(f"lab.benchmarks.{name}").main(given) or 0)
+    benchmark = importlib.import_module(f"lab.benchmarks.{name}")
+    return int((benchmark.main(given, over_http) if name == "stages" else benchmark.main(given)) or 0)
 
 
 if __name__ == "__main__":

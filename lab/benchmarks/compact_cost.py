@@ -1,6 +1,6 @@
-"""What one picture costs the built-in network: ``python -m lab.benchmarks.compact_cost --threads 1 [--engine torch]``.
+"""What one image costs the built-in network: ``python -m lab.benchmarks.compact_cost --threads 1 [--engine torch]``.
 
-Both engines start from a picture at the network's size, uint8, and end with fields in numpy arrays.
+Both engines start from an image at the network's size, uint8, and end with fields in numpy arrays.
 
 Beside them runs a 512 x 512 x 512 float32 matrix product, so that machines can be compared by ratios. CPU time is
 printed next to wall time, because on a busy machine only the former means anything (and only with one thread).
@@ -19,7 +19,9 @@ import numpy as np
 import torch
 
 from worker.configure import keep_freed_memory
-from worker.encoders.compact.encoder import ENSEMBLE, WEIGHTS, Engine
+from worker.encoders.compact.encoder import WEIGHTS
+from worker.encoders.compact.engine import Engine
+from worker.encoders.compact.ensemble import ENSEMBLE
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
 
@@ -28,7 +30,7 @@ SIZES = ((288, 480), (480, 640))
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m lab.benchmarks.compact_cost", description="Cost of one picture.")
+    parser = argparse.ArgumentParser(prog="python -m lab.benchmarks.compact_cost", description="Cost of one image.")
     parser.add_argument("--weights", type=Path, default=WEIGHTS)
     parser.add_argument("--engine", choices=("onnxruntime", "torch"), default="onnxruntime")
     parser.add_argument("--threads", type=int, default=1)
@@ -41,10 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{options.engine} {version(options.engine)}, {platform.machine()}, {options.threads} thread(s), {today}")
     for height, width in SIZES:
         image = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
-        runs: dict[str, Callable[[], object]] = {"words and detail": partial(engine.fields, image)}
+        runs: dict[str, Callable[[], object]] = {"semantic and detail": partial(engine.fields, image)}
         runs |= {
-            f"fine words, reader {reader}": partial(engine.segmentation, image, at)
-            for at, reader in enumerate(ENSEMBLE)
+            f"segmentation, member {member}": partial(engine.segment, image, at) for at, member in enumerate(ENSEMBLE)
         }
         for outputs, run in runs.items():
             product = _milliseconds(lambda: square @ square, 4 * options.runs)
@@ -57,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _engine(name: str, weights: Path, threads: int) -> Engine:
-    fine = [weights.with_name(f"{weights.stem}-{reader}.safetensors") for reader in ENSEMBLE]
+    fine = [weights.with_name(f"{weights.stem}-{member}.safetensors") for member in ENSEMBLE]
     if name == "torch":
         keep_freed_memory()
         return TorchEngine(weights.read_bytes(), [path.read_bytes() for path in fine], "cpu")

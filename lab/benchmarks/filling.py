@@ -1,4 +1,4 @@
-"""A map of any size without enrolling that many pictures: real descriptions, many times, each a little different."""
+"""A map of any size without enrolling that many images: real descriptions, many times, each a little different."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from uuid6 import uuid7
 
 from schemas.description import Description
-from schemas.recipe import Recipe
+from schemas.recipe import DescriptionRecipe
 from worker.storage import packing
 from worker.storage.tables import APPEARANCES, CELLS, CLOCK, DESCRIPTIONS, KEYPOINTS, MAPS, VECTORS, VIEWS
 
@@ -19,8 +19,10 @@ NOISE = 0.5
 BLOCK = 1000
 
 
-def fill(url: str, name: str, recipe: Recipe, descriptions: Sequence[Description], count: int, seed: int = 0) -> None:
-    """Add `count` views to a map, past the queue and without picture files.
+def fill(
+    url: str, name: str, recipe: DescriptionRecipe, descriptions: Sequence[Description], count: int, seed: int = 0
+) -> None:
+    """Add `count` views to a map, past the queue and without image files.
 
     Parameters
     ----------
@@ -28,7 +30,7 @@ def fill(url: str, name: str, recipe: Recipe, descriptions: Sequence[Description
         SQLAlchemy URL of a database that nothing else uses.
     name : str
         Of a map that exists.
-    recipe : Recipe
+    recipe : DescriptionRecipe
         The map's.
     descriptions : sequence of Description
         By that recipe; taken in turn.
@@ -71,7 +73,7 @@ def fill(url: str, name: str, recipe: Recipe, descriptions: Sequence[Description
                 APPEARANCES: [parts[pick][APPEARANCES] for pick in picks],
                 CELLS: [parts[pick][CELLS] for pick in picks],
             }
-            if recipe.parameters.verification is not None:
+            if recipe.parameters.local_features is not None:
                 bodies[KEYPOINTS] = [parts[pick][KEYPOINTS] for pick in picks]
             for table, column in bodies.items():
                 rows = [{"seq": s, "recipe": recipe.id, "body": b} for s, b in zip(seqs, column, strict=True)]
@@ -89,7 +91,7 @@ def _view(seq: int, map_id: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _vectors(description: Description, recipe: Recipe, random: np.random.Generator) -> bytes:
+def _vectors(description: Description, recipe: DescriptionRecipe, random: np.random.Generator) -> bytes:
     mixed = []
     for channel in recipe.parameters.channels:
         vector = description.vectors[channel]

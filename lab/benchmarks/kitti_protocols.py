@@ -1,4 +1,4 @@
-"""What KITTI protocols are worth before any picture is looked at: random and perfect rankings under each truth.
+"""What KITTI protocols are worth before any image is looked at: random and perfect rankings under each truth.
 
     python -m lab.benchmarks.kitti_protocols POSES/00.txt
 

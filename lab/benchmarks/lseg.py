@@ -1,6 +1,6 @@
 """Speed and memory of the encoder lseg: ``python -m lab.benchmarks.lseg [--weights FILE]``.
 
-With ``--compare PICTURE...``: how far the mode ``single`` and lower precisions depart from the reference instead.
+With ``--compare IMAGE...``: how far the mode ``single`` and lower precisions depart from the reference instead.
 
 One process per row, so that each row's memory is its own. Without ``--weights`` the network has random ones: its
 speed does not depend on them. The machine's speed at multiplying matrices is measured beside it, as the bound; the
@@ -15,7 +15,7 @@ import platform
 import resource
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,10 +25,11 @@ import numpy as np
 import torch
 from PIL import Image as PilImage
 
+from lab.benchmarks.lseg_cost import multiply_adds
 from schemas.image import Image
+from worker.description.presets import PAPER_LABELS
 from worker.encoders.lseg.checkpoint import load
 from worker.encoders.lseg.config import PUBLISHED
-from lab.benchmarks.lseg_cost import multiply_adds
 from worker.encoders.lseg.encoder import LsegEncoder, Mode
 from worker.encoders.lseg.enlarge import Axis, enlarge
 from worker.encoders.lseg.linear import linear
@@ -58,7 +59,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was seen: seconds and CPU seconds per picture, bytes, and floating-point operations per second."""
+    """What was seen: seconds and CPU seconds per image, bytes, and floating-point operations per second."""
 
     seconds: list[float]
     cpu_seconds: float
@@ -110,7 +111,7 @@ def matrix_speeds(row: Row) -> tuple[float, float]:
 
 
 def operations(mode: Mode, size: tuple[int, int], batch: int) -> float:
-    """Floating-point operations for one picture, as the encoder does them."""
+    """Floating-point operations for one image, as the encoder does them."""
     covering = Windows(PUBLISHED) if mode == "windows" else Single(PUBLISHED)
     inputs = covering.inputs(np.zeros((*size, 3), np.uint8))
     passes = [((i.pixels.shape[1], i.pixels.shape[2]), i.keep if batch == 1 else None) for i in inputs]
@@ -161,24 +162,21 @@ def line(row: Row, seen: Measured) -> str:
     )
 
 
-PAPER_WORDS = "road,sidewalk,building,vehicle,car,bicycle,motorcycle,vegetation,trunk,terrain,cyclist,pole,sky,other"
-
-
 def compare(weights: Path, images: list[Path], variants: list[tuple[Mode, str]], device: str) -> None:
     """Print how other modes and precisions differ from windows in float32, cell by cell of the reference's grid."""
-    print("| picture | mode | precision | labels equal | cosine, mean | cosine, lowest hundredth |\n|" + " --- |" * 6)
+    print("| image | mode | precision | labels equal | cosine, mean | cosine, lowest hundredth |\n|" + " --- |" * 6)
     for path in images:
         image = Image.of(np.asarray(PilImage.open(path).convert("RGB")))
         exact = LsegEncoder.open(weights, device=device, dtype=torch.float32)
-        words = torch.from_numpy(exact.text_vectors(PAPER_WORDS.split(","))).to(device)
+        vectors = torch.from_numpy(exact.text_vectors(PAPER_LABELS)).to(device)
         wanted = next(exact.raw([image]))
-        labels = (wanted @ words.T).argmax(-1)
+        labels = (wanted @ vectors.T).argmax(-1)
         for mode, dtype in variants:
             other = LsegEncoder.open(weights, mode=mode, device=device, dtype=DTYPES[dtype])
             raw = next(other.raw([image]))
             rows, columns = map(Axis.whole, raw.shape[:2], wanted.shape[:2])
             raw = enlarge(raw[None], rows, columns)[0]
-            equal = ((raw @ words.T).argmax(-1) == labels).float().mean().item()
+            equal = ((raw @ vectors.T).argmax(-1) == labels).float().mean().item()
             cosine = torch.cosine_similarity(raw, wanted, dim=-1).flatten().sort().values
             low = cosine[len(cosine) // 100].item()
             print(
@@ -186,7 +184,7 @@ def compare(weights: Path, images: list[Path], variants: list[tuple[Mode, str]],
             )
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print versions and the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--weights", type=Path)
@@ -197,8 +195,8 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--size", type=int, nargs=2, default=[376, 1241], metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--compare", type=Path, nargs="+", metavar="PICTURE")
-    options = parser.parse_args()
+    parser.add_argument("--compare", type=Path, nargs="+", metavar="IMAGE")
+    options = parser.parse_args(arguments)
     if options.compare:
         torch.set_num_threads(options.threads)
         variants = [(m, d) for m in options.modes for d in options.dtypes or ["float32"] if (m, d) != REFERENCE]
@@ -212,10 +210,10 @@ def main() -> None:
     )
     print(f"{name or platform.machine()}, {options.threads} threads, {options.size[0]} x {options.size[1]} pixels\n")
     print(
-        "| mode | precision | batch | s/picture, best (median) | pictures/s | CPU s/picture | TFLOP/picture | GFLOP/s "
+        "| mode | precision | batch | s/image, best (median) | images/s | CPU s/image | TFLOP/image | GFLOP/s "
         "| of torch.matmul | of a dense layer | memory, GB |\n|" + " --- |" * 11
     )
-    measure_alone = functools.partial(multiprocessing.get_context("spawn").Pool, 1)
+    process = functools.partial(multiprocessing.get_context("spawn").Pool, 1)
     for mode in options.modes:
         for dtype in options.dtypes or (["float32"] if on_cpu else list(DTYPES)):
             for batch in batches:
@@ -223,8 +221,8 @@ def main() -> None:
                 row = Row(
                     mode, dtype, batch, options.device, options.threads, size, batch, options.repeats, options.weights
                 )
-                with measure_alone() as alone:
-                    print(line(row, alone.apply(measure, (row,))), flush=True)
+                with process() as one:
+                    print(line(row, one.apply(measure, (row,))), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,24 +1,22 @@
 """What the encoder sees, drawn for the documents: ``python -m lab.benchmarks.portraits --to docs``.
 
 ``seen.jpg``: a street, its labels and its context graph. ``limits.jpg``: scenes in which the labels go wrong, each
-beside them. All pictures are scenes that the project draws itself.
+beside them. All images are scenes that the project draws itself.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from lab.evaluation.in_process import runtime_for_measuring
 from scenes.geometry import Pixels
-from scenes.scene import Scene, scene
-from schemas.description import PixelField
+from scenes.scene import scene
 from schemas.image import Image
 from schemas.settings import Settings
-from worker.runtime import make_encoder
-from worker.description.describer import Describer
-from worker.description.presets import general_vocabulary, make_recipe
-from worker.images import drawing
+from worker.description.presets import Wanted
 
 SEEN = scene("market street").behind("car", "person")
 
@@ -33,34 +31,18 @@ LIMITS = (
 WIDTH = 560
 
 
-class Portraitist:
-    """Pictures of what the default recipe makes of a picture."""
-
-    def __init__(self) -> None:
-        self._encoder = make_encoder(Settings(encoder="compact"), 1)
-        recipe = make_recipe(self._encoder, "default")
-        self._describer = Describer(self._encoder, recipe, general_vocabulary(self._encoder, "default"))
-
-    def labels(self, image: Image) -> Pixels:
-        """The labels over the picture, as `GET /views/{id}/segmentation.png?overlay=true` draws them."""
-        seen = self._describer.segment(self._encoder.fine(image))
-        return _decoded(
-            drawing.overlay_png(image.pixels, seen.labels, self._describer.recipe.labels, seen.static), image
-        )
-
-    def graph(self, image: Image) -> Pixels:
-        """The context graph over the picture."""
-        field: PixelField = next(iter(self._encoder.encode([image])))
-        recipe = self._describer.recipe
-        graph = self._describer.graph(field, self._describer.segment(field))
-        return _decoded(drawing.graph_png(image.pixels, graph, recipe.labels, recipe.parameters.graph.tau), image)
+def side_by_side(*images: Pixels) -> Pixels:
+    """Images in a row, from the top, on white."""
+    height = max(len(p) for p in images)
+    filled = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in images]
+    return np.concatenate(filled, axis=1)
 
 
-def _decoded(png: bytes, image: Image) -> Pixels:
-    """An RGB picture from PNG, its key below left as it is, at the width of the others."""
+def _decoded(png: bytes) -> Pixels:
+    """An RGB drawing from PNG, its key below left as it is, at the width of the others."""
     pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
     if pixels is None:
-        raise ValueError(f"the drawing of a {image.width} x {image.height} picture is no PNG")
+        raise ValueError("a drawing is no PNG")
     return _at_width(np.asarray(pixels, np.uint8))
 
 
@@ -69,37 +51,29 @@ def _at_width(pixels: Pixels) -> Pixels:
     return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def parallel(*images: Pixels) -> Pixels:
-    """Pictures side by side, from the top, on white."""
-    height = max(len(p) for p in images)
-    filled = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in images]
-    return np.concatenate(filled, axis=1)
-
-
-def _written(pixels: Pixels, path: Path) -> None:
+def _write(pixels: Pixels, path: Path) -> None:
     if not cv2.imwrite(str(path), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82]):
         raise OSError(f"{path} could not be written")
     print(f"{path}: {pixels.shape[1]} x {pixels.shape[0]}, {path.stat().st_size / 1000:.0f} KB")
 
 
-def main() -> None:
-    """Draw both pictures."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw both images."""
     parser = argparse.ArgumentParser(description="what the encoder sees, drawn for the documents")
     parser.add_argument("--to", type=Path, default=Path("docs"))
-    options = parser.parse_args()
-    draw = Portraitist()
-    street = Image.of(SEEN.pixels)
-    _written(parallel(_at_width(street.pixels), draw.labels(street), draw.graph(street)), options.to / "seen.jpg")
-    rows = []
-    for limit in LIMITS:
-        image = _image(limit)
-        rows.append(parallel(_at_width(image.pixels), draw.labels(image)))
-    halves = [np.concatenate(rows[at::2], axis=0) for at in range(2)]
-    _written(parallel(*halves), options.to / "limits.jpg")
-
-
-def _image(limit: Scene) -> Image:
-    return Image.of(limit.pixels)
+    options = parser.parse_args(arguments)
+    with runtime_for_measuring(Settings(encoder="compact", threads=1)) as runtime:
+        owner = runtime.services.maps.put("portraits", Wanted())[0].record
+        draw = runtime.services.renderings
+        street = Image.of(SEEN.pixels)
+        drawn = [_decoded(draw.draw_overlay(street, owner)), _decoded(draw.draw_graph(street, owner))]
+        _write(side_by_side(_at_width(street.pixels), *drawn), options.to / "seen.jpg")
+        rows = []
+        for limit in LIMITS:
+            overlay = _decoded(draw.draw_overlay(Image.of(limit.pixels), owner))
+            rows.append(side_by_side(_at_width(limit.pixels), overlay))
+    columns = [np.concatenate(rows[at::2], axis=0) for at in range(2)]
+    _write(side_by_side(*columns), options.to / "limits.jpg")
 
 
 if __name__ == "__main__":

@@ -1,161 +1,146 @@
-"""recall@1 of each step of re-ranking, on folders of pictures with a table of right answers.
+"""recall@1 of each step of the ranking, on folders of images with a table of right answers.
 
     python -m lab.benchmarks.ranking --places DIR --general DIR [--general DIR ...] [--part 0.5]
 
-`--places` as `lab.datasets.pairs` reads it; `--general` holds pictures of other places, from which words and
-projections are learned. Every candidate list is the one before it, re-ordered.
+`--places` as `lab.datasets.pairs` reads it; `--general` holds images of other places, from which the vocabulary is
+learned. Every list of candidates is the one before it, re-ordered.
 """
 
 import argparse
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
-import torch
 
 from lab.datasets import pairs
 from lab.datasets.dataset import ENDINGS, Dataset
+from lab.evaluation.in_process import runtime_for_measuring, train_vocabulary
+from lab.evaluation.service import map_of_its_own
 from lab.metrics.recall import bootstrap_interval
-from schemas.description import Floats, Int8s, LocalFeatures, PixelField
-from schemas.image import Image
-from schemas.recipe import DenseCells
-from worker.description import vocabularies
-from worker.description.local_features import local_features
-from worker.description.presets import PRESETS
-from worker.encoders.compact.encoder import CompactEncoder
-from worker.method import channel_fusion, dense_cells, hough, score_fusion, verification, vocabulary
-from worker.method.byte_vectors import quantise
-from worker.method.hough import Doubles
-from worker.method.score_fusion import Rows
+from schemas.description import Description
+from schemas.errors import NothingStatic
+from schemas.recipe import MapRecipe
+from schemas.records import Filters, Position
+from schemas.settings import Settings
+from worker.description.presets import Wanted, changed_ranking, make_recipe
+from worker.method.cascade import Evidence
+from worker.runtime import Runtime
 
-PARAMETERS = PRESETS["default"].parameters
+PRESET = "default"
 
 
-@dataclass(frozen=True, eq=False)
-class Described:
-    """What re-ranking reads of a picture."""
-
-    vectors: Mapping[str, Floats]
-    cells: Int8s
-    extent: tuple[float, float]
-    keypoints: LocalFeatures
+def best(evidence: Evidence) -> int:
+    """Sequence number of the view that is first by what is known so far."""
+    return evidence.seqs(evidence.best(1))[0]
 
 
-class Describer:
-    """Pictures to descriptions, each picture once.
+def nearest(channel: str, evidence: Evidence) -> int:
+    """Sequence number of the view that a channel's search found first."""
+    return int(evidence.candidates.seqs[np.argmax(evidence.candidates.ranks[channel] == 1)])
+
+
+@dataclass(frozen=True)
+class Step:
+    """A moment of the ranking.
 
     Parameters
     ----------
-    general : sequence of Path
+    name : str
+        In the table.
+    stage : str
+        Of `worker.method.cascade.STAGES`: looked at when this one is over.
+    changes : mapping
+        Of the map's ranking, for steps that are finer than a stage.
+    first : function
+        From what is known to the first view's sequence number.
     """
 
-    def __init__(self, general: Sequence[Path]) -> None:
-        self._encoder = CompactEncoder()
-        self._known: dict[Path, Described] = {}
-        fields = (self._field(path) for path in general)
-        self._vocabulary = vocabularies.train(fields, lambda f: np.ones(f.shape, np.bool_), PARAMETERS)
-
-    def __call__(self, path: Path) -> Described:
-        """The description of a picture file."""
-        if path not in self._known:
-            self._known[path] = self._describe(path)
-        return self._known[path]
-
-    def _field(self, path: Path) -> PixelField:
-        return next(iter(self._encoder.encode([_image(path)])))
-
-    def _describe(self, path: Path) -> Described:
-        field, vectors, parts = self._field(path), {}, {}
-        for name, channel in PARAMETERS.channels.items():
-            layer, learned = field.layers[channel.layer], self._vocabulary.channels[name]
-            vectors[name] = vocabulary.vector(layer.reshape(-1, layer.shape[2]), learned, channel)
-            if PARAMETERS.dense is not None and learned.cells is not None:
-                grid = dense_cells.grid(layer, PARAMETERS.dense.rows, PARAMETERS.dense.columns)
-                parts[name] = dense_cells.reduce(grid, learned.cells)
-        cells = quantise(dense_cells.join(parts, PARAMETERS.dense.shares if PARAMETERS.dense else {}))
-        wanted = PARAMETERS.verification.keypoints if PARAMETERS.verification else 0
-        return Described(vectors, cells, field.extent, local_features(_image(path).pixels, wanted))
+    name: str
+    stage: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    first: Callable[[Evidence], int] = best
 
 
-def steps(query: Described, database: Sequence[Described], weights: Mapping[str, float]) -> Iterator[tuple[str, int]]:
-    """Name of each step, and the database picture it ranks first."""
-    terms: dict[str, Floats] = {}
-    everyone = np.arange(len(database))
-    chosen = np.zeros(len(database), np.bool_)
-    total = np.zeros(len(database), np.float32)
-    for name, channel in PARAMETERS.channels.items():
-        distance = np.linalg.norm(np.stack([d.vectors[name] for d in database]) - query.vectors[name], axis=1)
-        total += distance.astype(np.float32)
-        chosen[np.argsort(distance, kind="stable")[: PARAMETERS.candidates]] = True
-        terms[f"histogram.{name}"] = score_fusion.histogram_similarity(distance.astype(np.float32), channel)
-        yield f"histogram of {name}", int(distance.argmin())
-    rows = everyone[chosen]
-
-    def best(count: int) -> Rows:
-        score, _ = score_fusion.weigh(terms, weights)
-        return score_fusion.order(score, total, rows)[:count]
-
-    def put(term: str, where: Rows, values: Floats) -> None:
-        terms[term] = np.zeros(len(database), np.float32)
-        terms[term][where] = values
-
-    def cell_aspect(where: Rows) -> Doubles:
-        return hough.cell_aspects(query.extent, [database[int(row)].extent for row in where])
-
-    ours, *theirs = (quantise(dense_cells.halve(d.cells)) for d in (query, *(database[r] for r in rows)))
-    halves, dense = np.stack(theirs), PARAMETERS.dense or DenseCells(full_resolution_top_k=0)
-    alike = dense_cells.compare(ours, halves, cell_aspect=cell_aspect(rows)).scores
-    put("dense", rows, alike)
-    yield "cells at half size", int(best(1)[0])
-    rates, scores = {}, alike
-    for part in dense.read_alone:
-        alone = channel_fusion.alone(ours, halves, PARAMETERS.joined(), part, cell_aspect=cell_aspect(rows))
-        rates[part] = channel_fusion.align_scale(alike, alone)
-        scores = channel_fusion.max_fusion(scores, alone, rates[part])
-    put("dense", rows, scores)
-    yield "and channels alone", int(best(1)[0])
-    first = best(dense.full_resolution_top_k)
-    cells = np.stack([database[int(row)].cells for row in first])
-    alike_in_full = dense_cells.compare(query.cells, cells, cell_aspect=cell_aspect(first))
-    put("close", first, alike_in_full.scores)
-    yield "joined cells in full, at any scale", int(best(1)[0])
-    near = dense_cells.nearness(alike_in_full.scales, dense.scale_penalty)
-    put("close", first, alike_in_full.scores * near)
-    yield "joined cells in full", int(best(1)[0])
-    scores = alike_in_full.scores
-    for part, full_resolution_top_k in dense.read_alone.items():
-        some = (cells[:full_resolution_top_k], PARAMETERS.joined(), part)
-        alone = channel_fusion.alone(query.cells, *some, cell_aspect=cell_aspect(first[:full_resolution_top_k]))
-        scores = channel_fusion.max_fusion(scores, alone, rates[part])
-    put("close", first, scores * near)
-    yield "and channels alone in full", int(best(1)[0])
-    first = best(PARAMETERS.verification.candidates if PARAMETERS.verification else 0)
-    verified = verification.verify(query.keypoints, [database[int(row)].keypoints for row in first])
-    put("verification", first, verification.gated_bonus([view.inliers for view in verified]))
-    yield "and keypoints verified", int(best(1)[0])
+def steps(channels: Sequence[str]) -> list[Step]:
+    """All steps, in the order of the ranking."""
+    without_graph, joined, any_scale = {"weights": {"graph": 0.0}}, {"detail_only_top_k": 0}, {"scale_penalty": 0.0}
+    return [
+        *(Step(f"histogram of {name}", "histograms", first=partial(nearest, name)) for name in channels),
+        Step("cells at half size", "coarse", without_graph | joined),
+        Step("and of detail only", "coarse", without_graph),
+        Step("and the context graph", "coarse"),
+        Step("joined cells in full, at any scale", "full", joined | any_scale),
+        Step("joined cells in full", "full", joined),
+        Step("and of detail only, in full", "full"),
+        Step("and keypoints verified", "verification"),
+    ]
 
 
-def measure(dataset: Dataset, describe: Describer, part: float) -> dict[str, list[bool]]:
-    """For each step, whether its first answer to each query that has one is right."""
-    database = [describe(path) for path in dataset.database]
-    results = [i for i, right in enumerate(dataset.positives) if len(right)]
-    results = results[:: max(1, round(1 / part))]
+def measure(dataset: Dataset, runtime: Runtime, recipe: MapRecipe, part: float) -> dict[str, list[bool]]:
+    """For each step, whether its first answer to each query that has one is right.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    runtime : Runtime
+        Started.
+    recipe : MapRecipe
+    part : float
+        Share of the queries, 0..1.
+    """
+    queries = np.flatnonzero(dataset.judged().answerable)[:: max(1, round(1 / part))].tolist()
     found: dict[str, list[bool]] = {}
-    for i in results:
-        for step, answer in steps(describe(dataset.queries[i]), database, PARAMETERS.weights):
-            found.setdefault(step, []).append(answer in dataset.positives[i])
+    with map_of_its_own(runtime, recipe, PRESET, dataset) as retriever:
+        numbers: dict[int, list[int]] = {}
+        for number, path in enumerate(dataset.database):
+            with suppress(NothingStatic):
+                view = runtime.store.views.get(retriever.enroll(path, Position()))
+                numbers.setdefault(view.seq, []).append(number)
+        described = _described(runtime, retriever.map_name, {query: dataset.queries[query] for query in queries})
+        for step in steps(list(recipe.description.parameters.channels)):
+            first = _first_views(runtime, retriever.map_name, recipe, described, step)
+            answers = {query: numbers[seq] for query, seq in first.items()}
+            found[step.name] = [bool(np.isin(answers.get(q, ()), dataset.positives[q]).any()) for q in queries]
     return found
 
 
-def _image(path: Path) -> Image:
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
-    if pixels is None:
-        raise SystemExit(f"{path} is not a picture that OpenCV reads")
-    return Image.of(np.asarray(pixels, np.uint8))
+def _described(runtime: Runtime, map_name: str, queries: Mapping[int, Path]) -> dict[int, Description]:
+    """Descriptions of queries; one in which everything is dynamic is left out."""
+    service = runtime.services.query
+    describer = service.describer(map_name)
+    described = {}
+    for query, path in queries.items():
+        with suppress(NothingStatic):
+            described[query] = service.describe(runtime.decode(path.read_bytes()), describer).value
+    return described
+
+
+def _first_views(
+    runtime: Runtime, map_name: str, recipe: MapRecipe, described: Mapping[int, Description], step: Step
+) -> dict[int, int]:
+    """Sequence numbers of the views that are first after a step, by query."""
+    ranking = changed_ranking(recipe, step.changes)
+    runtime.store.maps.change_ranking(map_name, lambda _: ranking)
+    seen: list[int] = []
+
+    def observe(stage: str, evidence: Evidence) -> None:
+        if stage == step.stage:
+            seen.append(step.first(evidence))
+
+    first = {}
+    for query, description in described.items():
+        runtime.services.query.search(
+            map_name, recipe.description, description, filters=Filters(), top=1, observe=observe
+        )
+        first[query] = seen[-1]
+    return first
 
 
 def _general(folders: Sequence[Path], count: int) -> list[Path]:
@@ -164,28 +149,32 @@ def _general(folders: Sequence[Path], count: int) -> list[Path]:
     return [paths[i] for i in sorted(drawn)]
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print a table."""
-    parser = argparse.ArgumentParser(description="recall@1 of each step of re-ranking")
+    parser = argparse.ArgumentParser(prog="revisit benchmark ranking", description="recall@1 of each step of ranking")
     parser.add_argument("--places", type=Path, required=True)
     parser.add_argument("--general", type=Path, required=True, action="append")
-    parser.add_argument("--learn", type=int, default=600, help="how many general pictures are read")
-    parser.add_argument("--part", type=float, default=1.0, help="share of the queries that are asked")
+    parser.add_argument("--learn", type=int, default=600, help="how many general images are read")
+    parser.add_argument("--part", type=float, default=1.0, help="share of the queries that are made")
     parser.add_argument("--only", action="append", default=[], help="sets whose name contains this")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
-    print(f"{datetime.now(UTC):%Y-%m-%d}, one thread, numpy {np.__version__}, torch {torch.__version__},", end=" ")
-    print(f"OpenCV {cv2.__version__}, Python {platform.python_version()}\n")
-    describe = Describer(_general(arguments.general, arguments.learn))
-    for dataset in pairs.read(arguments.places):
-        if arguments.only and not any(text in dataset.name for text in arguments.only):
-            continue
-        print(f"{dataset.name}: recall@1 in %, 95 % interval by resampling runs of 5 queries")
-        for step, right in measure(dataset, describe, arguments.part).items():
-            values = np.array(right, np.float64)[:, None]
-            low, high = bootstrap_interval(values, np.random.default_rng(0), block=5)
-            print(f"  {step:36s} {100 * values.mean():5.1f}  ({100 * low[0]:.0f}-{100 * high[0]:.0f})", flush=True)
+    options = parser.parse_args(arguments)
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "onnxruntime", "opencv-python-headless"))
+    print(f"{datetime.now(UTC):%Y-%m-%d}, one thread, {libraries}, Python {platform.python_version()}\n")
+    datasets = pairs.read(options.places)
+    with runtime_for_measuring(Settings(encoder="compact", threads=1)) as runtime:
+        plain = make_recipe(runtime.encoder, Wanted(), preset=PRESET).description
+        learned = train_vocabulary(
+            runtime, _general(options.general, options.learn), runtime.describers.of(plain), plain.parameters
+        )
+        recipe = make_recipe(runtime.encoder, Wanted(), preset=PRESET, vocabulary=learned)
+        for dataset in datasets:
+            if options.only and not any(text in dataset.name for text in options.only):
+                continue
+            print(f"{dataset.name}: recall@1 in %, 95 % interval by resampling runs of 5 queries")
+            for step, right in measure(dataset, runtime, recipe, options.part).items():
+                values = np.array(right, np.float64)[:, None]
+                low, high = bootstrap_interval(values, np.random.default_rng(0), block=5)
+                print(f"  {step:36s} {100 * values.mean():5.1f}  ({100 * low[0]:.0f}-{100 * high[0]:.0f})", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Where the time of enrolling and asking goes: ``./revisit benchmark stages [--views 1000 10000 100000]``.
+"""Where the time of enrolling and querying goes: ``./revisit benchmark stages [--views 1000 10000 100000]``.
 
 Times are medians; every absolute time stands beside its ratio to a 512 x 512 x 512 float32 matrix product measured in
 the same run on one thread, since machines differ and shared ones vary from minute to minute. Where the process shares
@@ -9,11 +9,13 @@ import argparse
 import json
 import platform
 import resource
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -21,28 +23,30 @@ from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
+from typing import Self
 
 import cv2
 import faiss
+import httpx
 import numpy as np
-from fastapi.testclient import TestClient
 
-from app.http.application import create_app
 from lab.benchmarks.filling import fill
 from scenes import scene
 from schemas.description import Description
 from schemas.image import Image
 from schemas.records import Filters
 from schemas.settings import Settings
-from worker.runtime import build, make_product
 from worker.description.describer import Describer
-from worker.runtime import Runtime
-from worker.search.searcher import Searcher
+from worker.method.cascade import Evidence, Observe
+from worker.runtime import Runtime, build
 
 SIZE = (640, 480)
 NEAREST = 25
-"""Candidates of each channel unless told otherwise: some 50 in all are re-ranked, as the aims have it."""
+"""Candidates of each channel by default: some 50 in all are re-ranked."""
 KINDS = ("street", "park", "corridor")
+
+OverHttp = Callable[[Runtime], AbstractContextManager[httpx.Client]]
+"""Starts a runtime and gives a client of its HTTP service; stops it afterwards."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +66,31 @@ class Took:
     wall: float
     cpu: float
 
+    @classmethod
+    def now(cls) -> Self:
+        """Readings whose differences are what something took."""
+        return cls(time.perf_counter() * 1000, time.process_time() * 1000)
+
+    def __sub__(self, earlier: "Took") -> "Took":
+        return Took(self.wall - earlier.wall, self.cpu - earlier.cpu)
+
 
 def took(work: Callable[[], object]) -> Took:
     """How long a piece of work takes once."""
-    began, used = time.perf_counter(), time.process_time()
+    began = Took.now()
     work()
-    return Took((time.perf_counter() - began) * 1000, (time.process_time() - used) * 1000)
+    return Took.now() - began
+
+
+def medians(times: Sequence[Took]) -> Took:
+    """Median of either time."""
+    return Took(median(t.wall for t in times), median(t.cpu for t in times))
 
 
 def milliseconds(work: Callable[[], object], repeats: int) -> Took:
     """Medians of a piece of work, after one warm-up."""
     work()
-    times = [took(work) for _ in range(repeats)]
-    return Took(median(t.wall for t in times), median(t.cpu for t in times))
+    return medians([took(work) for _ in range(repeats)])
 
 
 def row(stage: str, views: int | None, time_taken: Took) -> Row:
@@ -95,7 +111,7 @@ def matrix_product(repeats: int = 50) -> Took:
 
 
 def drawn(count: int) -> list[bytes]:
-    """JPEG pictures of drawn places."""
+    """JPEG images of drawn places."""
     images = []
     for number in range(count):
         pixels = scene(f"benchmark {number}", KINDS[number % len(KINDS)]).sized(*SIZE).pixels  # type: ignore[arg-type]
@@ -104,10 +120,8 @@ def drawn(count: int) -> list[bytes]:
     return images
 
 
-def describing(runtime: Runtime, images: Sequence[bytes], repeats: int) -> list[Row]:
+def describing(runtime: Runtime, describer: Describer, images: Sequence[bytes], repeats: int) -> list[Row]:
     """Stages that do not depend on the size of the map."""
-    recipe = runtime.default_recipe
-    describer = runtime.describers.of(recipe)
     decoded = [runtime.decode(data) for data in images]
     fields = [next(iter(runtime.encoder.encode([image]))) for image in decoded]
     turn = iter(range(10**9))
@@ -125,17 +139,15 @@ def describing(runtime: Runtime, images: Sequence[bytes], repeats: int) -> list[
     return rows
 
 
-def enrolling(runtime: Runtime, client: TestClient, images: Sequence[bytes]) -> list[Row]:
-    """Pictures through `/enroll`: one after the other, each to its answer; and all at once, per picture.
+def enrolling(runtime: Runtime, client: httpx.Client, describer: Describer, images: Sequence[bytes]) -> list[Row]:
+    """Images through `/enroll`: one after the other, each to its answer; and all at once, per image.
 
     Before them, in the same minute, what both are held against: the network and local features alone.
     """
-    describer = runtime.describers.of(runtime.default_recipe)
     decoded = [runtime.decode(data) for data in images]
 
-    def enroll(data: bytes, url: str, status: int) -> None:
-        answer = client.post(url, content=data, headers={"content-type": "image/jpeg"})
-        assert answer.status_code == status, answer.text
+    def enroll(data: bytes, url: str) -> None:
+        client.post(url, content=data, headers={"content-type": "image/jpeg"}).raise_for_status()
 
     def nothing_else() -> None:
         for image in decoded:
@@ -143,18 +155,19 @@ def enrolling(runtime: Runtime, client: TestClient, images: Sequence[bytes]) -> 
             describer.keypoints(image)
 
     described = threading.Semaphore(0)
-    assert runtime.loop is not None
+    if runtime.loop is None:
+        raise ValueError("a runtime without a worker describes nothing")
     runtime.loop.on_finish(lambda _: described.release())
 
     def at_once() -> None:
         for data in images:
-            enroll(data, "/enroll?map=at-once&wait=false", 202)
+            enroll(data, "/enroll?map=at-once&wait=false")
         for _ in images:
             described.acquire()
 
     def one_by_one() -> None:
         for data in images:
-            enroll(data, "/enroll", 201)
+            enroll(data, "/enroll")
 
     nothing_else()
     rows = []
@@ -168,28 +181,12 @@ def enrolling(runtime: Runtime, client: TestClient, images: Sequence[bytes]) -> 
     return rows
 
 
-def described(runtime: Runtime, describer: Describer, image: Image) -> Description:
-    """A description, made at once."""
-    return describer.describe(image, next(iter(runtime.encoder.encode([image]))), describer.keypoints(image))
-
-
-def asking(
-    runtime: Runtime,
-    client: TestClient,
-    describer: Describer,
-    data: bytes,
-    views: int,
-    repeats: int,
-    nearest: int = NEAREST,
-) -> list[Row]:
-    """Stages that depend on the size of the map, at `views` views, with `nearest` candidates of each channel."""
-    recipe = runtime.default_recipe
-    image: Image = runtime.decode(data)
-    description = described(runtime, describer, image)
+def searching(runtime: Runtime, description: Description, views: int, repeats: int, nearest: int) -> list[Row]:
+    """The index, and the stages of a search, at `views` views, with `nearest` candidates of each channel."""
+    recipe = runtime.default_recipe.description
     began = time.perf_counter()
-    runtime.catalogue.index("default")
-    rows = [Row("index from the database", views, (time.perf_counter() - began) * 1000)]
     index, _ = runtime.catalogue.index("default")
+    rows = [Row("index from the database", views, (time.perf_counter() - began) * 1000)]
     selection = runtime.store.listings.select("default", Filters())
     changes = runtime.store.descriptions.since("default", 0)
     start = 0
@@ -197,72 +194,93 @@ def asking(
         bare = faiss.IndexFlatL2(channel.length)
         bare.add(np.ascontiguousarray(changes.vectors[:, start : start + channel.length]))
         start += channel.length
-        alone = {name: description.vectors[name]}
-        query = alone[name][None]
+        vector = {name: description.vectors[name]}
         rows += [
-            row(f"bare FAISS, {name}", views, milliseconds(partial(bare.search, query, nearest), repeats)),
-            row(f"search, {name}", views, milliseconds(partial(index.search, alone, nearest, selection), repeats)),
+            row(f"bare FAISS, {name}", views, milliseconds(partial(bare.search, vector[name][None], nearest), repeats)),
+            row(f"search, {name}", views, milliseconds(partial(index.search, vector, nearest, selection), repeats)),
         ]
-    stages: dict[str, list[Took]] = {"search": [], "rerank": [], "verify": []}
-    product = make_product(runtime.settings)
-    timers = [
-        Searcher(runtime.store, runtime.catalogue, product, clock) for clock in (time.perf_counter, time.process_time)
-    ]
-    for _ in range(repeats):
-        wall, cpu = (timer.search("default", recipe, description, Filters(), 5, nearest).timing_ms for timer in timers)
-        for stage, times in stages.items():
-            times.append(Took(wall[stage], cpu[stage]))
-    for stage, times in stages.items():
-        medians = Took(median(t.wall for t in times), median(t.cpu for t in times))
-        rows.append(row(f"/query: {stage}", views, medians))
 
-    def ask() -> dict[str, float]:
+    def search(observe: Observe) -> None:
+        runtime.services.query.search(
+            "default", recipe, description, filters=Filters(), top=5, candidates=nearest, observe=observe
+        )
+
+    times = [stages_of(search) for _ in range(repeats)]
+    return rows + [row(f"/query: {stage}", views, medians([t[stage] for t in times])) for stage in times[0]]
+
+
+def stages_of(search: Callable[[Observe], object]) -> dict[str, Took]:
+    """What the stages of a search take: ``search`` ends with the histograms, ``rerank`` with the cells in full."""
+    ends: dict[str, Took] = {}
+
+    def observe(stage: str, _: Evidence) -> None:
+        ends[stage] = Took.now()
+
+    began = Took.now()
+    search(observe)
+    ended, searched, compared = Took.now(), ends["histograms"], ends["full"]
+    return {"search": searched - began, "rerank": compared - searched, "verify": ended - compared}
+
+
+def querying(client: httpx.Client, data: bytes, views: int, repeats: int, nearest: int) -> list[Row]:
+    """Whole calls of `/query` at `views` views."""
+
+    def query() -> dict[str, float]:
         url = f"/query?candidates={nearest}"
-        answer = client.post(url, content=data, headers={"content-type": "image/jpeg"})
-        assert answer.status_code == 200, answer.text
+        answer = client.post(url, content=data, headers={"content-type": "image/jpeg"}).raise_for_status()
         stages_ms: dict[str, float] = answer.json()["timing_ms"]
         return stages_ms
 
-    ask()
+    query()
     whole, rest = [], []
     for _ in range(repeats):
         sent = time.perf_counter()
-        stages_ms = ask()
+        stages_ms = query()
         whole.append((time.perf_counter() - sent) * 1000)
         rest.append(whole[-1] - sum(v for k, v in stages_ms.items() if k != "total"))
-    return [*rows, Row("/query: HTTP and the rest", views, median(rest)), Row("/query: all", views, median(whole))]
+    return [Row("/query: HTTP and the rest", views, median(rest)), Row("/query: all", views, median(whole))]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print a table, and write JSON if asked to."""
+def main(arguments: Sequence[str] | None = None, over_http: OverHttp | None = None) -> int:
+    """Measure, print a table, and write JSON if wanted.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+    over_http : function, optional
+        Given by `app`, which knows HTTP.
+    """
     parser = argparse.ArgumentParser(prog="revisit benchmark stages", description=__doc__)
     parser.add_argument("--views", type=int, nargs="+", default=[1000, 10_000, 100_000])
     parser.add_argument("--encoder", default="compact", choices=("compact", "color"))
     parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--pictures", type=int, default=24)
+    parser.add_argument("--images", type=int, default=24)
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--nearest", type=int, default=NEAREST, help="candidates of each channel")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     options = parser.parse_args(arguments)
+    if over_http is None:
+        print("whole calls are measured too: run `./revisit benchmark stages`", file=sys.stderr)
+        return 2
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data=Path(folder), encoder=options.encoder, threads=options.threads)
         runtime = build(settings)
         # In another process: drawing takes more memory than serving, and would be counted with it.
         with ProcessPoolExecutor(1, get_context("spawn")) as artist:
             images = artist.submit(drawn, options.images).result()
-        describer = runtime.describers.of(runtime.default_recipe)
-        rows = []
-        with TestClient(create_app(runtime)) as client:
+        recipe = runtime.default_recipe.description
+        describer = runtime.describers.of(recipe)
+        with over_http(runtime) as client:
             yardstick = matrix_product()
-            rows += enrolling(runtime, client, images)
-            rows += describing(runtime, images, options.repeats)
-            decoded = [runtime.decode(data) for data in images]
-            seen = [described(runtime, describer, image) for image in decoded]
+            rows = enrolling(runtime, client, describer, images)
+            rows += describing(runtime, describer, images, options.repeats)
+            descriptions = [_described(runtime, describer, runtime.decode(data)) for data in images]
             there = len(images)
             for views in sorted(options.views):
-                fill(settings.database_url, "default", runtime.default_recipe, seen, views - there, seed=views)
+                fill(settings.database_url, "default", recipe, descriptions, views - there, seed=views)
                 there = views
-                rows += asking(runtime, client, describer, images[0], views, options.repeats, options.nearest)
+                rows += searching(runtime, descriptions[0], views, options.repeats, options.nearest)
+                rows += querying(client, images[0], views, options.repeats, options.nearest)
             # Whatever else the machine did in one of the two moments, it was not quicker than this.
             yardstick = min(yardstick, matrix_product(), key=lambda unit: unit.cpu)
         disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
@@ -275,10 +293,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "of CPU": round(yardstick.cpu, 2),
         "peak memory MB": round(memory),
         "disk MB": round(disk / 1e6),
-        "onnxruntime": version("onnxruntime"),
-        "torch": version("torch"),
-        "faiss-cpu": version("faiss-cpu"),
-        "numpy": version("numpy"),
+        **{name: version(name) for name in ("onnxruntime", "torch", "faiss-cpu", "numpy")},
     }
     print("  ".join(f"{name}: {value}" for name, value in facts.items()))
     print(f"{'stage':34}{'views':>9}{'ms':>10}{'ratio':>9}{'CPU ms':>10}{'ratio':>9}")
@@ -291,5 +306,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+def _described(runtime: Runtime, describer: Describer, image: Image) -> Description:
+    """A description, made at once."""
+    return describer.describe(image, next(iter(runtime.encoder.encode([image]))), describer.keypoints(image))

@@ -1,1 +1,1 @@
-"""Readers of picture sets with ground truth; each explains what it expected when a folder is not right."""
+"""Sets of images with ground truth, a module for each layout; it says what it expected when a folder is not right."""

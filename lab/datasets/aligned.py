@@ -7,8 +7,8 @@ import numpy as np
 from lab.datasets.dataset import Dataset, UnexpectedLayout, images_in
 
 EXPECTED = """\
-  ROOT/database/   pictures of the first walk
-  ROOT/query/      pictures of the second; number i shows the place of number i of the first
+  ROOT/database/   images of the first walk
+  ROOT/query/      images of the second; number i shows the place of number i of the first
 in natural order of their names (img2 before img10), equally many; other folder names by option."""
 
 
@@ -30,7 +30,7 @@ def read(root: Path, *, database: str = "database", query: str = "query", tolera
     """
     first, second = images_in(root / database, EXPECTED), images_in(root / query, EXPECTED)
     if len(first) != len(second):
-        problem = f"{len(first)} pictures in {database}, {len(second)} in {query}: these are not aligned"
+        problem = f"{len(first)} images in {database}, {len(second)} in {query}: these are not aligned"
         raise UnexpectedLayout(root, problem, EXPECTED)
     n = len(first)
     positives = tuple(np.arange(max(0, i - tolerance), min(n, i + tolerance + 1), dtype=np.int64) for i in range(n))

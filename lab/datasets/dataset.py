@@ -1,4 +1,4 @@
-"""A set of pictures with ground truth, and what all readers share."""
+"""A set of images with ground truth, and what all modules that read one share."""
 
 import csv
 import re
@@ -12,14 +12,14 @@ from lab.metrics.recall import Doubles, Indices, Truth
 from schemas.errors import RevisitError
 
 ENDINGS = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"})
-"""Names of files that count as pictures."""
+"""Names of files that count as images."""
 
 RADIUS_M = 25.0
-"""How near a database picture must have been taken to be right, unless said otherwise (paper)."""
+"""How near a database image must have been taken to be right, unless said otherwise (paper)."""
 
 
 class UnexpectedLayout(RevisitError):
-    """A folder does not hold what a reader looks for; the text shows what it expected and what it found."""
+    """A folder does not hold what is looked for; the text shows what was expected and what was found."""
 
     code = "unexpected-layout"
 
@@ -29,7 +29,7 @@ class UnexpectedLayout(RevisitError):
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Pictures to enrol, pictures to ask with, and which answers are right.
+    """Images to enrol, images to query with, and which answers are right.
 
     Parameters
     ----------
@@ -41,10 +41,10 @@ class Dataset:
         Indices into `database`; empty where the database does not show the place.
     truth : str
         In words, what makes an answer right; printed with every result.
-    database_positions, query_positions : float64 of shape (pictures, 2) or None
+    database_positions, query_positions : float64 of shape (images, 2) or None
         Metres in the ground plane.
     allowed : int64 of shape (queries,) or None
-        Online loop closure: how many of the first database pictures each query may be answered with. None: all.
+        Online loop closure: how many of the first database images each query may be answered with. None: all.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Dataset:
             (self.queries, self.query_positions),
         ):
             if positions is not None and positions.shape != (len(images), 2):
-                raise ValueError(f"{self.name}: {positions.shape} positions for {len(images)} pictures")
+                raise ValueError(f"{self.name}: {positions.shape} positions for {len(images)} images")
         self.judged()
 
     def judged(self) -> Truth:
@@ -81,25 +81,25 @@ class Dataset:
 
 
 def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """Sort key by which img2 comes before img10; sorting by bare text offsets pictures from their truth."""
+    """Sort key by which img2 comes before img10; sorting by bare text offsets images from their truth."""
     parts = re.split(r"(\d+)", path.name.lower())
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts], path.name
 
 
 def images_in(folder: Path, expected: str) -> list[Path]:
-    """The pictures directly in a folder, in natural order of their names.
+    """The images directly in a folder, in natural order of their names.
 
     Raises
     ------
     UnexpectedLayout
-        When it is no folder, or has no picture.
+        When it is no folder, or has no image.
     """
     if not folder.is_dir():
         raise UnexpectedLayout(folder, "there is no such folder", expected)
     found = sorted((p for p in folder.iterdir() if p.suffix.lower() in ENDINGS), key=natural)
     if not found:
         kinds = sorted({p.suffix.lower() or "(no ending)" for p in folder.iterdir()})
-        raise UnexpectedLayout(folder, f"no pictures here; the files end in {', '.join(kinds) or 'nothing'}", expected)
+        raise UnexpectedLayout(folder, f"no images here; the files end in {', '.join(kinds) or 'nothing'}", expected)
     return found
 
 
@@ -129,11 +129,11 @@ def rows_of(path: Path, columns: Sequence[str], expected: str) -> list[dict[str,
 
 
 def within(database: Doubles, queries: Doubles, radius_m: float) -> list[Indices]:
-    """For each query the database pictures taken within a radius (inclusive).
+    """For each query the database images taken within a radius (inclusive).
 
     Parameters
     ----------
-    database, queries : float64 of shape (pictures, 2)
+    database, queries : float64 of shape (images, 2)
         Metres in the ground plane.
     radius_m : float
 

@@ -1,4 +1,4 @@
-"""Anybody's pictures with a table of positions."""
+"""Anybody's images with a table of positions."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,8 +9,8 @@ from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, rows_of, w
 from lab.metrics.recall import Doubles, Indices
 
 EXPECTED = """\
-  ROOT/positions.csv   one row a picture, with the columns
-      file             path of the picture below ROOT
+  ROOT/positions.csv   one row an image, with the columns
+      file             path of the image below ROOT
       x,y              metres (x_m,y_m likewise), or lat,lon in degrees
       heading          degrees clockwise from north, optional (heading_deg likewise)
       role             database or query; or the files lie in folders database/ and query/"""
@@ -26,7 +26,7 @@ def read(
     radius_m: float = RADIUS_M,
     heading_tolerance: float | None = None,
 ) -> list[Dataset]:
-    """One set whose right answers were taken near the query and, if asked, looking the same way.
+    """One set whose right answers were taken near the query and, if wanted, looking the same way.
 
     Parameters
     ----------
@@ -39,19 +39,19 @@ def read(
     Raises
     ------
     UnexpectedLayout
-        When the table, a column, a role or a picture is missing, or a number cannot be read.
+        When the table, a column, a role or an image is missing, or a number cannot be read.
     """
     path = root / table
     rows = rows_of(path, ["file"], EXPECTED)
     roles = [row.get("role") or Path(row["file"]).parts[0] for row in rows]
     odd = sorted(set(roles) - {"database", "query"})
     if odd:
-        raise UnexpectedLayout(path, f"a picture is neither database nor query but {odd[0]!r}", EXPECTED)
+        raise UnexpectedLayout(path, f"an image is neither database nor query but {odd[0]!r}", EXPECTED)
     if {"database", "query"} - set(roles):
-        raise UnexpectedLayout(path, f"all pictures are {roles[0]}; both roles are needed", EXPECTED)
+        raise UnexpectedLayout(path, f"all images are {roles[0]}; both roles are needed", EXPECTED)
     missing = [row["file"] for row in rows if not (root / row["file"]).is_file()]
     if missing:
-        raise UnexpectedLayout(path, f"{len(missing)} pictures are not there: {', '.join(missing[:5])}", EXPECTED)
+        raise UnexpectedLayout(path, f"{len(missing)} images are not there: {', '.join(missing[:5])}", EXPECTED)
     positions = _metres(rows, path)
     is_query = np.array([role == "query" for role in roles])
     positives = within(positions[~is_query], positions[is_query], radius_m)

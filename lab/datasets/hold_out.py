@@ -31,7 +31,7 @@ def hold_out(dataset: Dataset, share: float, generator: np.random.Generator) -> 
         For loop closure, or when nothing would be left to answer with.
     """
     if dataset.allowed is not None:
-        raise ValueError(f"{dataset.name}: pictures cannot be held out of an online loop closure")
+        raise ValueError(f"{dataset.name}: images cannot be held out of an online loop closure")
     answerable = np.flatnonzero(dataset.judged().answerable)
     chosen = np.roll(answerable, -int(generator.integers(max(len(answerable), 1))))[: round(share * len(answerable))]
     gone = np.zeros(len(dataset.database), np.bool_)
@@ -40,11 +40,11 @@ def hold_out(dataset: Dataset, share: float, generator: np.random.Generator) -> 
     if gone.all():
         raise ValueError(f"{dataset.name}: holding out {share:.0%} of the queries leaves no database")
     number = np.cumsum(~gone) - 1
-    position = dataset.database_positions
+    positions = dataset.database_positions
     return replace(
         dataset,
         name=f"{dataset.name} ({share:.0%} held out)",
         database=tuple(p for p, absent in zip(dataset.database, gone, strict=True) if not absent),
         positives=tuple(number[p[~gone[p]]].astype(np.int64) for p in dataset.positives),
-        database_positions=None if position is None else position[~gone],
+        database_positions=None if positions is None else positions[~gone],
     )

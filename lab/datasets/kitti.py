@@ -10,7 +10,7 @@ from lab.metrics.recall import Doubles
 
 EXPECTED = """\
   ROOT/sequences/00/image_2/000000.png ...   (left colour camera; or image_0, left grey)
-  ROOT/poses/00.txt                          (12 numbers a line: a 3 x 4 pose, row by row; one line a picture)
+  ROOT/poses/00.txt                          (12 numbers a line: a 3 x 4 pose, row by row; one line an image)
 as unpacked from the KITTI odometry benchmark; ROOT/dataset/... is found as well. Only sequences 00 to 10 have
 published poses."""
 
@@ -54,14 +54,14 @@ def read(
     Raises
     ------
     UnexpectedLayout
-        When a folder or file is missing, or pictures and poses differ in number.
+        When a folder or file is missing, or images and poses differ in number.
     """
     if (root / "dataset" / "sequences").is_dir():
         root = root / "dataset"
     positions = ground_plane(root / "poses" / f"{sequence}.txt")
     images = images_in(root / "sequences" / sequence / camera, EXPECTED)
     if len(images) != len(positions):
-        problem = f"{len(images)} pictures in sequences/{sequence}/{camera}, but {len(positions)} poses"
+        problem = f"{len(images)} images in sequences/{sequence}/{camera}, but {len(positions)} poses"
         raise UnexpectedLayout(root, problem, EXPECTED)
     frames, places = tuple(images[::every]), positions[::every]
     if protocol == "halves":

@@ -1,4 +1,4 @@
-"""Folders of pictures with a table of right answers."""
+"""Folders of images with a table of right answers."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ COLUMNS = ("query_folder", "query_file", "database_folder", "database_file")
 EXPECTED = """\
   ROOT/ground_truth.csv    with the columns query_folder,query_file,database_folder,database_file;
                            each row is one right answer to one query
-  ROOT/<query_folder>/...  pictures
+  ROOT/<query_folder>/...  images
   ROOT/<database_folder>/...
 ROOT may also be a folder of such folders."""
 
@@ -25,8 +25,8 @@ def read(root: Path, *, table: str = "ground_truth.csv", unlisted: bool = False)
     table : str
         Name of the table.
     unlisted : bool
-        Whether pictures of a query folder that no row names are asked as queries without a right answer. Off by
-        default: a picture may be absent from a table because nobody looked, not because its place is unknown.
+        Whether images of a query folder that no row names are queries without a right answer. Off by
+        default: an image may be absent from a table because nobody looked, not because its place is unknown.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def read(root: Path, *, table: str = "ground_truth.csv", unlisted: bool = False)
     Raises
     ------
     UnexpectedLayout
-        When there is no table, or it names a picture that is not there.
+        When there is no table, or it names an image that is not there.
     """
     tables = [root / table] if (root / table).is_file() else sorted(root.glob(f"*/{table}"))
     if not tables:
@@ -51,16 +51,16 @@ def _sets(table: Path, unlisted: bool) -> list[Dataset]:
         pair = right.setdefault((row["query_folder"], row["database_folder"]), {})
         pair.setdefault(row["query_file"], set()).add(row["database_file"])
     sets = []
-    for (results, searched), answers in right.items():
+    for (queried, searched), answers in right.items():
         database = images_in(folder / searched, EXPECTED)
-        queries = [p for p in images_in(folder / results, EXPECTED) if unlisted or p.name in answers]
+        queries = [p for p in images_in(folder / queried, EXPECTED) if unlisted or p.name in answers]
         number = {p.name: i for i, p in enumerate(database)}
-        missing = {f"{results}/{q}" for q in answers.keys() - {p.name for p in queries}}
+        missing = {f"{queried}/{q}" for q in answers.keys() - {p.name for p in queries}}
         missing |= {f"{searched}/{d}" for named in answers.values() for d in named - number.keys()}
         if missing:
-            problem = f"{len(missing)} pictures that the table names are not there: {', '.join(sorted(missing)[:5])}"
+            problem = f"{len(missing)} images that the table names are not there: {', '.join(sorted(missing)[:5])}"
             raise UnexpectedLayout(table, problem, EXPECTED)
         positives = tuple(np.array(sorted(number[d] for d in answers.get(q.name, ())), np.int64) for q in queries)
-        name = f"{folder.name} {results} -> {searched}"
+        name = f"{folder.name} {queried} -> {searched}"
         sets.append(Dataset(name, tuple(database), tuple(queries), positives, f"the pairs of {table.name}"))
     return sets

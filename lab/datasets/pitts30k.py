@@ -2,12 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, images_in, within
-from lab.datasets.matlab import NotMatlab, read_matlab
+from lab.libraries import for_studies
 from lab.metrics.recall import Doubles, Indices
 
 EXPECTED = """\
@@ -52,24 +52,24 @@ def read(
     table = root / "datasets" / f"pitts30k_{split}.mat"
     by_name = root / "images" / split
     if table.is_file():
-        files, positions, results, asked_at = _from_table(root, table)
+        files, positions, query_files, query_positions = _from_table(root, table)
     elif by_name.is_dir():
         files, positions = _from_names(by_name / "database")
-        results, asked_at = _from_names(by_name / "queries")
+        query_files, query_positions = _from_names(by_name / "queries")
     else:
         raise UnexpectedLayout(root, f"neither datasets/{table.name} nor images/{split} is there", EXPECTED)
     generator = np.random.default_rng(seed)
-    kept, chosen = _draw(len(files), database, generator), _draw(len(results), queries, generator)
+    kept, chosen = _draw(len(files), database, generator), _draw(len(query_files), queries, generator)
     subset = "" if queries is None and database is None else f", {len(chosen)} queries and {len(kept)} drawn"
     return [
         Dataset(
             name=f"pitts30k {split}{subset}",
             database=tuple(files[i] for i in kept),
-            queries=tuple(results[i] for i in chosen),
-            positives=tuple(within(positions[kept], asked_at[chosen], radius_m)),
+            queries=tuple(query_files[i] for i in chosen),
+            positives=tuple(within(positions[kept], query_positions[chosen], radius_m)),
             truth=f"within {radius_m:g} m (UTM)",
             database_positions=positions[kept],
-            query_positions=asked_at[chosen],
+            query_positions=query_positions[chosen],
         )
     ]
 
@@ -82,24 +82,40 @@ def _draw(total: int, count: int | None, generator: np.random.Generator) -> Indi
 
 
 def _from_table(root: Path, table: Path) -> tuple[list[Path], Doubles, list[Path], Doubles]:
-    try:
-        variables = read_matlab(table)
-    except NotMatlab as error:
-        raise UnexpectedLayout(table, str(error), EXPECTED) from None
-    content = variables.get("dbStruct")
+    """Files and positions of the database, then of the queries."""
+    content = _read(table).get("dbStruct")
     if not isinstance(content, dict) or any(f not in content for f in FIELDS):
         raise UnexpectedLayout(table, f"no struct dbStruct with the fields {', '.join(FIELDS)}", EXPECTED)
-    files = [root / name for name in content["dbImageFns"]]
-    results = [root / "queries_real" / name for name in content["qImageFns"]]
-    positions, asked_at = (np.asarray(content[f], np.float64).T for f in ("utmDb", "utmQ"))
-    if positions.shape != (len(files), 2) or asked_at.shape != (len(results), 2):
-        problem = f"utmDb and utmQ must be 2 x {len(files)} and 2 x {len(results)}"
-        raise UnexpectedLayout(table, f"{problem}, not {positions.T.shape} and {asked_at.T.shape}", EXPECTED)
-    missing = [p for p in files + results if not p.is_file()]
+    names, positions, query_names, query_positions = (np.atleast_1d(content[f]) for f in FIELDS)
+    files = [root / str(name) for name in names]
+    query_files = [root / "queries_real" / str(name) for name in query_names]
+    sizes = f"{positions.shape} and {query_positions.shape}"
+    if positions.size != 2 * len(files) or query_positions.size != 2 * len(query_files):
+        problem = f"utmDb and utmQ must be 2 x {len(files)} and 2 x {len(query_files)}"
+        raise UnexpectedLayout(table, f"{problem}, not {sizes}", EXPECTED)
+    missing = [p for p in files + query_files if not p.is_file()]
     if missing:
-        problem = f"{len(missing)} of {len(files) + len(results)} pictures are not there, first {missing[0]}"
+        problem = f"{len(missing)} of {len(files) + len(query_files)} images are not there, first {missing[0]}"
         raise UnexpectedLayout(table, problem, EXPECTED)
-    return files, positions, results, asked_at
+    return files, _columns(positions), query_files, _columns(query_positions)
+
+
+def _read(table: Path) -> dict[str, Any]:
+    """The variables of a MAT-file, structs as dicts; arrays with one row or column are vectors."""
+    with for_studies():
+        from scipy.io import loadmat  # type: ignore[import-untyped]
+    try:
+        variables: dict[str, Any] = loadmat(table, simplify_cells=True)
+    except NotImplementedError:
+        raise UnexpectedLayout(table, "a MAT-file of version 7.3; save it with -v7", EXPECTED) from None
+    except Exception as error:  # whatever a damaged file makes the reader stumble over
+        raise UnexpectedLayout(table, f"no MAT-file that can be read: {error}", EXPECTED) from None
+    return variables
+
+
+def _columns(positions: Doubles) -> Doubles:
+    """Positions of shape (2, n), or (2,) of a single one, as float64 (n, 2)."""
+    return np.asarray(positions, np.float64).reshape(2, -1).T
 
 
 def _from_names(folder: Path) -> tuple[list[Path], Doubles]:

@@ -1,1 +1,1 @@
-"""Parts of an evaluation: asking, measuring, reporting. `lab.evaluate` puts them together."""
+"""Parts of an evaluation: querying, measuring, reporting. `lab.evaluate` puts them together."""

@@ -1,4 +1,4 @@
-"""Pictures for the report: right and wrong answers side by side, and the paper's figures made anew."""
+"""Images for the report: right and wrong answers side by side, and the paper's figures made anew."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,11 +12,11 @@ import numpy.typing as npt
 from lab.baselines.baseline import grey, rgb
 from lab.datasets.dataset import Dataset
 from lab.evaluation.html import Example, Shown
-from lab.evaluation.querying import RankedResults
+from lab.evaluation.querying import Answers
 from lab.metrics.recall import Indices, first_right
 
 LONG_SIDE = 420
-"""Pixels of a picture in the report."""
+"""Pixels of an image in the report."""
 
 RATIO = 0.8
 """Lowe's ratio between the best and the second best ORB match."""
@@ -30,41 +30,41 @@ class Artist(Protocol):
         ...
 
     def portray(self, image: Path) -> Sequence[Shown]:
-        """One picture as the method sees it: labels, what was dropped as moving, its nodes."""
+        """One image as the method sees it: labels, what was dropped as moving, its nodes."""
         ...
 
 
-def answers(
-    dataset: Dataset, results: RankedResults, artist: Artist | None, *, each: int = 3, seed: int = 0
+def first_answers(
+    dataset: Dataset, answers: Answers, artist: Artist | None, *, each: int = 3, seed: int = 0
 ) -> list[Example]:
     """Some right and some wrong first answers, drawn at random from a seed.
 
     Drawn, not chosen: a gallery of the best cases says nothing.
     """
     truth = dataset.judged()
-    first = first_right(results.ranked, truth)
-    answered = results.ranked[:, 0] >= 0
+    first = first_right(answers.ranked, truth)
+    answered = answers.ranked[:, 0] >= 0
     rng = np.random.default_rng(seed)
     examples = []
     for right, mask in ((True, first == 1), (False, truth.answerable & answered & (first != 1))):
         candidates = np.flatnonzero(mask)
         chosen = np.sort(rng.choice(candidates, min(each, len(candidates)), replace=False))
-        examples += [_answer(dataset, results, int(q), int(first[q]), right, artist) for q in chosen]
+        examples += [_answer(dataset, answers, int(q), int(first[q]), right, artist) for q in chosen]
     return examples
 
 
-def the_papers_figures(dataset: Dataset, results: RankedResults, artist: Artist | None, seed: int = 0) -> list[Example]:
+def the_papers_figures(dataset: Dataset, answers: Answers, artist: Artist | None, seed: int = 0) -> list[Example]:
     """Where ORB puts its features against where the method puts its own, and the matches of both.
 
     For one query, drawn from a seed among those answered rightly (or among all, if none was).
     """
     truth = dataset.judged()
-    rightly = np.flatnonzero(first_right(results.ranked, truth) == 1)
-    pool = rightly if len(rightly) else np.flatnonzero(results.ranked[:, 0] >= 0)
+    rightly = np.flatnonzero(first_right(answers.ranked, truth) == 1)
+    pool = rightly if len(rightly) else np.flatnonzero(answers.ranked[:, 0] >= 0)
     if len(pool) == 0:
         return []
     query = int(np.random.default_rng(seed).choice(pool))
-    one, other = dataset.queries[query], dataset.database[int(results.ranked[query, 0])]
+    one, other = dataset.queries[query], dataset.database[int(answers.ranked[query, 0])]
     features = [Shown("ORB's 500 features, moving things included", orb_features(one))]
     matches = [orb_matches(one, other)]
     if artist is not None:
@@ -77,14 +77,14 @@ def the_papers_figures(dataset: Dataset, results: RankedResults, artist: Artist 
 
 
 def orb_features(path: Path) -> bytes:
-    """A picture with its ORB features, as JPEG."""
+    """An image with its ORB features, as JPEG."""
     detector = cv2.ORB.create(nfeatures=500)
     pixels = _fitted(rgb(path))
     return _jpeg(cv2.drawKeypoints(pixels, detector.detect(_fitted(grey(path)), None), None, (255, 60, 60)))
 
 
 def orb_matches(one: Path, other: Path) -> Shown:
-    """ORB's matches between two pictures: each the other's nearest, and clearly nearer than the next."""
+    """ORB's matches between two images: each the other's nearest, and clearly nearer than the next."""
     detector = cv2.ORB.create(nfeatures=500)
     a, b = _fitted(grey(one)), _fitted(grey(other))
     keys_a, bits_a = detector.detectAndCompute(a, None)
@@ -101,15 +101,13 @@ def orb_matches(one: Path, other: Path) -> Shown:
 
 
 def thumbnail(path: Path) -> bytes:
-    """A picture small enough for a report, as JPEG."""
+    """An image small enough for a report, as JPEG."""
     return _jpeg(_fitted(rgb(path)))
 
 
-def _answer(
-    dataset: Dataset, results: RankedResults, query: int, first: int, right: bool, artist: Artist | None
-) -> Example:
+def _answer(dataset: Dataset, answers: Answers, query: int, first: int, right: bool, artist: Artist | None) -> Example:
     one = dataset.queries[query]
-    answer = dataset.database[int(results.ranked[query, 0])]
+    answer = dataset.database[int(answers.ranked[query, 0])]
     images = [Shown(f"query {one.name}", thumbnail(one)), Shown(f"answer {answer.name}", thumbnail(answer))]
     if not right:
         positives: Indices = dataset.positives[query]
@@ -117,13 +115,11 @@ def _answer(
         images.append(Shown(f"a right answer {wanted.name}", thumbnail(wanted)))
     if artist is not None:
         images += [_smaller(shown) for shown in artist.explain(one, answer)]
-    position = (
-        "" if right else f", first right answer at rank {first}" if first else ", no right answer among those asked"
+    rank = "" if right else f", first right answer at rank {first}" if first else ", no right answer among those given"
+    confidence = (
+        f", confidence {answers.confidence[query]:.2f}" if answers.calibrated and answers.confidence is not None else ""
     )
-    sure = (
-        f", confidence {results.confidence[query]:.2f}" if results.calibrated and results.confidence is not None else ""
-    )
-    return Example(f"{results.method}, query {query}{position}{sure}", right, images)
+    return Example(f"{answers.method}, query {query}{rank}{confidence}", right, images)
 
 
 def _smaller(shown: Shown) -> Shown:
@@ -135,7 +131,7 @@ def _smaller(shown: Shown) -> Shown:
 
 
 def _fitted(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """A picture whose longer side is `LONG_SIDE`."""
+    """An image whose longer side is `LONG_SIDE`."""
     scale = LONG_SIDE / max(pixels.shape[:2])
     size = (max(1, round(pixels.shape[1] * scale)), max(1, round(pixels.shape[0] * scale)))
     smaller = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
@@ -148,5 +144,5 @@ def _jpeg(pixels: npt.NDArray[np.uint8]) -> bytes:
         pixels = np.ascontiguousarray(pixels[:, :, ::-1])
     fine, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 82])
     if not fine:
-        raise ValueError(f"a picture of shape {pixels.shape} cannot be encoded")
+        raise ValueError(f"an image of shape {pixels.shape} cannot be encoded")
     return bytes(data)

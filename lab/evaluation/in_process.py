@@ -1,7 +1,7 @@
-"""A house of one's own to measure, with a map for each preset."""
+"""A runtime of its own to measure, with a map for each preset."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -11,26 +11,40 @@ from lab.evaluation.contender import Contender
 from lab.evaluation.gallery import Artist
 from lab.evaluation.querying import Retriever
 from lab.evaluation.service import ServiceRetriever, map_of_its_own
+from schemas.description import PixelField
+from schemas.image import Image
+from schemas.recipe import DescriptionParameters
 from schemas.settings import Settings
+from worker.description import vocabularies
+from worker.description.describer import Describer
 from worker.description.presets import Wanted, make_recipe
-from worker.runtime import Runtime
+from worker.description.vocabularies import Vocabulary
+from worker.runtime import MakeEncoder, Runtime, build, make_encoder
 
 
 @contextmanager
-def runtime_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[Runtime]:
-    """A started house with a data folder of its own, which is removed afterwards.
+def runtime_for_measuring(
+    settings: Settings, device: str = "cpu", make_encoder: MakeEncoder = make_encoder
+) -> Iterator[Runtime]:
+    """A started runtime with a data folder of its own, which is removed afterwards.
 
     Parameters
     ----------
     settings : Settings
         Encoder, weights and threads are taken from them; where they keep data is not touched.
     device : str
-    """
-    from worker.runtime import build
+        Where networks run.
+    make_encoder : function
+        From settings and a number of threads to another encoder, such as a checkpoint in training.
 
+    Raises
+    ------
+    SetupError
+        The encoder cannot be loaded.
+    """
     with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
         apart = {"data": Path(folder), "database": None, "inline_worker": True, "device": device}
-        runtime = build(settings.model_copy(update=apart))
+        runtime = build(settings.model_copy(update=apart), make_encoder=make_encoder)
         runtime.start()
         try:
             yield runtime
@@ -38,10 +52,57 @@ def runtime_for_measuring(settings: Settings, device: str = "cpu") -> Iterator[R
             runtime.stop()
 
 
-def contender(runtime: Runtime, preset: str) -> Contender:
-    """A preset of a house as something to be measured."""
-    recipe = make_recipe(runtime.encoder, Wanted(), preset=preset)
+def contender(runtime: Runtime, preset: str, vocabulary: Vocabulary | None = None) -> Contender:
+    """A preset of a runtime as something to be measured.
+
+    Parameters
+    ----------
+    runtime : Runtime
+    preset : str
+    vocabulary : Vocabulary, optional
+        Instead of the general one.
+
+    Raises
+    ------
+    InvalidParameters
+        There is no such preset, or the vocabulary does not fit it.
+    """
+    recipe = make_recipe(runtime.encoder, Wanted(), preset=preset, vocabulary=vocabulary)
+    if vocabulary is not None:
+        runtime.store.vocabularies.keep(vocabulary.digest, vocabulary.tensors)
     return Contender(partial(map_of_its_own, runtime, recipe, preset), _artist)
+
+
+def train_vocabulary(
+    runtime: Runtime, images: Iterable[Path], describer: Describer, parameters: DescriptionParameters
+) -> Vocabulary:
+    """Train a vocabulary on the static cells of images, and keep it where recipes can name it.
+
+    Parameters
+    ----------
+    runtime : Runtime
+        Started.
+    images : iterable of Path
+    describer : Describer
+        Tells which cells are static.
+    parameters : DescriptionParameters
+        Sizes of the vocabulary, and its seed.
+
+    Raises
+    ------
+    BadImage
+    ValueError
+        Too few images for these sizes.
+    """
+    decoded = (runtime.decode(path.read_bytes()) for path in images)
+    fields = (runtime.scheduler.submit(image, _field, urgent=False).result().value for image in decoded)
+    learned = vocabularies.train(fields, lambda field: describer.segment(field).static, parameters, parameters.seed)
+    runtime.store.vocabularies.keep(learned.digest, learned.tensors)
+    return learned
+
+
+def _field(_: Image, field: PixelField) -> PixelField:
+    return field
 
 
 def _artist(retriever: Retriever) -> Artist | None:

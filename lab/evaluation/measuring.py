@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.querying import RankedResults
+from lab.evaluation.querying import Answers
+from lab.fitting import reliability
 from lab.metrics.chance import Luck, looks_like_chance, suspicions
 from lab.metrics.precision_recall import correct_rejection, precision_recall
 from lab.metrics.recall import (
@@ -22,7 +23,6 @@ from lab.metrics.recall import (
     recall,
     share_interval,
 )
-from worker.method.calibration import reliability
 
 RUN = 10
 """Neighbouring queries of a drive that intervals draw together."""
@@ -87,7 +87,7 @@ class Figures:
         Over all queries.
     luck : Luck
     known_place : KnownPlace or None
-        None when the method does not tell how sure it is.
+        None when the method gives no confidence.
     calibrated : Calibrated or None
         None when confidences are no probabilities.
     gain : tuple of Figure or None
@@ -156,7 +156,7 @@ def alarms(evaluation: Evaluation) -> list[tuple[str, tuple[str, ...]]]:
 def frame(dataset: Dataset, depths: Sequence[int] = DEPTHS) -> Evaluation:
     """What can be said of a set before any method is tried: sizes, chance, ceiling, oddities."""
     truth = dataset.judged()
-    position = [p for p in (dataset.database_positions, dataset.query_positions) if p is not None]
+    positions = [p for p in (dataset.database_positions, dataset.query_positions) if p is not None]
     return Evaluation(
         dataset=dataset.name,
         truth=dataset.truth,
@@ -167,19 +167,17 @@ def frame(dataset: Dataset, depths: Sequence[int] = DEPTHS) -> Evaluation:
         chance=tuple(chance(truth, truth.answerable, depths).tolist()),
         chance_of_all=tuple(chance(truth, None, depths).tolist()),
         ceiling_of_all=ceiling(truth),
-        suspicions=suspicions(truth, np.concatenate(position) if position else None),
+        suspicions=suspicions(truth, np.concatenate(positions) if positions else None),
     )
 
 
-def measure(
-    dataset: Dataset, results: RankedResults, *, seed: int = 0, depths: Sequence[int] = DEPTHS
-) -> list[Figures]:
+def measure(dataset: Dataset, answers: Answers, *, seed: int = 0, depths: Sequence[int] = DEPTHS) -> list[Figures]:
     """The figures of one method; where it re-ranks, those before re-ranking follow as a second entry.
 
     Parameters
     ----------
     dataset : Dataset
-    results : RankedResults
+    answers : Answers
     seed : int
         Of the intervals and of the test against luck.
     depths : sequence of int
@@ -188,19 +186,19 @@ def measure(
     -------
     list of Figures
     """
-    after = first_right(results.ranked, dataset.judged())
-    if results.before is None:
-        return [_figures(dataset, results, after, None, seed, depths)]
-    first = first_right(results.before, dataset.judged())
-    plain = RankedResults(f"{results.method}, histograms alone", results.before, None)
+    after = first_right(answers.ranked, dataset.judged())
+    if answers.before is None:
+        return [_figures(dataset, answers, after, None, seed, depths)]
+    first = first_right(answers.before, dataset.judged())
+    plain = Answers(f"{answers.method}, histograms alone", answers.before, None)
     return [
-        _figures(dataset, results, after, first, seed, depths),
+        _figures(dataset, answers, after, first, seed, depths),
         _figures(dataset, plain, first, None, seed, depths),
     ]
 
 
 def _figures(
-    dataset: Dataset, results: RankedResults, first: Indices, before: Indices | None, seed: int, depths: Sequence[int]
+    dataset: Dataset, answers: Answers, first: Indices, before: Indices | None, seed: int, depths: Sequence[int]
 ) -> Figures:
     truth = dataset.judged()
     answerable = truth.answerable
@@ -220,21 +218,21 @@ def _figures(
         gain = _with_interval(mean, *bootstrap_interval(difference, np.random.default_rng(seed), block=block))
     right = first == 1
     return Figures(
-        method=results.method,
+        method=answers.method,
         recall=share(answerable),
         recall_of_all=share(None),
-        luck=looks_like_chance(results.ranked, truth, np.random.default_rng(seed), depths=depths),
-        known_place=_known_place(results, right, answerable),
-        calibrated=_calibrated(results.confidence, right)
-        if results.calibrated and results.confidence is not None
+        luck=looks_like_chance(answers.ranked, truth, np.random.default_rng(seed), depths=depths),
+        known_place=_known_place(answers, right, answerable),
+        calibrated=_calibrated(answers.confidence, right)
+        if answers.calibrated and answers.confidence is not None
         else None,
         gain=gain,
         timing_ms={
             stage: (float(np.median(ms)), float(np.quantile(ms, 0.95)))
-            for stage, ms in results.timing_ms.items()
+            for stage, ms in answers.timing_ms.items()
             if len(ms)
         },
-        refused=dict(results.refused),
+        refused=dict(answers.refused),
         first=tuple(first.tolist()),
     )
 
@@ -243,13 +241,13 @@ def _with_interval(means: Doubles, low: Doubles, high: Doubles) -> tuple[Figure,
     return tuple(Figure(float(m), float(a), float(b)) for m, a, b in zip(means, low, high, strict=True))
 
 
-def _known_place(results: RankedResults, right: Booleans, answerable: Booleans) -> KnownPlace | None:
-    if results.confidence is None:
+def _known_place(answers: Answers, right: Booleans, answerable: Booleans) -> KnownPlace | None:
+    if answers.confidence is None:
         return None
-    curve = precision_recall(results.confidence, right, answerable)
+    curve = precision_recall(answers.confidence, right, answerable)
     best, at = curve.best_f1
-    claimed = results.confidence >= at if results.claimed is None else results.claimed
-    own = results.claimed is not None and bool(results.claimed.any())
+    claimed = answers.confidence >= at if answers.claimed is None else answers.claimed
+    own = answers.claimed is not None and bool(answers.claimed.any())
     return KnownPlace(
         best_f1=best,
         at=at,

@@ -1,106 +1,114 @@
-"""Plots as inline SVG: no library, no script, nothing fetched. Colours come from the report's style sheet."""
+"""Plots of an evaluation as SVG, drawn by matplotlib. The same figures give the same bytes."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from html import escape
-from typing import Literal
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-WIDTH, HEIGHT = 460, 300
-LEFT, RIGHT, TOP, BOTTOM = 46, 12, 12, 40
+import numpy as np
 
+from lab.evaluation.measuring import Calibrated, Evaluation, Figures
+from lab.libraries import for_studies
 
-@dataclass(frozen=True)
-class Series:
-    """A line of a plot.
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-    Parameters
-    ----------
-    name : str
-        In the legend and as the tooltip; empty leaves it out of the legend.
-    points : sequence of (x, y)
-    kind : str
-        ``line``, ``steps``, ``dots``, or ``guide``: thin and dashed, for chance and ceiling.
-    bars : sequence of (low, high)
-        Interval of each point; empty for none.
-    """
+WIDTH, HEIGHT = 4.8, 3.6
+"""Of a plot, in inches at 72 pixels each."""
 
-    name: str
-    points: Sequence[tuple[float, float]]
-    kind: Literal["line", "steps", "dots", "guide"] = "line"
-    bars: Sequence[tuple[float, float]] = ()
+BAR_HEIGHT = 0.28
+"""Of a stage among the times, in inches."""
+
+GUIDE: dict[str, Any] = {"color": "0.5", "linewidth": 1, "linestyle": "--"}
+"""Chance, ceiling, and what a perfect curve would be."""
 
 
-def plot(
-    series: Sequence[Series],
-    *,
-    across: str,
-    up: str,
-    x_ticks: Sequence[float] = (0, 0.2, 0.4, 0.6, 0.8, 1),
-    y_ticks: Sequence[float] = (0, 0.2, 0.4, 0.6, 0.8, 1),
-) -> str:
-    """Series over common axes, with a legend below; axes reach from the first tick to the last."""
-    x_of = _scale(x_ticks[0], x_ticks[-1], LEFT, WIDTH - RIGHT)
-    y_of = _scale(y_ticks[0], y_ticks[-1], HEIGHT - BOTTOM, TOP)
-    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(up)} over {escape(across)}">']
-    for tick in x_ticks:
-        x = x_of(tick)
-        parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
-        parts.append(f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{tick:g}</text>')
-    for tick in y_ticks:
-        y = y_of(tick)
-        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
-    middle = (LEFT + WIDTH - RIGHT) / 2
-    parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(across)}</text>')
-    parts.append(
-        f'<text class="axis" transform="translate(12 {(TOP + HEIGHT - BOTTOM) / 2}) rotate(-90)" '
-        f'text-anchor="middle">{escape(up)}</text>'
+def recall(e: Evaluation) -> bytes:
+    """recall@N over N of every method, with intervals, between chance and ceiling."""
+
+    def draw(axes: "Axes") -> None:
+        for number, m in enumerate(e.methods if e.answerable else ()):
+            color = f"C{number % 10}"
+            axes.plot(e.depths, [f.value for f in m.recall], "o-", color=color, label=m.method)
+            axes.vlines(e.depths, [f.low for f in m.recall], [f.high for f in m.recall], color=color, alpha=0.6)
+        axes.plot(e.depths, e.chance, label="chance", **GUIDE)
+        axes.plot([e.depths[0], e.depths[-1]], [1, 1], label="ceiling", **GUIDE | {"linestyle": ":"})
+        axes.set(xlabel="first N answers", ylabel="recall@N", xticks=[0, *e.depths], xlim=(0, None), ylim=(0, 1.02))
+
+    return _svg(draw)
+
+
+def known_place(e: Evaluation) -> bytes:
+    """Precision over recall of the claim to know a place, of every method that gives a confidence."""
+
+    def draw(axes: "Axes") -> None:
+        for number, m in enumerate(e.methods):
+            if m.known_place is not None and len(m.known_place.curve) > 1:
+                _, precision, share = zip(*m.known_place.curve, strict=True)
+                axes.step(share, precision, where="post", color=f"C{number % 10}", label=m.method)
+        axes.axhline(e.chance_of_all[0], label="chance", **GUIDE)
+        axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
+
+    return _svg(draw)
+
+
+def reliability(method: str, calibrated: Calibrated) -> bytes:
+    """Share of right answers over the confidence that was given, by bins, with twice the standard error."""
+
+    def draw(axes: "Axes") -> None:
+        filled = np.array([(n, promised, true) for _, _, n, promised, true in calibrated.bins if n])
+        count, promised, true = filled.reshape(-1, 3).T
+        # Binomial: bins of few queries prove little.
+        error = 2 * np.sqrt(true * (1 - true) / count)
+        axes.plot(promised, true, "o-", color="C0", label=method)
+        axes.vlines(promised, np.maximum(0, true - error), np.minimum(1, true + error), color="C0", alpha=0.6)
+        axes.plot([0, 1], [0, 1], label="as promised", **GUIDE)
+        axes.set(xlabel="confidence", ylabel="share right", xlim=(0, 1.02), ylim=(0, 1.02))
+
+    return _svg(draw)
+
+
+def times(method: Figures) -> bytes:
+    """Median and 95th percentile of each stage of a query, in milliseconds."""
+    stages = list(method.timing_ms)
+    median, high = np.array([method.timing_ms[stage] for stage in stages]).reshape(-1, 2).T
+
+    def draw(axes: "Axes") -> None:
+        rows = range(len(stages))
+        axes.barh(rows, high, height=0.25, color="C0", alpha=0.35, label="95th percentile")
+        axes.barh(rows, median, height=0.7, color="C0", label="median")
+        for row in rows:
+            text = f"  {median[row]:.1f} / {high[row]:.1f} ms"
+            axes.text(max(median[row], high[row]), row, text, va="center", fontsize=8)
+        axes.set(yticks=rows, yticklabels=stages, xlabel="ms", xlim=(0, 1.35 * max([*median, *high], default=1) or 1))
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+
+    return _svg(draw, 1.1 + BAR_HEIGHT * len(stages))
+
+
+def _svg(draw: "Callable[[Axes], None]", height: float = HEIGHT) -> bytes:
+    """What `draw` puts on empty axes, with its legend below."""
+    with for_studies():
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    out = io.BytesIO()
+    style = rc_context(
+        {
+            "svg.hashsalt": "revisit",  # ids would be random otherwise
+            "svg.fonttype": "none",  # text stays text
+            "font.size": 9,
+            "axes.grid": True,
+            "axes.axisbelow": True,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "grid.color": "0.9",
+            "legend.frameon": False,
+            "lines.markersize": 4,
+        }
     )
-    colour = 0
-    legend = []
-    for one in series:
-        style = "guide" if one.kind == "guide" else f"c{colour % 8}"
-        parts.append(_drawn(one, style, x_of, y_of))
-        if one.name:
-            legend.append(f'<span class="{style}"><i></i>{escape(one.name)}</span>')
-        colour += one.kind != "guide"
-    parts.append("</svg>")
-    return f'<figure class="plot">{"".join(parts)}<figcaption class="legend">{"".join(legend)}</figcaption></figure>'
-
-
-def bars(rows: Sequence[tuple[str, float, float]], unit: str) -> str:
-    """Horizontal bars: (name, value, a longer thin value behind it), such as a median and a 95th percentile."""
-    longest = max((max(value, behind) for _, value, behind in rows), default=0) or 1
-    height, line = 20 * len(rows) + 8, 20
-    x_of = _scale(0, longest, 120, WIDTH - 120)
-    parts = [f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{escape(unit)} by stage">']
-    for i, (name, value, behind) in enumerate(rows):
-        y = i * line + 6
-        parts.append(f'<text x="112" y="{y + 11}" text-anchor="end">{escape(name)}</text>')
-        parts.append(f'<rect class="behind" x="120" y="{y + 5}" width="{x_of(behind) - 120:.1f}" height="4"/>')
-        parts.append(f'<rect class="bar" x="120" y="{y + 1}" width="{x_of(value) - 120:.1f}" height="12"/>')
-        end = x_of(max(value, behind)) + 6
-        parts.append(f'<text x="{end:.1f}" y="{y + 11}">{value:.1f} / {behind:.1f} {escape(unit)}</text>')
-    return f'<figure class="plot">{"".join(parts)}</svg></figure>'
-
-
-def _drawn(one: Series, style: str, x_of: Callable[[float], float], y_of: Callable[[float], float]) -> str:
-    places = [(x_of(x), y_of(y)) for x, y in one.points]
-    parts = [f'<g class="{style}"><title>{escape(one.name)}</title>']
-    for (x, _), (low, high) in zip(places, one.bars, strict=False):
-        parts.append(f'<line class="interval" x1="{x:.1f}" x2="{x:.1f}" y1="{y_of(low):.1f}" y2="{y_of(high):.1f}"/>')
-    if one.kind != "dots":
-        path = []
-        for i, (x, y) in enumerate(places):
-            if one.kind == "steps" and i:
-                path.append(f"{x:.1f},{places[i - 1][1]:.1f}")
-            path.append(f"{x:.1f},{y:.1f}")
-        parts.append(f'<polyline points="{" ".join(path)}"/>')
-    if one.kind in ("dots", "line"):
-        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.2"/>' for x, y in places]
-    return "".join(parts) + "</g>"
-
-
-def _scale(first: float, last: float, start: float, end: float) -> Callable[[float], float]:
-    span = (last - first) or 1.0
-    return lambda value: start + (value - first) / span * (end - start)
+    with style:
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        draw(figure.subplots())
+        figure.legend(loc="outside lower center", ncols=2)
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue()

@@ -1,4 +1,4 @@
-"""Enrol a data set, ask its queries one by one, and remember every answer so that a run can go on where it stopped."""
+"""Enrol a data set, make its queries one by one, and remember every answer so that a run can go on where it stopped."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ IMAGE_FAULTS = frozenset(
         "undecodable-picture",
     }
 )
-"""Codes of refusals that are a picture's own fault: the service was asked and said no, and that counts as no answer."""
+"""Codes of refusals that are an image's own fault: they count as no answer."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Answer:
     views : tuple of str
         Ids that `Retriever.enroll` gave, best first.
     before : tuple of str or None
-        The same before re-ranking, by the histograms alone; None when that cannot be told.
+        The same before re-ranking, by the histograms alone; None where that is not known.
     scores : tuple of float
         One for each of `views`.
     confidence : float
@@ -47,7 +47,7 @@ class Answer:
         ``matched``, ``ambiguous`` or ``no_match``.
     timing_ms : mapping of stage to milliseconds
     features : mapping of str to float
-        What a calibration may read of the first answer (`worker.method.decision.features`); empty where it is not told.
+        What a calibration may read of the first answer (`worker.method.decision.features`); empty where not known.
     """
 
     views: tuple[str, ...]
@@ -60,7 +60,7 @@ class Answer:
 
 
 class Retriever(Protocol):
-    """A service being measured: in this process, or behind a URL. It starts with nothing enrolled."""
+    """A service to be measured, in this process or behind a URL. It starts with nothing enrolled."""
 
     @property
     def name(self) -> str:
@@ -73,24 +73,24 @@ class Retriever(Protocol):
         ...
 
     def enroll(self, image: Path, position: Position) -> str:
-        """Add a picture; searchable when this returns. The same bytes may give the id they had before."""
+        """Add an image; searchable when this returns. The same bytes may give the id they had before."""
         ...
 
     def query(self, image: Path, top: int) -> Answer:
-        """The views that look most like a picture, at most `top`."""
+        """The views that look most like an image, at most `top`."""
         ...
 
 
 class Progress(Protocol):
-    """Told how far a run is."""
+    """Is called with how far a run is."""
 
     def __call__(self, what: str, done: int, total: int) -> None:
-        """`done` of `total` pictures have been dealt with."""
+        """`done` of `total` images have been dealt with."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class RankedResults:
+class Answers:
     """All answers of one method to the queries of one set.
 
     Parameters
@@ -99,7 +99,8 @@ class RankedResults:
     ranked : int64 of shape (queries, depth)
         Database indices, best first; -1 where there was no further answer.
     confidence : float64 of shape (queries,) or None
-        Grows with sureness; a probability when `calibrated`. None where there is no telling.
+        That the first answer is right: a probability when `calibrated`, otherwise any score that grows with it. None
+        where it is not known.
     before : int64 of shape (queries, depth) or None
         As `ranked`, before re-ranking.
     claimed : bool of shape (queries,) or None
@@ -109,7 +110,7 @@ class RankedResults:
     features : mapping of str to float64 of shape (queries,)
         Evidence of the first answers; 0 where there was none.
     refused : mapping of error code to count
-        Pictures that could not be enrolled or asked.
+        Images that could not be enrolled or queried.
     """
 
     method: str
@@ -123,7 +124,7 @@ class RankedResults:
     refused: Mapping[str, int] = field(default_factory=dict)
 
 
-def ask(
+def query_all(
     dataset: Dataset,
     retriever: Retriever,
     *,
@@ -131,8 +132,8 @@ def ask(
     depth: int = 20,
     journals: Path | None = None,
     progress: Progress | None = None,
-) -> RankedResults:
-    """Enrol the database and ask every query.
+) -> Answers:
+    """Enrol the database and make every query.
 
     Parameters
     ----------
@@ -143,7 +144,7 @@ def ask(
         Orders the enrolment. Ties go to what was enrolled first; in the order of the files, that would favour a
         walk over itself.
     depth : int
-        Answers asked for.
+        Answers wanted of each query.
     journals : Path or None
         Folder that remembers answers, a file for each (set, recipe, seed, depth): a run that was stopped goes on
         after its last answer.
@@ -151,7 +152,7 @@ def ask(
 
     Returns
     -------
-    RankedResults
+    Answers
 
     Notes
     -----
@@ -173,7 +174,7 @@ def ask(
             while enrolled < allowed[query]:
                 image = int(order[enrolled])
                 try:
-                    view = retriever.enroll(dataset.database[image], _where(dataset, image))
+                    view = retriever.enroll(dataset.database[image], _position(dataset, image))
                     images.setdefault(view, []).append(image)
                 except RevisitError as refusal:
                     _count(refused, refusal)
@@ -185,12 +186,12 @@ def ask(
                 _count(refused, refusal)
                 answer = Answer(())
             journal.keep(query, answer, images)
-        tell("asking", done, len(dataset.queries))
+        tell("querying", done, len(dataset.queries))
     return journal.results(depth, refused)
 
 
 def _count(refused: dict[str, int], refusal: RevisitError) -> None:
-    """Count a picture that was refused; anything else, such as a service that is too busy, ends the run."""
+    """Count an image that was refused; anything else, such as a service that is too busy, ends the run."""
     if refusal.code not in IMAGE_FAULTS:
         raise refusal
     refused[refusal.code] = refused.get(refusal.code, 0) + 1
@@ -235,17 +236,17 @@ class _Journal:
             with self.path.open("a") as lines:
                 lines.write(json.dumps({"query": query} | asdict(named)) + "\n")
 
-    def results(self, depth: int, refused: Mapping[str, int]) -> RankedResults:
+    def results(self, depth: int, refused: Mapping[str, int]) -> Answers:
         """All answers, in the order of the queries."""
         answers = [self.answers[query] for query in range(self.count)]
         stages = sorted({stage for a in answers for stage in a.timing_ms})
         evidence = sorted({name for a in answers for name in a.features})
-        told = all(a.before is not None for a in answers if a.views)
-        return RankedResults(
+        known = all(a.before is not None for a in answers if a.views)
+        return Answers(
             method=self.method,
             ranked=_table([a.views for a in answers], depth),
             confidence=np.array([a.confidence for a in answers], np.float64),
-            before=_table([a.before or () for a in answers], depth) if told else None,
+            before=_table([a.before or () for a in answers], depth) if known else None,
             claimed=np.array([a.status == "matched" for a in answers], np.bool_),
             calibrated=True,
             timing_ms={s: np.array([a.timing_ms[s] for a in answers if s in a.timing_ms]) for s in stages},
@@ -263,7 +264,7 @@ def fingerprint(dataset: Dataset, recipe: str, seed: int, depth: int) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
 
-def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20) -> RankedResults:
+def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20) -> Answers:
     """The answers of a baseline from its distances (queries, database), what a query may not know left out."""
     known = np.array(distances, np.float64)
     if dataset.allowed is not None:
@@ -272,13 +273,13 @@ def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20)
     nearest = np.take_along_axis(known, order, axis=1)
     order[np.isinf(nearest)] = -1
     best = nearest[:, 0] if known.shape[1] else np.full(len(known), np.inf)
-    # Infinitely far means nothing to answer with: less sure than any answer.
+    # Infinitely far means nothing to answer with: below any answer.
     confidence = np.where(np.isinf(best), -np.finfo(np.float64).max, -best)
-    return RankedResults(method, order.astype(np.int64), confidence)
+    return Answers(method, order.astype(np.int64), confidence)
 
 
 def counted(progress: Progress | None, what: str, total: int) -> Callable[[], None]:
-    """A tick for baselines that tells how many pictures have been described."""
+    """A tick for baselines that reports how many images have been described."""
     done = 0
 
     def tick() -> None:
@@ -297,14 +298,14 @@ def _table(rows: list[tuple[str, ...]], depth: int) -> Indices:
 
 
 def _numbers(views: tuple[str, ...], images: Mapping[str, list[int]]) -> tuple[str, ...]:
-    """Database numbers of views; one view stands for several pictures when these are the same file, byte for byte."""
+    """Database numbers of views; one view stands for several images when these are the same file, byte for byte."""
     unknown = next((v for v in views if v not in images), None)
     if unknown is not None:
         raise SetupError(f"the service answered with {unknown}, which was not enrolled in this run: use an empty map")
     return tuple(str(image) for view in views for image in images[view])
 
 
-def _where(dataset: Dataset, image: int) -> Position:
+def _position(dataset: Dataset, image: int) -> Position:
     if dataset.database_positions is None:
         return Position()
     x, y = (float(v) for v in dataset.database_positions[image])
@@ -312,4 +313,4 @@ def _where(dataset: Dataset, image: int) -> Position:
 
 
 def _silent(what: str, done: int, total: int) -> None:
-    """Nobody is watching."""
+    """Show no progress."""

@@ -1,4 +1,4 @@
-"""A service behind a URL as something to be measured: what `lab.evaluation` cannot know, since it knows no HTTP."""
+"""A service behind a URL as something to be measured, through the client."""
 
 import uuid
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class ServedRetriever:
 
     def __init__(self, revisit: Revisit, facts: MapFacts, name: str) -> None:
         self._revisit, self._map, self.name = revisit, facts.name, name
-        self.recipe = f"{facts.recipe['id']} {revisit.version().version}"
+        self.recipe = f"{facts.recipe['id']} {facts.ranking['id']} {revisit.version().version}"
 
     def enroll(self, image: Path, position: Position) -> str:
         """Enrol and wait until it is searchable; raises RevisitError as the service refused."""
@@ -49,7 +49,7 @@ class ServedRetriever:
             raise _refusal(problem) from problem
 
     def query(self, image: Path, top: int) -> Answer:
-        """Ask twice: as usual, and for the histograms alone."""
+        """Query twice: as usual, and by the histograms alone."""
         try:
             answer = self._revisit.query(image, map=self._map, top=top)
             plain = self._revisit.query(image, map=self._map, top=top, candidates=0)

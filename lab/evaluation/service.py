@@ -7,7 +7,7 @@ from itertools import count
 from pathlib import Path
 
 from lab.datasets.dataset import Dataset
-from lab.evaluation.querying import Answer, Retriever
+from lab.evaluation.querying import Answer
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position, ViewAttributes
 from worker.method.decision import features
@@ -38,14 +38,14 @@ class ServiceRetriever:
     def __init__(self, runtime: Runtime, recipe: MapRecipe, name: str, map_name: str) -> None:
         if runtime.loop is None:
             raise ValueError("a runtime without a worker describes nothing")
-        self.runtime, self.settings, self.name, self.map_name = runtime, recipe, name, map_name
+        self.runtime, self.map_recipe, self.name, self.map_name = runtime, recipe, name, map_name
         runtime.store.maps.put(map_name, recipe, datetime.now(UTC))
 
     @property
     def recipe(self) -> str:
         """Id of both halves of the map's recipe, and how its confidences are made."""
-        calibration = self.runtime.calibration(self.settings).to_json()
-        return f"{self.settings.description.id} {self.settings.ranking.id} {calibration}"
+        calibration = self.runtime.calibration(self.map_recipe).to_json()
+        return f"{self.map_recipe.description.id} {self.map_recipe.ranking.id} {calibration}"
 
     def enroll(self, image: Path, position: Position) -> str:
         """Enrol an image and wait until it is described; raises RevisitError when it cannot be."""
@@ -79,7 +79,7 @@ class ServiceRetriever:
 
 
 @contextmanager
-def map_of_its_own(runtime: Runtime, recipe: MapRecipe, name: str, dataset: Dataset) -> Iterator[Retriever]:
+def map_of_its_own(runtime: Runtime, recipe: MapRecipe, name: str, dataset: Dataset) -> Iterator[ServiceRetriever]:
     """A retriever on a new map, which is deleted afterwards."""
     map_name = f"evaluation-{next(_numbers)}"
     try:

@@ -23,12 +23,12 @@ def as_text(evaluation: Evaluation) -> str:
         known = method.known_place
         figures = [f"{f.value:.3f}" for f in method.recall]
         figures[0] = str(method.recall[0])
-        sure = ["", ""] if known is None else [f"{known.best_f1:.3f}", f"{known.recall_at_full_precision:.3f}"]
-        rows.append([method.method, *figures, f"{method.recall_of_all[0].value:.3f}", *sure])
+        shares = ["", ""] if known is None else [f"{known.best_f1:.3f}", f"{known.recall_at_full_precision:.3f}"]
+        rows.append([method.method, *figures, f"{method.recall_of_all[0].value:.3f}", *shares])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = [
         f"{evaluation.dataset}: {evaluation.queries} queries, {evaluation.answerable} of them answerable, "
-        f"{evaluation.database} database pictures; right: {evaluation.truth}"
+        f"{evaluation.database} database images; right: {evaluation.truth}"
     ]
     lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     for method in evaluation.methods:
@@ -37,20 +37,6 @@ def as_text(evaluation: Evaluation) -> str:
         lines.append(f"AT CHANCE: {names}: queries would have fared as well with each other's answers. Likely causes,")
         lines += ["unless it is a method that knows nothing:", *(f"  - {cause}" for cause in causes)]
     lines += [f"suspicious: {s}" for s in evaluation.suspicions]
-    return "\n".join(lines)
-
-
-def as_markdown(evaluation: Evaluation) -> str:
-    """One set as a Markdown table, each recall@1 with its 95 % interval."""
-    head = ["method", *(f"recall@{n}" for n in evaluation.depths), "recall@1 of all"]
-    lines = [f"| {' | '.join(head)} |", "|" + " --- |" * len(head)]
-    chance = [f"{c:.3f}" for c in (*evaluation.chance, evaluation.chance_of_all[0])]
-    lines.append(f"| *chance* | {' | '.join(chance)} |")
-    lines.append(f"| *ceiling* | {' | '.join('1' for _ in evaluation.depths)} | {evaluation.ceiling_of_all:.3f} |")
-    for method in evaluation.methods:
-        cells = [str(method.recall[0]), *(f"{f.value:.3f}" for f in method.recall[1:])]
-        mark = " (**at chance**)" if method.luck.at_chance else ""
-        lines.append(f"| {method.method}{mark} | {' | '.join(cells)} | {method.recall_of_all[0].value:.3f} |")
     return "\n".join(lines)
 
 

@@ -33,7 +33,7 @@ class Luck:
     at_chance : bool
         True when nothing shows that the answers depend on the queries.
     p_value : float
-        Share of exchanged rankings (see `looks_like_chance`) that did at least as well.
+        Share of permuted rankings (see `looks_like_chance`) that did at least as well.
     causes : tuple of str
         What is probably wrong, most telling first; empty unless `at_chance`.
     """
@@ -49,7 +49,7 @@ def looks_like_chance(
     generator: np.random.Generator,
     *,
     depths: Sequence[int] = DEPTHS,
-    exchanges: int = 999,
+    permutations: int = 999,
 ) -> Luck:
     """Whether queries would have fared as well with each other's answers.
 
@@ -60,7 +60,7 @@ def looks_like_chance(
     truth : Truth
     generator : numpy.random.Generator
     depths : sequence of int
-    exchanges : int
+    permutations : int
 
     Returns
     -------
@@ -68,38 +68,37 @@ def looks_like_chance(
 
     Notes
     -----
-    A permutation test. Rankings are exchanged among the answerable queries, which leaves everything about the
-    retriever as it is (how often each database picture is returned, how answers cluster on the map) except what
+    A permutation test. Rankings are permuted among the answerable queries, which leaves everything about the
+    retriever as it is (how often each database image is returned, how answers cluster on the map) except what
     it knew of the query. A random retriever and one that always gives the same answers are both found out:
-    exchanging changes nothing. Comparing with a uniformly random order would let the second one pass where its
+    permuting changes nothing. Comparing with a uniformly random order would let the second one pass where its
     fixed answers happen to be right for many.
 
-    In online loop closure an exchanged ranking may name pictures that its new query could not have seen; they
+    In online loop closure a permuted ranking may name images that its new query could not have seen; they
     count as wrong. That makes luck look a little worse than it is, and only there.
     """
-    results = np.flatnonzero(truth.answerable)
-    if len(results) == 0:
+    answerable = np.flatnonzero(truth.answerable)
+    if len(answerable) == 0:
         return Luck(True, 1.0, ("no query has a right answer in the database: check the ground truth and its radius",))
-    right = _right_matrix(truth, results)
-    answers = ranked[results]
+    right = _right_matrix(truth, answerable)
+    answers = ranked[answerable]
     got = _score(answers, right, depths)
-    as_good = sum(
-        _score(answers[generator.permutation(len(results))], right, depths) >= got - 1e-12 for _ in range(exchanges)
-    )
-    p_value = (1 + as_good) / (1 + exchanges)
+    orders = (generator.permutation(len(answerable)) for _ in range(permutations))
+    as_good = sum(_score(answers[order], right, depths) >= got - 1e-12 for order in orders)
+    p_value = (1 + as_good) / (1 + permutations)
     if p_value <= SIGNIFICANCE:
         return Luck(False, p_value, ())
-    return Luck(True, p_value, tuple(_causes(answers, right, truth, results, got, depths)))
+    return Luck(True, p_value, tuple(_causes(answers, right, truth, answerable, got, depths)))
 
 
 def suspicions(truth: Truth, positions: Doubles | None = None) -> tuple[str, ...]:
-    """What is odd about a ground truth, before any picture was looked at.
+    """What is odd about a ground truth, before any image was looked at.
 
     Parameters
     ----------
     truth : Truth
-    positions : float64 of shape (pictures, 2) or None
-        Where the pictures were taken, metres.
+    positions : float64 of shape (images, 2) or None
+        Where the images were taken, metres.
     """
     found = []
     share = float(truth.answerable.mean()) if len(truth) else 0.0
@@ -122,10 +121,10 @@ def suspicions(truth: Truth, positions: Doubles | None = None) -> tuple[str, ...
     return tuple(found)
 
 
-def _right_matrix(truth: Truth, results: Indices) -> Booleans:
-    """Which database picture is right for which answerable query; a last column of False catches -1."""
-    right = np.zeros((len(results), int(truth.searched.max()) + 1), np.bool_)
-    for row, query in enumerate(results):
+def _right_matrix(truth: Truth, answerable: Indices) -> Booleans:
+    """Which database image is right for which answerable query; a last column of False catches -1."""
+    right = np.zeros((len(answerable), int(truth.searched.max()) + 1), np.bool_)
+    for row, query in enumerate(answerable):
         right[row, truth.positives[query]] = True
     return right
 
@@ -139,15 +138,15 @@ def _score(answers: Indices, right: Booleans, depths: Sequence[int]) -> float:
 
 
 def _causes(
-    answers: Indices, right: Booleans, truth: Truth, results: Indices, got: float, depths: Sequence[int]
+    answers: Indices, right: Booleans, truth: Truth, answerable: Indices, got: float, depths: Sequence[int]
 ) -> list[str]:
     """Likely causes: those with evidence in the answers first, then what to look at anyway."""
     causes = []
     names, times = np.unique(answers[:, 0], return_counts=True)
-    if len(results) > 1 and times.max() > FEW_ANSWERS * len(results):
+    if len(answerable) > 1 and times.max() > FEW_ANSWERS * len(answerable):
         causes.append(
-            f"{times.max()} of {len(results)} queries get the same first answer (database picture "
-            f"{int(names[times.argmax()])}): the descriptor does not depend on the picture"
+            f"{times.max()} of {len(answerable)} queries get the same first answer (database image "
+            f"{int(names[times.argmax()])}): the descriptor does not depend on the image"
         )
     order = _order_that_fits(answers, right, got, depths)
     if order:
@@ -157,8 +156,8 @@ def _causes(
         causes = [
             "file order: the ground truth may count the files in another order (img10 before img2), "
             "or from another offset",
-            "ground truth: it may belong to other pictures, or use the wrong axes (height instead of depth)",
-            "the method: its descriptors of two pictures may not be comparable (a vocabulary per picture)",
+            "ground truth: it may belong to other images, or use the wrong axes (height instead of depth)",
+            "the method: its descriptors of two images may not be comparable (a vocabulary per image)",
         ]
     return causes
 
@@ -182,6 +181,6 @@ def _order_that_fits(answers: Indices, right: Booleans, got: float, depths: Sequ
         return (
             f"the answers fit the ground truth of the query {abs(shown)} places "
             f"{'further on' if shown > 0 else 'before'} (mean recall {best:.2f} against {got:.2f}): "
-            "pictures and ground truth are offset"
+            "images and ground truth are offset"
         )
     return ""

@@ -14,7 +14,7 @@ from lab.metrics.recall import Booleans, Doubles
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """The curve over all thresholds, from the surest claim to claiming everything.
+    """The curve over all thresholds, from the most confident claim to claiming everything.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class PrecisionRecall:
 
 
 def precision_recall(confidence: Doubles, right: Booleans, answerable: Booleans) -> PrecisionRecall:
-    """Precision and recall of claiming every query at least as sure as a threshold.
+    """Precision and recall of claiming every query whose confidence reaches a threshold.
 
     Parameters
     ----------
     confidence : float64 of shape (queries,)
-        Of the first answer, or any score that grows with sureness.
+        Of the first answer, or any score that grows with it.
     right : bool of shape (queries,)
         Whether the first answer shows the query's place.
     answerable : bool of shape (queries,)

@@ -27,7 +27,7 @@ class Truth:
     positives : tuple of int64 of shape (right answers of the query,)
         Database indices that show the query's place; empty when the place is not in the database.
     searched : int64 of shape (queries,)
-        How many database pictures each query is searched among: those with a smaller index. The whole database
+        How many database images each query is searched among: those with a smaller index. The whole database
         except in online loop closure, where a frame knows only what came well before it.
     """
 
@@ -43,7 +43,7 @@ class Truth:
 
     @classmethod
     def of(cls, positives: Sequence[Sequence[int] | Indices], searched: int | Indices) -> "Truth":
-        """Truth from plain lists; one number means that every query is searched among that many pictures."""
+        """Truth from plain lists; one number means that every query is searched among that many images."""
         sizes = np.broadcast_to(np.asarray(searched, np.int64), (len(positives),))
         return cls(tuple(np.asarray(p, np.int64) for p in positives), np.array(sizes))
 

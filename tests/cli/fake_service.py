@@ -1,4 +1,4 @@
-"""A service over real HTTP that answers what it is told to, and remembers what it was asked."""
+"""A service over real HTTP that answers what it is told to, and remembers what it was sent."""
 
 import json
 import threading
@@ -18,7 +18,7 @@ class FakeService:
 
     url: str
     replies: dict[str, Reply | Callable[[bytes], Reply]] = field(default_factory=dict)
-    asked: list[tuple[str, bytes]] = field(default_factory=list)
+    requests: list[tuple[str, bytes]] = field(default_factory=list)
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def fake_service() -> Iterator[FakeService]:
     class Handler(BaseHTTPRequestHandler):
         def answer(self) -> None:
             body = self.rfile.read(int(self.headers.get("content-length") or 0))
-            service.asked.append((f"{self.command} {self.path}", body))
+            service.requests.append((f"{self.command} {self.path}", body))
             reply = service.replies.get(f"{self.command} {self.path.partition('?')[0]}")
             status, content = reply(body) if callable(reply) else reply or (404, {})
             data = content if isinstance(content, bytes) else json.dumps(content).encode()

@@ -21,7 +21,7 @@ def photos(tmp_path: Path) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def test_own_photos_are_enrolled_some_held_back_and_altered_copies_asked(photos: list[Path], tmp_path: Path) -> None:
+def test_own_photos_are_enrolled_some_held_back_and_altered_copies_queried(photos: list[Path], tmp_path: Path) -> None:
     material = demo_images.of_folder(photos, tmp_path / "out", lambda _: None)
 
     held_back = [q.path for q in material.queries if not q.known]
@@ -58,7 +58,7 @@ def test_who_counts_as_recognised(place: str | None, known: bool, status: str, r
     assert demo.Result(QueryRecord(Path("q.jpg"), place, "", known), answer).is_right is right
 
 
-def test_each_drawn_place_is_asked_about_in_one_of_six_ways() -> None:
+def test_each_drawn_place_is_queried_in_one_of_six_ways() -> None:
     from scenes import scene
 
     ways = [demo_images._change(i, scene(name)) for i, name in enumerate(demo_images.PLACES)]

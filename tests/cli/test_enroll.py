@@ -29,7 +29,7 @@ def names(paths: list[Path], folder: Path) -> list[str]:
     return [path.relative_to(folder).as_posix() for path in paths]
 
 
-def test_a_folder_means_all_pictures_inside(folder: Path) -> None:
+def test_a_folder_means_all_images_inside(folder: Path) -> None:
     assert names(images.found([str(folder)]), folder) == ["a.PNG", "b.png", "inner/c.png"]
 
 
@@ -48,18 +48,18 @@ def test_nothing_there_is_wrong_use(folder: Path, name: str) -> None:
     assert caught.value.code == 2
 
 
-def test_pictures_are_enrolled_and_counted(service: FakeService, folder: Path, capsys: Out) -> None:
+def test_images_are_enrolled_and_counted(service: FakeService, folder: Path, capsys: Out) -> None:
     created = iter([True, False, True])
     service.replies["POST /enroll"] = lambda _: (201, answers.enrolled(next(created)))
 
     assert main(["enroll", str(folder), "--map", "campus", "--place", "gate", "--parallel", "1"]) == 0
 
     assert capsys.readouterr().out == "2 enrolled, 1 already there, 0 failed\n"
-    assert len(service.asked) == 3
-    assert all(b"campus" in body and b"gate" in body for _, body in service.asked)
+    assert len(service.requests) == 3
+    assert all(b"campus" in body and b"gate" in body for _, body in service.requests)
 
 
-def test_one_refused_picture_does_not_stop_the_others(service: FakeService, folder: Path, capsys: Out) -> None:
+def test_one_refused_image_does_not_stop_the_others(service: FakeService, folder: Path, capsys: Out) -> None:
     def reply(body: bytes) -> tuple[int, object]:
         if b'filename="b.png"' in body:
             return 422, answers.problem("undecodable-picture", 422, detail="cut off")
@@ -87,7 +87,7 @@ def test_the_folder_can_name_the_place(service: FakeService, folder: Path) -> No
 
     main(["enroll", str(folder / "inner"), "--place-from-folder"])
 
-    assert b"inner" in service.asked[0][1]
+    assert b"inner" in service.requests[0][1]
 
 
 def positions(folder: Path, text: str) -> images.Positions:
@@ -96,7 +96,7 @@ def positions(folder: Path, text: str) -> images.Positions:
     return images.Positions(path)
 
 
-def test_rows_belong_to_the_pictures_whose_path_they_end(folder: Path) -> None:
+def test_rows_belong_to_the_images_whose_path_they_end(folder: Path) -> None:
     table = positions(folder, "file,x,y,place\nb.png,1,2.5,door\ninner/c.png,3,4,\nelse.png,0,0,\n")
 
     assert table.of(folder / "b.png") == {"x": 1.0, "y": 2.5, "place": "door"}
@@ -120,7 +120,7 @@ def test_positions_travel(service: FakeService, folder: Path, capsys: Out) -> No
 
     assert main(["enroll", str(folder), "--positions", str(folder / "p.csv"), "--parallel", "1"]) == 0
 
-    bodies = {b'filename="b.png"' in body: body for _, body in service.asked}
+    bodies = {b'filename="b.png"' in body: body for _, body in service.requests}
     assert b"48.5" in bodies[True]
     assert b"11.25" in bodies[True]
     assert b'name="lat"' not in bodies[False]
@@ -145,6 +145,6 @@ def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
     assert known["captured_at"].isoformat() == "2026-03-01T09:30:00+00:00"
 
 
-def test_pictures_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
+def test_images_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
     assert images.from_exif(folder / "b.png") == {}
     assert images.from_exif(folder / "notes.txt") == {}

@@ -31,7 +31,7 @@ def test_a_known_place(service: FakeService, image: Path, capsys: Out) -> None:
     assert lines[3].split()[:4] == ["1", "square", "0.800", "0.930"]
     assert "1.00, 2.00 m" in lines[3]
     assert lines[4].split()[1] == "canal"
-    assert b"1.0,2.0,30.0" in service.asked[0][1]
+    assert b"1.0,2.0,30.0" in service.requests[0][1]
 
 
 def test_an_unknown_place_is_an_answer_too(service: FakeService, image: Path, capsys: Out) -> None:
@@ -67,10 +67,12 @@ def test_a_missing_file_is_named(capsys: Out) -> None:
 
 
 def test_maps_as_a_table_and_as_json(service: FakeService, capsys: Out) -> None:
-    service.replies["GET /maps"] = 200, {"maps": [answers.map_facts("campus")]}
+    campus = answers.map_facts("campus") | {"ranking": {"id": "k", "preset": "paper"}}
+    service.replies["GET /maps"] = 200, {"maps": [campus]}
 
     assert main(["maps"]) == 0
-    assert capsys.readouterr().out.splitlines()[2].split()[:2] == ["campus", "3"]
+    row = capsys.readouterr().out.splitlines()[2].split()
+    assert (row[:2], row[-2:]) == (["campus", "3"], ["paper", "compact"])
     assert main(["maps", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["name"] == "campus"
 
@@ -106,7 +108,7 @@ def test_views_failed_ones_with_their_reason(service: FakeService, capsys: Out) 
     lines = capsys.readouterr().out.splitlines()
     assert lines[2].startswith("v1")
     assert "failed: nothing-static" in lines[3]
-    assert "map=campus" in service.asked[0][0]
+    assert "map=campus" in service.requests[0][0]
 
 
 def test_a_view_is_written_to_files(service: FakeService, tmp_path: Path) -> None:
@@ -131,15 +133,18 @@ def test_places(service: FakeService, capsys: Out) -> None:
 
 
 def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, capsys: Out) -> None:
-    service.replies["GET /maps/default"] = 200, answers.map_facts()
+    facts = answers.map_facts() | {"ranking": {"id": "k", "preset": "default"}}
+    service.replies["GET /maps/default"] = 200, facts
     service.replies["POST /maps/default/recipe"] = 202, answers.job("waiting", kind="recipe")
     service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("done", kind="recipe")
 
     assert main(["recipe"]) == 0
-    assert json.loads(capsys.readouterr().out)["ranking"]["preset"] == "default"
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["ranking"]["preset"] == "default"
+    assert shown["recipe"] == facts["recipe"]
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
-    assert json.loads(service.asked[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
+    assert json.loads(service.requests[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
 
 
 def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> None:
@@ -147,7 +152,7 @@ def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> N
 
     assert main(["recipe", "--ranking", '{"candidates": 100}']) == 0
     assert json.loads(capsys.readouterr().out)["ranking"]["id"] == "def"
-    assert [json.loads(body) for _, body in service.asked] == [{"ranking": {"candidates": 100}}]
+    assert [json.loads(body) for _, body in service.requests] == [{"ranking": {"candidates": 100}}]
 
 
 @pytest.mark.parametrize("option", ["--parameters", "--ranking"])

@@ -3,6 +3,7 @@
 import pytest
 
 from app.cli.__main__ import main
+from app.cli.study import over_http
 from lab import evaluate
 from lab.benchmarks import __main__ as benchmarks
 from lab.evaluation.remote import connect
@@ -20,7 +21,7 @@ def test_everything_after_the_command_is_passed_on(monkeypatch: pytest.MonkeyPat
 
     assert main(["benchmark", "stages", "--help"]) == 0
     assert main(["evaluate", "pairs", "--root", "x"]) == 1
-    assert given == [(["stages", "--help"],), (["pairs", "--root", "x"], connect)]
+    assert given == [(["stages", "--help"], over_http), (["pairs", "--root", "x"], connect)]
 
 
 def test_other_commands_refuse_what_they_do_not_know(capsys: pytest.CaptureFixture[str]) -> None:

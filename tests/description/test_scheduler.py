@@ -1,4 +1,4 @@
-"""Queries come first, one failure is one image's, and stopping serves what was handed in."""
+"""Queries come first, one failure is one image's, and stopping serves what was submitted."""
 
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +19,7 @@ class GatedEncoder:
     name = "gated"
     digest = "0" * 64
     layers: Mapping[str, int] = {SEMANTIC: 1}
+    known_labels: frozenset[str] | None = None
 
     def __init__(self) -> None:
         self.seen: list[int] = []
@@ -35,14 +36,18 @@ class GatedEncoder:
             self.seen.append(number)
             yield PixelField({SEMANTIC: np.ones((1, 1, 1), np.float32)}, image.extent)
 
-    def fine(self, image: Image) -> PixelField:
+    def text_vectors(self, labels: Sequence[str]) -> Floats:
+        raise AssertionError("not asked here")
+
+    def meanings(self, labels: Sequence[str]) -> list[Meaning]:
+        raise AssertionError("not asked here")
+
+
+class FinerSegmenter:
+    """Sees four cells where the encoder sees one."""
+
+    def segment(self, image: Image) -> PixelField:
         return PixelField({SEMANTIC: np.ones((2, 2, 1), np.float32)}, image.extent)
-
-    def text_vectors(self, words: Sequence[str]) -> Floats:
-        raise AssertionError("not asked here")
-
-    def meanings(self, words: Sequence[str]) -> list[Meaning]:
-        raise AssertionError("not asked here")
 
 
 def image(number: int) -> Image:
@@ -53,7 +58,7 @@ def number_of(shown: Image, _: PixelField) -> int:
     return int(shown.pixels[0, 0, 0])
 
 
-def test_a_question_overtakes_every_enrolment_that_is_not_yet_under_way() -> None:
+def test_a_query_overtakes_every_enrolment_that_is_not_yet_under_way() -> None:
     encoder = GatedEncoder()
     scheduler = Scheduler(encoder, batch=1, queries=5)
     scheduler.start()
@@ -68,20 +73,20 @@ def test_a_question_overtakes_every_enrolment_that_is_not_yet_under_way() -> Non
     scheduler.stop()
 
 
-def test_a_question_is_answered_while_an_enrolment_is_still_being_described() -> None:
+def test_a_query_is_answered_while_an_enrolment_is_still_being_described() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
     scheduler.start()
-    asked = threading.Event()
+    answered = threading.Event()
 
     def slow(shown: Image, field: PixelField) -> int:
-        assert asked.wait(5)
+        assert answered.wait(5)
         return number_of(shown, field)
 
     enrolments = [scheduler.submit(image(n), slow, urgent=False) for n in (1, 2)]
     assert scheduler.submit(image(7), number_of, urgent=True).result(5).value == 7
-    asked.set()
+    answered.set()
     assert [future.result(5).value for future in enrolments] == [1, 2]
     scheduler.stop()
 
@@ -92,18 +97,20 @@ def test_what_needs_no_field_is_made_while_the_network_is_busy() -> None:
     scheduler.start()
     made = threading.Event()
 
-    def look(shown: Image) -> str:
+    def found(shown: Image) -> str:
         made.set()
         return f"picture {shown.pixels[0, 0, 0]}"
 
-    query = scheduler.submit(image(7), lambda p, f, looked: (number_of(p, f), looked), urgent=True, parallel=look)
+    query = scheduler.submit(
+        image(7), lambda p, f, keypoints: (number_of(p, f), keypoints), urgent=True, parallel=found
+    )
     assert made.wait(5)  # and the encoder is still held back
     encoder.gate.release()
     assert query.result(5).value == (7, "picture 7")
     scheduler.stop()
 
 
-def test_a_question_waits_for_nothing_that_is_made_beside_an_enrolment() -> None:
+def test_a_query_waits_for_nothing_that_runs_in_parallel_for_an_enrolment() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -116,14 +123,14 @@ def test_a_question_waits_for_nothing_that_is_made_beside_an_enrolment() -> None
 
     enrolment = scheduler.submit(image(1), lambda p, f, waited: waited, urgent=False, parallel=slow)
     assert begun.wait(5)
-    query = scheduler.submit(image(7), lambda p, f, looked: looked, urgent=True, parallel=lambda _: "keypoints")
+    query = scheduler.submit(image(7), lambda p, f, keypoints: keypoints, urgent=True, parallel=lambda _: "keypoints")
     assert query.result(3).value == "keypoints"
     answered.set()
     assert enrolment.result(5).value
     scheduler.stop()
 
 
-def test_a_failure_beside_the_network_belongs_to_the_one_who_asked() -> None:
+def test_a_failure_in_parallel_to_the_encoder_belongs_to_its_request() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -133,12 +140,12 @@ def test_a_failure_beside_the_network_belongs_to_the_one_who_asked() -> None:
         raise ValueError("no keypoints today")
 
     with pytest.raises(ValueError, match="no keypoints"):
-        scheduler.submit(image(1), lambda p, f, looked: looked, urgent=True, parallel=fail).result(5)
+        scheduler.submit(image(1), lambda p, f, keypoints: keypoints, urgent=True, parallel=fail).result(5)
     assert scheduler.submit(image(2), number_of, urgent=True).result(5).value == 2
     scheduler.stop()
 
 
-def test_one_failing_picture_does_not_take_its_batch_down() -> None:
+def test_one_failing_image_does_not_take_its_batch_down() -> None:
     encoder = GatedEncoder()
     scheduler = Scheduler(encoder, batch=4, queries=5)
     futures = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 99, 3)]
@@ -152,19 +159,19 @@ def test_one_failing_picture_does_not_take_its_batch_down() -> None:
     scheduler.stop()
 
 
-def test_more_questions_than_are_let_in_are_refused_with_a_time_to_come_back() -> None:
+def test_more_queries_than_are_let_in_are_refused_with_a_time_to_come_back() -> None:
     scheduler = Scheduler(GatedEncoder(), batch=1, queries=2)
     for number in (1, 2):
         scheduler.submit(image(number), number_of, urgent=True)
 
-    with pytest.raises(Busy, match="2 questions are waiting") as refusal:
+    with pytest.raises(Busy, match="2 queries are waiting") as refusal:
         scheduler.submit(image(3), number_of, urgent=True)
 
     assert refusal.value.retry_after_s >= 1
     scheduler.submit(image(4), number_of, urgent=False)  # enrolments have a queue of their own
 
 
-def test_stopping_serves_what_was_handed_in_and_refuses_what_comes_after() -> None:
+def test_stopping_serves_what_was_submitted_and_refuses_what_comes_after() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -177,7 +184,7 @@ def test_stopping_serves_what_was_handed_in_and_refuses_what_comes_after() -> No
         scheduler.submit(image(3), number_of, urgent=True)
 
 
-def test_an_error_of_the_finish_belongs_to_the_one_who_asked() -> None:
+def test_an_error_of_the_finish_belongs_to_its_request() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -192,16 +199,16 @@ def test_an_error_of_the_finish_belongs_to_the_one_who_asked() -> None:
     scheduler.stop()
 
 
-def test_pictures_to_be_drawn_get_the_fine_field_among_others_that_do_not() -> None:
+def test_images_to_be_drawn_get_the_segmenters_field_among_others_that_do_not() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
-    scheduler = Scheduler(encoder, batch=4, queries=5)
+    scheduler = Scheduler(encoder, batch=4, queries=5, segmenter=FinerSegmenter())
     wanted = [(1, False), (2, True), (3, False), (4, False)]
 
     def number_and_rows(shown: Image, field: PixelField) -> tuple[int, int]:
         return number_of(shown, field), field.shape[0]
 
-    futures = [scheduler.submit(image(n), number_and_rows, urgent=True, fine=fine) for n, fine in wanted]
+    futures = [scheduler.submit(image(n), number_and_rows, urgent=True, segment=segment) for n, segment in wanted]
     scheduler.start()
 
     assert [future.result(5).value for future in futures] == [(1, 1), (2, 2), (3, 1), (4, 1)]

@@ -17,27 +17,20 @@ from schemas.description import Floats
 from schemas.errors import SetupError
 from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
-from worker.bootstrap import make_encoder
-from worker.encoders.compact.encoder import (
-    ENSEMBLE,
-    LONGEST,
-    MULTIPLE,
-    WEIGHTS,
-    CompactEncoder,
-    confidence,
-    network_size,
-    resized,
-    segment_with_ensemble,
-)
+from worker.description.scheduler import Scheduler
+from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
+from worker.encoders.compact.ensemble import ENSEMBLE, CompactSegmenter, label_confidence, segment_with_ensemble
+from worker.encoders.compact.input_size import LONGEST, MULTIPLE, network_size, resized
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
+from worker.runtime import make_encoder
 
 ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]
 """Width and height of pictures."""
 
-FINE = [WEIGHTS.with_name(f"compact-{member}.safetensors") for member in ENSEMBLE]
-FILES = tuple(path.name for weights in (WEIGHTS, *FINE) for path in (weights, weights.with_suffix(".onnx")))
+MEMBERS = [WEIGHTS.with_name(f"compact-{member}.safetensors") for member in ENSEMBLE]
+FILES = tuple(path.name for weights in (WEIGHTS, *MEMBERS) for path in (weights, weights.with_suffix(".onnx")))
 
 
 def without(weights: Path, *members: str) -> CompactEncoder:
@@ -45,6 +38,12 @@ def without(weights: Path, *members: str) -> CompactEncoder:
     facts = json.loads(described.read_text())
     described.write_text(json.dumps({name: fact for name, fact in facts.items() if name not in members}))
     return CompactEncoder(weights=weights)
+
+
+def segmenter(encoder: CompactEncoder) -> CompactSegmenter:
+    found = encoder.segmenter()
+    assert found is not None
+    return found
 
 
 def drawn(width: int, height: int) -> Image:
@@ -57,7 +56,7 @@ def cosines(one: Floats, other: Floats) -> Floats:
 
 
 def in_onnx(threads: int = 1) -> OnnxEngine:
-    return OnnxEngine(WEIGHTS.with_suffix(".onnx"), [path.with_suffix(".onnx") for path in FINE], threads=threads)
+    return OnnxEngine(WEIGHTS.with_suffix(".onnx"), [path.with_suffix(".onnx") for path in MEMBERS], threads=threads)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def encoder() -> CompactEncoder:
 @pytest.fixture(scope="module")
 def reference() -> TorchEngine:
     torch.set_num_threads(1)
-    return TorchEngine(WEIGHTS.read_bytes(), [path.read_bytes() for path in FINE], "cpu")
+    return TorchEngine(WEIGHTS.read_bytes(), [path.read_bytes() for path in MEMBERS], "cpu")
 
 
 @pytest.fixture
@@ -87,23 +86,20 @@ class TestParity:
         image = drawn(width, height)
         pixels = resized(image.pixels)[None]
         [field] = encoder.encode([image])
-        words, detail = reference.fields(pixels)
+        semantic, detail = reference.fields(pixels)
         engine = in_onnx()
 
         for mine, other in (
-            (field.semantic, words[0]),
+            (field.semantic, semantic[0]),
             (field.layers["detail"], detail[0]),
-            *(
-                (engine.segmentation(pixels, member)[0], reference.segmentation(pixels, member)[0])
-                for member in range(3)
-            ),
+            *((engine.segment(pixels, member)[0], reference.segment(pixels, member)[0]) for member in range(3)),
         ):
             assert mine.shape == other.shape
             assert cosines(mine, other).min() > 0.9999
             assert np.abs(np.linalg.norm(mine, axis=-1) - 1).max() < 1e-5
 
     @pytest.mark.parametrize(("width", "height"), SIZES)
-    def test_every_cell_takes_the_word_that_it_takes_in_torch(
+    def test_every_cell_takes_the_label_that_it_takes_in_torch(
         self, encoder: CompactEncoder, reference: TorchEngine, width: int, height: int
     ) -> None:
         image = drawn(width, height)
@@ -113,28 +109,26 @@ class TestParity:
 
         for mine, other in (
             (next(encoder.encode([image])).semantic, reference.fields(pixels)[0][0]),
-            *(
-                (engine.segmentation(pixels, member)[0], reference.segmentation(pixels, member)[0])
-                for member in range(3)
-            ),
+            *((engine.segment(pixels, member)[0], reference.segment(pixels, member)[0]) for member in range(3)),
         ):
             first, second = np.sort(other @ text.T, axis=-1)[..., :-3:-1].transpose(2, 0, 1)
-            certain = first - second > 1e-4  # two words as near as that may change places by rounding
+            certain = first - second > 1e-4  # two labels as near as that may change places by rounding
             assert certain.mean() > 0.98
             assert np.array_equal((mine @ text.T).argmax(-1)[certain], (other @ text.T).argmax(-1)[certain])
 
     def test_on_another_device_runs_of_one_size_go_together_and_keep_their_order(self, encoder: CompactEncoder) -> None:
         images = [drawn(*size) for size in ((640, 480), (320, 240), (300, 300), (640, 480))]
         in_torch = CompactEncoder("cpu:0")  # anything but "cpu" means torch, and batches
+        by_onnx, by_torch = segmenter(encoder), segmenter(in_torch)
 
         for mine, other in zip(encoder.encode(images), in_torch.encode(images), strict=True):
             assert cosines(mine.semantic, other.semantic).min() > 0.9999
         for image in images[:2]:
-            assert cosines(encoder.fine(image).semantic, in_torch.fine(image).semantic).min() > 0.9999
+            assert cosines(by_onnx.segment(image).semantic, by_torch.segment(image).semantic).min() > 0.9999
 
 
 class TestIndependence:
-    def test_a_picture_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
+    def test_a_image_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
         images = [drawn(*size) for size in SIZES]
 
         together = [field.semantic for field in encoder.encode(images)]
@@ -177,12 +171,12 @@ class TestIndependence:
         assert resident_mb() < before + 60
 
 
-class TestFineWords:
-    def test_they_mostly_say_the_same_at_twice_the_resolution(self, encoder: CompactEncoder) -> None:
+class TestSegmenter:
+    def test_it_mostly_says_the_same_at_twice_the_resolution(self, encoder: CompactEncoder) -> None:
         image = drawn(640, 480)
         text = encoder.text_vectors(["road", "building", "car", "vegetation", "sky"])
 
-        coarse, fine = next(encoder.encode([image])), encoder.fine(image)
+        coarse, fine = next(encoder.encode([image])), segmenter(encoder).segment(image)
 
         assert fine.extent == coarse.extent
         assert fine.shape == (2 * coarse.shape[0], 2 * coarse.shape[1])
@@ -190,29 +184,29 @@ class TestFineWords:
         same = (fine.semantic @ text.T).argmax(-1) == (enlarged @ text.T).argmax(-1)
         assert float(same.mean()) > 0.7
 
-    def test_a_picture_and_its_mirror_image_mostly_show_the_same(self, encoder: CompactEncoder) -> None:
+    def test_a_image_and_its_mirror_image_mostly_show_the_same(self, encoder: CompactEncoder) -> None:
         image = drawn(480, 352)
         mirrored = Image.of(np.ascontiguousarray(image.pixels[:, ::-1]))
         text = encoder.text_vectors(["road", "building", "car", "vegetation", "sky"])
 
-        one, other = encoder.fine(image).semantic, encoder.fine(mirrored).semantic
+        one, other = (segmenter(encoder).segment(shown).semantic for shown in (image, mirrored))
 
         same = (one @ text.T).argmax(-1) == (other[:, ::-1] @ text.T).argmax(-1)
         assert float(same.mean()) > 0.8
         assert np.abs(np.linalg.norm(one, axis=-1) - 1).max() < 1e-5
 
-    def test_they_are_the_mean_of_mirrored_looks_and_larger_ones(self) -> None:
+    def test_it_is_the_mean_of_mirrored_augmentations_and_larger_ones(self) -> None:
         image = drawn(960, 704)
         sizes = []
 
         # Channels: where the cell lies across the view, and how large that is.
-        def look(seen: Bytes2D, member: int) -> Floats:
+        def segment(seen: Bytes2D, member: int) -> Floats:
             sizes.append((member, *seen.shape[:2]))
             rows, columns = seen.shape[0] // 4, seen.shape[1] // 4
             across = np.broadcast_to((np.arange(columns) + 0.5) / columns, (rows, columns))
             return np.stack([across, np.full_like(across, columns / 120)], axis=2).astype(np.float32)
 
-        seen = segment_with_ensemble(image.pixels, look, np.eye(2, dtype=np.float32)[1:] * 0)
+        seen = segment_with_ensemble(image.pixels, segment, np.eye(2, dtype=np.float32)[1:] * 0)
 
         assert sizes == [
             *((0, 256, 352), (0, 448, 608)),
@@ -226,50 +220,55 @@ class TestFineWords:
             seen[:, 4:-4], np.broadcast_to(expected / np.linalg.norm(expected), (88, 112, 2)), atol=1e-3
         )
 
-    def test_a_look_that_is_near_no_word_counts_for_little(self) -> None:
-        word, nothing = np.eye(2, dtype=np.float32)
+    def test_a_member_that_is_near_no_label_counts_for_little(self) -> None:
+        label, nothing = np.eye(2, dtype=np.float32)
 
-        def look(seen: Bytes2D, member: int) -> Floats:
-            at = word if member == 0 else 0.5 * word + np.sqrt(0.75) * nothing
+        def segment(seen: Bytes2D, member: int) -> Floats:
+            at = label if member == 0 else 0.5 * label + np.sqrt(0.75) * nothing
             return np.broadcast_to(at, (seen.shape[0] // 4, seen.shape[1] // 4, 2)).astype(np.float32)
 
-        seen = segment_with_ensemble(drawn(960, 704).pixels, look, word[None])
+        seen = segment_with_ensemble(drawn(960, 704).pixels, segment, label[None])
 
-        assert confidence(look(np.zeros((32, 32, 3), np.uint8), 1), word[None]) == pytest.approx(0.5)
-        expected = 2 * word + 4 * 1.4 * 0.5**6 * (0.5 * word + np.sqrt(0.75) * nothing)
+        assert label_confidence(segment(np.zeros((32, 32, 3), np.uint8), 1), label[None]) == pytest.approx(0.5)
+        expected = 2 * label + 4 * 1.4 * 0.5**6 * (0.5 * label + np.sqrt(0.75) * nothing)
         np.testing.assert_allclose(seen[0, 0], expected / np.linalg.norm(expected), atol=1e-4)
 
-    def test_without_them_the_finest_field_is_the_ordinary_one(self, copied: Path) -> None:
+    def test_without_any_member_the_finest_field_is_the_ordinary_one(self, copied: Path) -> None:
         image = drawn(640, 480)
-
         encoder = without(copied, *ENSEMBLE)
+        scheduler = Scheduler(encoder, 1, 5, encoder.segmenter())
+        scheduler.start()
 
-        assert np.array_equal(encoder.fine(image).semantic, next(encoder.encode([image])).semantic)
+        shown = scheduler.submit(image, lambda _, field: field.semantic, urgent=True, segment=True).result(60).value
+        scheduler.stop()
+
+        assert encoder.segmenter() is None
+        assert np.array_equal(shown, next(encoder.encode([image])).semantic)
 
     @pytest.mark.parametrize("members", [1, 2])
-    def test_without_a_later_reader_those_before_it_are_believed(
+    def test_without_a_later_member_those_before_it_are_believed(
         self, encoder: CompactEncoder, copied: Path, members: int
     ) -> None:
         image = drawn(640, 480)
         engine = in_onnx()
 
-        believed = without(copied, ENSEMBLE[members]).fine(image).semantic
+        believed = segmenter(without(copied, ENSEMBLE[members])).segment(image).semantic
 
         vectors = load_file(WEIGHTS)["text.vectors"].astype(np.float32)
         expected = segment_with_ensemble(
-            image.pixels, lambda seen, member: engine.segmentation(seen[None], member)[0], vectors, members
+            image.pixels, lambda seen, member: engine.segment(seen[None], member)[0], vectors, members
         )
         assert np.array_equal(believed, expected)
-        assert not np.array_equal(believed, encoder.fine(image).semantic)
+        assert not np.array_equal(believed, segmenter(encoder).segment(image).semantic)
 
 
 class TestFiles:
     def test_the_engine_on_a_cpu_does_without_torch(self) -> None:
-        asked = (
-            "import sys; from worker.bootstrap import make_encoder; from schemas.settings import Settings; "
+        command = (
+            "import sys; from worker.runtime import make_encoder; from schemas.settings import Settings; "
             "make_encoder(Settings(), 1); print('torch' in sys.modules, 'onnxruntime' in sys.modules)"
         )
-        loaded = subprocess.run([sys.executable, "-c", asked], cwd=ROOT, capture_output=True, text=True, check=True)
+        loaded = subprocess.run([sys.executable, "-c", command], cwd=ROOT, capture_output=True, text=True, check=True)
         assert loaded.stdout.split() == ["False", "True"]
 
     @pytest.mark.parametrize("name", ["compact.json", *FILES])

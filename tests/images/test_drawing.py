@@ -11,7 +11,7 @@ from schemas.description import ContextGraph
 from worker.images import drawing
 from worker.images.palette import colour
 
-WORDS = ("sky", "building", "car")
+LABELS = ("sky", "building", "car")
 
 
 def decoded(png: bytes) -> np.ndarray:
@@ -30,10 +30,10 @@ def graph(*nodes: tuple[int, float, float, float]) -> ContextGraph:
     )
 
 
-def test_a_segmentation_has_the_size_of_the_picture_and_labels_as_values() -> None:
+def test_a_segmentation_has_the_size_of_the_image_and_labels_as_values() -> None:
     labels = np.array([[0, 0, 1], [2, 1, 1]], np.int16)
 
-    image = PilImage.open(io.BytesIO(drawing.segmentation_png(labels, (30, 20), WORDS)))
+    image = PilImage.open(io.BytesIO(drawing.segmentation_png(labels, (30, 20), LABELS)))
 
     assert (image.mode, image.size) == ("P", (30, 20))
     values = np.asarray(image)
@@ -44,14 +44,14 @@ def test_a_segmentation_has_the_size_of_the_picture_and_labels_as_values() -> No
 
 
 def test_the_palette_gives_each_label_the_colour_that_the_map_names_and_no_transparency() -> None:
-    image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.array([[2]]), (4, 4), WORDS)))
+    image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.array([[2]]), (4, 4), LABELS)))
 
     assert "transparency" not in image.info
     assert image.convert("RGB").getpixel((0, 0)) == colour("car")
 
 
-def test_the_picture_may_have_any_size() -> None:
-    image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.zeros((60, 80), np.int16), (33, 41), WORDS)))
+def test_the_image_may_have_any_size() -> None:
+    image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.zeros((60, 80), np.int16), (33, 41), LABELS)))
 
     assert image.size == (33, 41)
 
@@ -60,7 +60,7 @@ def test_an_overlay_greys_what_moves_and_colours_the_rest() -> None:
     pixels = np.full((48, 64, 3), (200, 40, 40), np.uint8)
     labels = np.array([[0, 2]], np.int16)
 
-    image = decoded(drawing.overlay_png(pixels, labels, WORDS, np.array([[True, False]])))
+    image = decoded(drawing.overlay_png(pixels, labels, LABELS, np.array([[True, False]])))
 
     assert image.shape[0] > 48  # the key is below
     assert image.shape[1] == 64
@@ -73,7 +73,7 @@ def test_a_graph_draws_its_nodes_and_only_short_edges() -> None:
     pixels = np.full((480, 640, 3), 90, np.uint8)
     three = graph((0, 0.2, 0.3, 0.01), (1, 0.4, 0.3, 0.01), (1, 0.9, 0.3, 0.01))
 
-    image = decoded(drawing.graph_png(pixels, three, WORDS, tau=0.25))
+    image = decoded(drawing.graph_png(pixels, three, LABELS, tau=0.25))
 
     assert tuple(image[192, 128]) == colour("sky")
     assert tuple(image[192, 576]) == colour("building")
@@ -91,10 +91,10 @@ def test_graphs_without_edges_can_be_drawn(nodes: int) -> None:
         np.zeros(nodes, np.float32),
     )
 
-    assert decoded(drawing.graph_png(np.zeros((40, 50, 3), np.uint8), empty, WORDS, 0.1)).shape == (40, 50, 3)
+    assert decoded(drawing.graph_png(np.zeros((40, 50, 3), np.uint8), empty, LABELS, 0.1)).shape == (40, 50, 3)
 
 
-def test_an_explanation_joins_what_agrees_across_pictures_of_different_sizes() -> None:
+def test_an_explanation_joins_what_agrees_across_images_of_different_sizes() -> None:
     query, view = np.full((60, 80, 3), 120, np.uint8), np.full((200, 150, 3), 120, np.uint8)
 
     plain = decoded(drawing.explanation_png(query, view, [], [], ["score 0.8"]))

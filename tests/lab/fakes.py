@@ -13,7 +13,7 @@ from worker.method.calibration import Verdict
 
 
 class FakeRetriever:
-    """Pictures are files whose names are numbers: their places along a walk."""
+    """Images are files whose names are numbers: their places along a walk."""
 
     name, recipe = "fake", "fake-1"
 

@@ -1,36 +1,44 @@
-"""The table of variants, and an encoder that encodes each picture once."""
+"""The table of variants, and an encoder that encodes each image once."""
 
 import numpy as np
 import pytest
 
 from lab.ablate import VARIANTS, Measured, RememberingEncoder, as_markdown
+from schemas.description import DETAIL, SEMANTIC
 from schemas.image import Image
-from schemas.recipe import Channel, DenseCells, Parameters, Verification
+from schemas.recipe import MapRecipe
+from worker.description.presets import Wanted, make_recipe
 from worker.encoders.color import ColorEncoder
 
-PARAMETERS = Parameters(
-    channels={"words": Channel(layer="words", words=64), "detail": Channel(layer="detail", words=64)},
-    verification=Verification(),
-    dense=DenseCells(shares={"words": 0.3, "detail": 0.7}),
-    weights={"dense": 0.2, "close": 0.6, "histogram.words": 0.2, "graph": 0.1, "verification": 0.3},
-)
+RECIPES = {preset: make_recipe(ColorEncoder(), Wanted(), preset=preset) for preset in ("default", "paper")}
+RECIPE = RECIPES["default"]
 
 
 def test_each_variant_switches_one_part() -> None:
     assert len({v.name for v in VARIANTS}) == len(VARIANTS)
-    changed = {v.name: v.change(PARAMETERS) for v in VARIANTS}
-    assert changed["default"] == PARAMETERS
-    assert changed["hard assignment"].channels["detail"].assignments == 1
-    assert changed["re-ranking without dense cells"].weights["dense"] == 0
-    assert changed["re-ranking without dense cells"].weights["close"] == 0
-    assert changed["re-ranking without dense cells"].weights["graph"] == 0.1
-    assert changed["re-ranking without verification"].verification is None
-    assert list(changed["channel words alone"].channels) == ["words"]
-    alone = changed["channel detail alone"]
-    assert "histogram.words" not in alone.weights
-    assert alone.dense is not None
-    assert alone.dense.shares == {"detail": 0.7}
-    assert changed["histograms alone"].candidates == 0
+    changed = {v.name: v.change(RECIPE) for v in VARIANTS}
+    assert changed["default"] == RECIPE
+    assert changed["hard assignment"].description.parameters.channels[DETAIL].assignments == 1
+    assert changed["without dynamic filtering"].description.dynamic == ()
+    flat = changed["re-ranking without dense cells"].ranking.weights
+    assert (flat.dense, flat.dense_full) == (0, 0)
+    assert flat.graph == RECIPE.ranking.weights.graph
+    unverified = changed["re-ranking without verification"]
+    assert unverified.description.parameters.local_features is None
+    assert (unverified.ranking.verified_top_k, unverified.ranking.weights.verification) == (0, 0)
+    assert list(changed["channel semantic alone"].description.parameters.channels) == [SEMANTIC]
+    detail = changed["channel detail alone"]
+    assert list(detail.ranking.weights.histogram) == [DETAIL]
+    assert list(detail.description.parameters.cell_channels()) == [DETAIL]
+    assert changed["histograms alone"].ranking.candidates == 0
+
+
+def test_each_variant_is_a_valid_recipe_and_differs_from_its_preset() -> None:
+    for variant in VARIANTS:
+        plain = RECIPES[variant.preset]
+        changed = variant.change(plain)
+        assert MapRecipe.model_validate_json(changed.model_dump_json()) == changed, variant.name
+        assert changed is plain or changed != plain, variant.name
 
 
 def test_the_table_pairs_queries() -> None:
@@ -49,7 +57,7 @@ def test_the_table_pairs_queries() -> None:
     assert lines[4].startswith("| only a | 50.0 | - | +0.0 ±0.0")
 
 
-def test_a_picture_is_encoded_once() -> None:
+def test_an_image_is_encoded_once() -> None:
     encoder = ColorEncoder()
     remembering = RememberingEncoder(encoder)
     image = Image.of(np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8))
@@ -58,7 +66,4 @@ def test_a_picture_is_encoded_once() -> None:
     [plain] = encoder.encode([image])
     assert second is first
     assert first.semantic == pytest.approx(plain.semantic)
-    remembering.forget()
-    [third] = remembering.encode([image])
-    assert third is not first
     assert (remembering.name, remembering.digest) == (encoder.name, encoder.digest)

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.calibrate import Evidence, as_markdown, evidence, judged_on, learn
-from lab.evaluation.querying import Answer, ask
+from lab.calibrate import Evidence, as_markdown, evidence, learn
+from lab.evaluation.querying import Answer, query_all
+from lab.fitting import fit_isotonic, judge
 from tests.lab.fakes import FakeRetriever, walk
 from worker.method.calibration import Calibration
 
@@ -27,9 +28,15 @@ def test_learned_on_some_sets_and_judged_on_others() -> None:
     back = Calibration.from_json(learned.calibration.to_json())
     assert back.features == ("score", "lead")
     assert back.learned_from == "drawn numbers"
-    unseen = judged_on(back, {"d": drawn(9)})["d"]
-    assert unseen.expected_error < 0.05
+    fresh = drawn(9)
+    assert judge(back.curve.probability(fresh.columns(back.features)), fresh.right).expected_error < 0.05
     assert as_markdown(learned).count("\n") == 2 + 3 + 2 - 1
+
+
+def test_an_isotonic_curve_is_learned_from_one_feature() -> None:
+    learned = learn({name: drawn(i) for i, name in enumerate("abc")}, ("score",), "", fit_isotonic)
+    assert learned.together.expected_error < 0.05
+    assert learned.constant.brier > learned.together.brier + 0.05
 
 
 def test_matched_is_right_as_often_as_promised() -> None:
@@ -54,7 +61,7 @@ def test_evidence_of_a_run_leaves_out_what_was_not_answered(tmp_path: Path) -> N
             return Answer((f"view-{place}" if place < 30 else "view-0",), features={"score": place / 40})
 
     dataset = walk(tmp_path)
-    seen = evidence(dataset, ask(dataset, Sometimes(lambda a, b: 0.0)))
+    seen = evidence(dataset, query_all(dataset, Sometimes(lambda a, b: 0.0)))
     assert len(seen.right) == 20
     assert seen.right.sum() == 15
     assert seen.columns(("score", "inliers"))[:, 0] == pytest.approx(np.arange(0, 40, 2) / 40)

@@ -1,4 +1,4 @@
-"""A run enrols, asks, remembers, and goes on where it stopped."""
+"""A run enrols, queries, remembers, and goes on where it stopped."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.evaluation.querying import Answer, ask, fingerprint, ranked_by
+from lab.evaluation.querying import Answer, fingerprint, query_all, ranked_by
 from schemas.errors import SetupError, Unavailable
 from schemas.records import Position
 from tests.lab.fakes import FakeRetriever, walk
@@ -17,15 +17,15 @@ def near(a: int, b: int) -> float:
 
 
 def test_answers_are_database_numbers(tmp_path: Path) -> None:
-    results = ask(walk(tmp_path), FakeRetriever(near), depth=5)
-    assert results.ranked[:30, 0].tolist() == list(range(30))
-    assert results.ranked.shape == (40, 5)
-    assert results.before is not None
-    assert np.array_equal(results.before, results.ranked[:, ::-1])
-    assert results.claimed is not None
-    assert results.claimed[:30].all()
-    assert not results.claimed[35:].any()
-    assert results.timing_ms["total"].tolist() == [1.5] * 40
+    answers = query_all(walk(tmp_path), FakeRetriever(near), depth=5)
+    assert answers.ranked[:30, 0].tolist() == list(range(30))
+    assert answers.ranked.shape == (40, 5)
+    assert answers.before is not None
+    assert np.array_equal(answers.before, answers.ranked[:, ::-1])
+    assert answers.claimed is not None
+    assert answers.claimed[:30].all()
+    assert not answers.claimed[35:].any()
+    assert answers.timing_ms["total"].tolist() == [1.5] * 40
 
 
 class Stopped(Exception):
@@ -36,20 +36,20 @@ def test_a_stopped_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     dataset = walk(tmp_path / "set")
 
     def stop(what: str, done: int, total: int) -> None:
-        if what == "asking" and done == 17:
+        if what == "querying" and done == 17:
             raise Stopped
 
     first, second, third = FakeRetriever(near), FakeRetriever(near), FakeRetriever(near)
     with pytest.raises(Stopped):
-        ask(dataset, first, journals=tmp_path / "runs", progress=stop)
+        query_all(dataset, first, journals=tmp_path / "runs", progress=stop)
     [journal] = (tmp_path / "runs").iterdir()
     with journal.open("a") as lines:
         lines.write('{"query": 17, "vie')  # the power went while this was being written
-    resumed = ask(dataset, second, journals=tmp_path / "runs")
+    resumed = query_all(dataset, second, journals=tmp_path / "runs")
     assert len(first.queries) + len(second.queries) == len(dataset.queries)
-    whole = ask(dataset, FakeRetriever(near))
+    whole = query_all(dataset, FakeRetriever(near))
     assert np.array_equal(resumed.ranked, whole.ranked)
-    ask(dataset, third, journals=tmp_path / "runs")
+    query_all(dataset, third, journals=tmp_path / "runs")
     assert third.queries == []
     assert third.enrolled == {}
 
@@ -64,7 +64,7 @@ def test_what_changes_an_answer_starts_a_new_journal(tmp_path: Path) -> None:
         fingerprint(dataset, "r", 0, 10),
         fingerprint(replace(dataset, truth="+-2"), "r", 0, 20),
     ]
-    dataset.queries[0].write_bytes(b"another picture")
+    dataset.queries[0].write_bytes(b"another image")
     others.append(fingerprint(dataset, "r", 0, 20))
     assert len({same, *others}) == 6
 
@@ -74,19 +74,19 @@ def test_a_drive_knows_only_its_past(tmp_path: Path) -> None:
     frames = whole.database
     allowed = np.maximum(np.arange(30) - 4, 0)
     drive = replace(whole, queries=frames, allowed=allowed, positives=tuple(np.zeros(0, np.int64) for _ in frames))
-    results = ask(drive, FakeRetriever(near))
-    best = results.ranked[:, 0]
+    answers = query_all(drive, FakeRetriever(near))
+    best = answers.ranked[:, 0]
     assert best[:5].tolist() == [-1] * 4 + [-1]
     assert best[5:].tolist() == list(range(25))
 
 
-def test_pictures_that_are_refused_are_counted(tmp_path: Path) -> None:
+def test_images_that_are_refused_are_counted(tmp_path: Path) -> None:
     dataset = walk(tmp_path)
     cars = tmp_path / "d" / "0cars.jpg"
     cars.write_bytes(b"")
-    results = ask(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
-    assert results.refused == {"nothing-static": 1}
-    assert results.ranked[0, 0] == 1
+    answers = query_all(replace(dataset, database=(cars, *dataset.database[1:])), FakeRetriever(near))
+    assert answers.refused == {"nothing-static": 1}
+    assert answers.ranked[0, 0] == 1
 
 
 def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) -> None:
@@ -95,15 +95,15 @@ def test_a_service_that_is_down_does_not_count_as_wrong_answers(tmp_path: Path) 
             raise Unavailable("stopping", 5)
 
     with pytest.raises(Unavailable):
-        ask(walk(tmp_path / "set"), Down(near), journals=tmp_path / "runs")
+        query_all(walk(tmp_path / "set"), Down(near), journals=tmp_path / "runs")
     assert [p.read_text() for p in (tmp_path / "runs").iterdir()] == []
 
 
 def test_the_same_file_twice_stands_for_both(tmp_path: Path) -> None:
     dataset = walk(tmp_path)
     twice = replace(dataset, database=(*dataset.database[:29], dataset.database[5]))
-    results = ask(twice, FakeRetriever(near))
-    assert set(results.ranked[5, :2].tolist()) == {5, 29}
+    answers = query_all(twice, FakeRetriever(near))
+    assert set(answers.ranked[5, :2].tolist()) == {5, 29}
 
 
 def test_a_map_that_is_not_empty_is_refused(tmp_path: Path) -> None:
@@ -112,10 +112,10 @@ def test_a_map_that_is_not_empty_is_refused(tmp_path: Path) -> None:
             return Answer(("somebody-elses-view",))
 
     with pytest.raises(SetupError, match="empty map"):
-        ask(walk(tmp_path), Occupied(near))
+        query_all(walk(tmp_path), Occupied(near))
 
 
-def test_positions_are_enrolled_with_the_pictures(tmp_path: Path) -> None:
+def test_positions_are_enrolled_with_the_images(tmp_path: Path) -> None:
     seen = []
 
     class Watching(FakeRetriever):
@@ -125,7 +125,7 @@ def test_positions_are_enrolled_with_the_pictures(tmp_path: Path) -> None:
 
     dataset = walk(tmp_path)
     places = np.column_stack([np.arange(30.0), np.zeros(30)])
-    ask(replace(dataset, database_positions=places), Watching(near))
+    query_all(replace(dataset, database_positions=places), Watching(near))
     assert all(x == number and y == 0 for number, x, y in seen)
     assert [number for number, _, _ in seen] != sorted(number for number, _, _ in seen)  # ties favour no walk
 
@@ -136,7 +136,7 @@ def test_a_baselines_distances_respect_what_a_query_may_know(tmp_path: Path) -> 
         dataset, queries=dataset.database, allowed=np.arange(30), positives=tuple([np.zeros(0, np.int64)] * 30)
     )
     distances = np.abs(np.subtract.outer(np.arange(30.0), np.arange(30.0))).astype(np.float32)
-    results = ranked_by(distances, drive, "perfect")
-    assert results.ranked[:, 0].tolist() == [-1, *range(29)]
-    assert results.confidence is not None
-    assert results.confidence[0] < results.confidence[1:].min()
+    answers = ranked_by(distances, drive, "perfect")
+    assert answers.ranked[:, 0].tolist() == [-1, *range(29)]
+    assert answers.confidence is not None
+    assert answers.confidence[0] < answers.confidence[1:].min()

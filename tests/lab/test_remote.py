@@ -31,7 +31,7 @@ def replies(service: FakeService) -> None:
     service.replies = AnyMap(
         {
             "GET /version": (200, VERSION),
-            "DELETE /maps/m": (200, {"views": 1, "pictures": 1, "revision": None}),
+            "DELETE /maps/m": (200, {"views": 1, "images": 1, "revision": None}),
             "POST /enroll": (201, answers.enrolled()),
             "POST /query": (200, answers.query_answer(answers.match())),
         }
@@ -40,7 +40,7 @@ def replies(service: FakeService) -> None:
 
 def test_a_map_of_its_own_is_used_and_removed(tmp_path: Path) -> None:
     image = tmp_path / "a.jpg"
-    image.write_bytes(b"picture")
+    image.write_bytes(b"image")
     with fake_service() as service:
         replies(service)
         with connect(service.url, "paper").open(cast(Dataset, None)) as retriever:
@@ -50,16 +50,16 @@ def test_a_map_of_its_own_is_used_and_removed(tmp_path: Path) -> None:
 
     assert answer.views == answer.before == (answers.ID,)
     assert answer.status == "matched"
-    results = [path for path, _ in service.asked]
-    assert json.loads(service.asked[0][1]) == {"preset": "paper"}
-    assert results[-1] == "DELETE /maps/m"
-    plain = [body for path, body in service.asked if path == "POST /query"][1]
+    calls = [path for path, _ in service.requests]
+    assert json.loads(service.requests[0][1]) == {"preset": "paper"}
+    assert calls[-1] == "DELETE /maps/m"
+    plain = [body for path, body in service.requests if path == "POST /query"][1]
     assert b'name="candidates"' in plain
 
 
 def test_a_refusal_keeps_its_code(tmp_path: Path) -> None:
     image = tmp_path / "a.jpg"
-    image.write_bytes(b"picture")
+    image.write_bytes(b"image")
     with fake_service() as service:
         replies(service)
         service.replies["POST /enroll"] = 422, answers.problem("nothing-static", 422)

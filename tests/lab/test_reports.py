@@ -1,5 +1,6 @@
 """Reports say the same in text, JSON and HTML, and the HTML file needs nothing from outside."""
 
+import base64
 import json
 import re
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from lab.evaluate import Outcome, main, run
 from lab.evaluation.contender import Contender
 from lab.evaluation.html import Shown, as_html
 from lab.evaluation.querying import Retriever
-from lab.evaluation.tables import as_json, as_markdown, as_text, overview
+from lab.evaluation.tables import as_json, as_text, overview
 from tests.lab.datasets.drawn import image
 from tests.lab.fakes import FakeRetriever
 
@@ -57,12 +58,11 @@ def test_text_names_chance_ceiling_and_verdicts(outcome: Outcome) -> None:
     assert "calibration error" in text
 
 
-def test_markdown_has_one_row_a_method_beside_chance_and_ceiling(outcome: Outcome) -> None:
-    lines = as_markdown(outcome.evaluation).splitlines()
-    assert len(lines) == 2 + 2 + 3
-    assert len({line.count("|") for line in lines}) == 1
-    assert "random (**at chance**)" in lines[-1]
-    assert len({line.count("|") for line in overview([outcome.evaluation]).splitlines()}) == 1
+def test_the_overview_has_a_row_for_each_set_and_a_column_for_each_method(outcome: Outcome) -> None:
+    head, _, row = overview([outcome.evaluation]).splitlines()
+    assert head == "| set | queries | *chance* | fake | fake, histograms alone | random |"
+    assert row.count("|") == head.count("|")
+    assert "| 1.000 (" in row
 
 
 def test_json_can_be_read_back_and_recalls_recomputed(outcome: Outcome) -> None:
@@ -80,11 +80,27 @@ def test_html_is_self_contained_and_well_formed(outcome: Outcome) -> None:
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
     assert "walk &lt;q&gt;" in page
     assert "what &lt;corresponds&gt;" in page
-    for svg in re.findall(r"<svg.*?</svg>", page, re.S):
-        ElementTree.fromstring(svg)
-        assert "nan" not in svg
+    assert page == as_html([outcome.evaluation], {outcome.evaluation.dataset: outcome.examples})
     body = re.sub(r"<(meta|img|br)([^>]*)>", r"<\1\2/>", page.removeprefix("<!doctype html>"))
     ElementTree.fromstring(body)
+
+
+def test_plots_are_vector_graphics_with_text(outcome: Outcome) -> None:
+    page = as_html([outcome.evaluation], {})
+    plots = [base64.b64decode(found).decode() for found in re.findall(r"image/svg\+xml;base64,([^\"]*)", page)]
+    assert len(plots) == 4  # recall, known places, reliability, times
+    for plot in plots:
+        ElementTree.fromstring(plot)
+        assert "nan" not in plot
+    assert [word in plots[0] for word in ("recall@N", "chance", "ceiling", "fake")] == [True] * 4
+    assert "1.5 / 1.5 ms" in plots[3]
+
+
+def test_a_set_without_answers_is_reported_too(tmp_path: Path) -> None:
+    files = tuple(image(tmp_path / f"{i}.jpg", i) for i in range(4))
+    empty = Dataset("nothing", files[:2], files[2:], (np.zeros(0, np.int64),) * 2, "none")
+    outcome = run(empty, [Contender(fake)], examples=0)
+    assert "nothing" in as_html([outcome.evaluation], {})
 
 
 def test_examples_show_right_and_wrong_and_the_papers_figures(outcome: Outcome) -> None:
@@ -99,7 +115,7 @@ def test_the_command_writes_its_reports(tmp_path: Path, capsys: pytest.CaptureFi
             image(tmp_path / "set" / folder / f"{i}.png", i)
     given = ["aligned", "--root", str(tmp_path / "set"), "--no-service", "--out", str(tmp_path / "out")]
     assert main([*given, "--baselines", "random,tiny", "--tolerance", "0"]) == 0
-    assert "tiny picture" in capsys.readouterr().out
+    assert "tiny image" in capsys.readouterr().out
     [data] = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert data["methods"][1]["recall"][0]["value"] == 1
     assert (tmp_path / "out" / "report.html").read_text().startswith("<!doctype html>")
@@ -111,9 +127,9 @@ def test_truth_alone_needs_no_method(tmp_path: Path, capsys: pytest.CaptureFixtu
         for i in range(5):
             image(tmp_path / folder / f"{i}.png", i)
     assert main(["aligned", "--root", str(tmp_path), "--truth-only"]) == 0
-    attributes = capsys.readouterr().out
-    assert "(chance)" in attributes
-    assert "suspicious" in attributes  # five pictures, five of them right with +-2
+    shown = capsys.readouterr().out
+    assert "(chance)" in shown
+    assert "suspicious" in shown  # five images, five of them right with +-2
 
 
 def test_a_wrong_folder_is_explained_with_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""The house itself, measured through its own enrol and query path: encoder without weights, real SQLite file."""
+"""The service itself, measured through its own use-cases: encoder without weights, real SQLite file."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from lab.ablate import VARIANTS, ablate, as_markdown, recipe_of, remembering
+from lab.benchmarks.ranking import measure, steps
 from lab.calibrate import evidence
 from lab.datasets.dataset import Dataset
 from lab.evaluate import run
+from lab.evaluation.artist import ServiceArtist
 from lab.evaluation.in_process import contender, runtime_for_measuring
-from lab.evaluation.querying import ask
+from lab.evaluation.querying import query_all
+from lab.evaluation.service import ServiceRetriever
 from schemas.errors import RevisitError
 from schemas.records import Position
 from schemas.settings import Settings
-from worker.bootstrap import build
 from worker.description.presets import general_vocabulary
 from worker.description.vocabularies import Vocabulary
 from worker.runtime import Runtime
@@ -65,7 +67,7 @@ def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Datase
     assert default.calibrated is not None
     assert {"decode", "encode", "describe", "search", "rerank", "total"} <= set(default.timing_ms)
     captions = [shown.caption for e in outcome.examples for shown in e.images]
-    assert any("segmentation by words" in c for c in captions)
+    assert any("segmentation by labels" in c for c in captions)
     assert any("what agrees" in c for c in captions)
     assert all(shown.data[:2] in (b"\x89P", b"\xff\xd8") for e in outcome.examples for shown in e.images)
     assert runtime.store.maps.all() == []
@@ -73,46 +75,87 @@ def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Datase
 
 def test_answers_carry_evidence_for_calibration(runtime: Runtime, walk: Dataset) -> None:
     with contender(runtime, "default").open(walk) as retriever:
-        results = ask(walk, retriever)
-    seen = evidence(walk, results)
+        answers = query_all(walk, retriever)
+    seen = evidence(walk, answers)
     assert len(seen.right) == 15
     assert {"score", "lead"} <= set(seen.features)
     assert seen.features["score"].max() <= 1
 
 
-def test_a_picture_that_cannot_be_described_is_refused_with_its_reason(
+def test_an_image_that_cannot_be_described_is_refused_with_its_reason(
     runtime: Runtime, walk: Dataset, tmp_path: Path
 ) -> None:
-    (tmp_path / "text.png").write_text("no picture")
+    (tmp_path / "text.png").write_text("no image")
     with contender(runtime, "default").open(walk) as retriever:
         with pytest.raises(RevisitError) as refusal:
             retriever.enroll(tmp_path / "text.png", Position())
         assert refusal.value.code == "not-a-picture"
 
 
-def test_variants_are_measured_on_a_house_that_encodes_once(walk: Dataset, tmp_path: Path) -> None:
-    runtime, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
-    runtime.start()
-    try:
-        chosen = [v for v in VARIANTS if v.name in ("default", "histograms alone", "paper, histograms alone")]
-        measured = ablate([walk], chosen, runtime, encoder)
-    finally:
-        runtime.stop()
-    assert "default" in {m.variant for m in measured}
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runtime]:
+    """A runtime whose encoder encodes each image once."""
+    settings = Settings(data=tmp_path_factory.mktemp("never used"), encoder="color", threads=1)
+    with runtime_for_measuring(settings, make_encoder=remembering) as started:
+        yield started
+
+
+def test_variants_are_measured_with_an_encoder_that_encodes_once(walk: Dataset, once: Runtime) -> None:
+    names = ("default", "channel detail alone", "histograms alone", "vocabulary of the set, without PCA")
+    measured = ablate(walk, [v for v in VARIANTS if v.name in (*names, "paper, histograms alone")], once)
+    assert {m.variant for m in measured} >= {"default", "channel detail alone", "histograms alone"}
+    assert all(len(m.found) == 12 for m in measured)
     assert as_markdown(measured).count("|") > 10
+    assert once.store.maps.all() == []
 
 
-def test_a_variant_takes_another_vocabulary(walk: Dataset, tmp_path: Path) -> None:
-    runtime, encoder = remembering(build(Settings(data=tmp_path / "data", encoder="color", threads=1)))
-    runtime.start()
-    try:
-        shipped = general_vocabulary(encoder, "default")
-        mirrored = Vocabulary({n: replace(c, words=c.words[::-1].copy()) for n, c in shipped.channels.items()})
-        path = tmp_path / "other.safetensors"
-        path.write_bytes(mirrored.tensors)
-        assert recipe_of(VARIANTS[0], runtime, walk).vocabulary == shipped.digest
-        recipe = recipe_of(replace(VARIANTS[0], vocabulary=path), runtime, walk)
-        assert recipe.vocabulary == mirrored.digest != shipped.digest
-        assert runtime.store.vocabularies.get(recipe.vocabulary) == mirrored.tensors
-    finally:
-        runtime.stop()
+def test_a_variant_that_cannot_be_carried_out_is_left_out(
+    walk: Dataset, once: Runtime, capsys: pytest.CaptureFixture[str]
+) -> None:
+    [many] = [v for v in VARIANTS if v.name == "vocabulary of the set, 256 words"]
+    nothing = tuple(np.zeros(0, np.int64) for _ in walk.queries)
+    few = replace(walk, database=walk.database[:1], positives=nothing, database_positions=None)
+    assert ablate(few, [many], once) == []
+    assert "left out vocabulary of the set, 256 words" in capsys.readouterr().err
+
+
+def mirrored(runtime: Runtime) -> Vocabulary:
+    """The general vocabulary with its words the other way round."""
+    shipped = general_vocabulary(runtime.encoder, "default")
+    return Vocabulary({n: replace(c, words=c.words[::-1].copy()) for n, c in shipped.channels.items()})
+
+
+def test_a_variant_takes_another_vocabulary(walk: Dataset, once: Runtime, tmp_path: Path) -> None:
+    other = mirrored(once)
+    path = tmp_path / "other.safetensors"
+    path.write_bytes(other.tensors)
+    shipped = general_vocabulary(once.encoder, "default")
+    assert recipe_of(VARIANTS[0], once, walk).description.vocabulary == shipped.digest
+    recipe = recipe_of(replace(VARIANTS[0], vocabulary=path), once, walk)
+    assert recipe.description.vocabulary == other.digest != shipped.digest
+    assert once.store.vocabularies.get(other.digest) == other.tensors
+
+
+def test_another_vocabulary_can_be_measured(runtime: Runtime, walk: Dataset) -> None:
+    other = mirrored(runtime)
+    with contender(runtime, "default", other).open(walk) as retriever:
+        answers = query_all(walk, retriever)
+        [owner] = runtime.store.maps.all()
+    assert owner.description.vocabulary == other.digest
+    assert (answers.ranked[:12, 0] == np.arange(12)).mean() > 0.8
+
+
+def test_each_step_of_the_ranking_is_measured_on_the_service(runtime: Runtime, walk: Dataset) -> None:
+    found = measure(walk, runtime, runtime.default_recipe, part=0.5)
+    channels = runtime.default_recipe.description.parameters.channels
+    assert list(found) == [step.name for step in steps(list(channels))]
+    assert {len(right) for right in found.values()} == {6}
+    assert np.mean(found["and keypoints verified"]) > 0.8
+    assert runtime.store.maps.all() == []
+
+
+def test_images_can_be_drawn_by_a_map(runtime: Runtime, walk: Dataset) -> None:
+    with contender(runtime, "default").open(walk) as retriever:
+        assert isinstance(retriever, ServiceRetriever)
+        shown = ServiceArtist(retriever).explain(walk.queries[0], walk.database[0])
+    assert [s.wide for s in shown] == [False, False, True]

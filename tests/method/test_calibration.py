@@ -1,84 +1,31 @@
-"""Probabilities that mean what they say, and one verdict for each."""
+"""Curves that say what they were told, and one verdict for each probability."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lab.metrics.recall import Booleans, Doubles
-from worker.method.calibration import (
-    Calibration,
-    Curve,
-    Thresholds,
-    fit_isotonic,
-    fit_logistic,
-    judge,
-    leave_one_out,
-    reliability,
-    threshold_for_precision,
-)
+from worker.method.calibration import Calibration, Curve, Isotonic, Logistic, Thresholds
+
+LOGISTIC = Logistic(np.array([0.5]), np.array([0.1]), np.array([2.0]), -1.0)
+ISOTONIC = Isotonic(np.array([1.0, 2.5, 4.0]), np.array([0.1, 0.5, 0.9]))
 
 
-def drawn(seed: int, n: int = 4000, shift: float = 0.0) -> tuple[Doubles, Booleans]:
-    """Scores whose chance of being right is 1 / (1 + exp(-(2 s - 1))), and a column of noise."""
-    rng = np.random.default_rng(seed)
-    scores = rng.standard_normal(n) + shift
-    right = rng.random(n) < 1 / (1 + np.exp(-(2 * scores - 1)))
-    return np.column_stack([scores, rng.standard_normal(n)]), right
+def test_a_logistic_curve_by_hand() -> None:
+    # (0.5 - 0.5) / 0.1 * 2 - 1 = -1, and (0.6 - 0.5) / 0.1 * 2 - 1 = 1.
+    low, high = LOGISTIC.probability(np.array([[0.5], [0.6]])).tolist()
+    assert low == pytest.approx(1 / (1 + np.e))
+    assert high == pytest.approx(1 - low)
 
 
-def test_the_logistic_curve_finds_the_law_behind_the_data() -> None:
-    curve = fit_logistic(*drawn(0, 40_000))
-    slope = curve.weights / curve.scale
-    assert slope[0] == pytest.approx(2, abs=0.1)
-    assert slope[1] == pytest.approx(0, abs=0.05)
-    assert curve.bias - slope @ curve.mean == pytest.approx(-1, abs=0.1)
+def test_an_isotonic_curve_by_hand() -> None:
+    assert ISOTONIC.probability(np.array([[0.0], [1.75], [9.0]])).tolist() == pytest.approx([0.1, 0.3, 0.9])
 
 
-def test_both_curves_are_calibrated_on_other_data() -> None:
-    features, right = drawn(1)
-    fresh, truth = drawn(2)
-    assert judge(fit_logistic(features, right).probability(fresh), truth).expected_error < 0.03
-    assert judge(fit_isotonic(features[:, 0], right).probability(fresh[:, :1]), truth).expected_error < 0.03
-
-
-def test_isotonic_by_hand() -> None:
-    # Outcomes 0 1 | 0 pooled to 1/2, then 1: three blocks 0, 1/2, 1.
-    curve = fit_isotonic(np.array([1.0, 2, 3, 4]), np.array([False, True, False, True]))
-    assert curve.scores.tolist() == [1, 2.5, 4]
-    assert curve.values.tolist() == pytest.approx([0.1, 0.5, 0.9])  # 0 and 1 kept half a query in five away
-    assert curve.probability(np.array([[0.0], [1.75], [9.0]])).tolist() == pytest.approx([0.1, 0.3, 0.9])
-
-
-def test_a_feature_that_contradicts_gets_no_weight() -> None:
-    features, right = drawn(3)
-    curve = fit_logistic(np.column_stack([features[:, 0], -features[:, 0] + features[:, 1]]), right)
-    assert (curve.weights >= 0).all()
-
-
-def test_separable_queries_give_a_finite_curve() -> None:
-    curve = fit_logistic(np.array([[0.0], [1], [2], [3]]), np.array([False, False, True, True]))
-    p = curve.probability(np.array([[0.0], [3.0]]))
-    assert 0 < p[0] < 0.5 < p[1] < 1
-
-
-def test_nothing_to_learn_is_said() -> None:
-    with pytest.raises(ValueError, match="right and wrong"):
-        fit_logistic(np.zeros((3, 1)), np.ones(3, bool))
-    with pytest.raises(ValueError, match="finite"):
-        fit_logistic(np.full((2, 1), np.nan), np.array([True, False]))
-
-
-@given(st.lists(st.tuples(st.floats(-10, 10), st.booleans()), min_size=2, max_size=40))
-def test_neither_curve_ever_falls(queries: list[tuple[float, bool]]) -> None:
-    scores, right = np.array([s for s, _ in queries]), np.array([r for _, r in queries])
-    if right.all() or not right.any():
-        return
-    grid = np.linspace(-12, 12, 50)[:, None]
-    for curve in (fit_logistic(scores[:, None], right), fit_isotonic(scores, right)):
-        p = curve.probability(grid)
-        assert (np.diff(p) >= -1e-12).all()
-        assert ((p >= 0) & (p <= 1)).all()
+@pytest.mark.parametrize("curve", [LOGISTIC, ISOTONIC])
+def test_features_of_another_shape_are_refused(curve: Curve) -> None:
+    with pytest.raises(ValueError, match="shape"):
+        curve.probability(np.zeros((3, 2)))
 
 
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1))
@@ -100,40 +47,18 @@ def test_thresholds_must_rise() -> None:
         Thresholds(matched=0.2, ambiguous=0.5)
 
 
-def test_reliability_by_hand() -> None:
-    bins = reliability(np.array([0.05, 0.95, 1.0, 0.95]), np.array([False, True, True, False]))
-    assert bins.counts.tolist() == [1, 0, 0, 0, 0, 0, 0, 0, 0, 3]
-    assert bins.expected_error == pytest.approx(1 / 4 * 0.05 + 3 / 4 * abs(2.9 / 3 - 2 / 3))
-
-
-def test_threshold_for_a_precision_by_hand() -> None:
-    p = np.array([0.9, 0.8, 0.8, 0.3])
-    right = np.array([True, True, False, True])
-    assert threshold_for_precision(p, right, 1.0) == 0.9
-    assert threshold_for_precision(p, right, 0.7) == 0.3
-    assert threshold_for_precision(p, ~right, 0.7) == float("inf")
-
-
-def test_a_set_that_is_unlike_the_others_shows() -> None:
-    def shifted(seed: int) -> tuple[Doubles, Booleans]:
-        features, right = drawn(seed)
-        return features + 3, right
-
-    def fit(features: Doubles, right: Booleans) -> Curve:
-        return fit_logistic(features, right)
-
-    by_set, together = leave_one_out({"a": drawn(4), "b": drawn(5), "odd": shifted(6)}, fit)
-    assert by_set["odd"].expected_error > 0.2
-    assert together.queries == 12_000
-
-
-@pytest.mark.parametrize("kind", ["logistic", "isotonic"])
-def test_json_round_trip(kind: str) -> None:
-    features, right = drawn(7, 100)
-    features = features[:, :1]
-    curve: Curve = fit_logistic(features, right) if kind == "logistic" else fit_isotonic(features[:, 0], right)
+@pytest.mark.parametrize("curve", [LOGISTIC, ISOTONIC])
+def test_json_round_trip(curve: Curve) -> None:
     kept = Calibration(("score",), curve, Thresholds(0.9, 0.2), "drawn numbers")
     back = Calibration.from_json(kept.to_json())
+    scores = np.linspace(-1, 5, 50)[:, None]
     assert back.features == ("score",)
     assert back.thresholds == kept.thresholds
-    assert back.curve.probability(features) == pytest.approx(curve.probability(features), abs=0)
+    assert back.learned_from == "drawn numbers"
+    assert back.curve.probability(scores) == pytest.approx(curve.probability(scores), abs=0)
+
+
+def test_an_unknown_kind_of_curve_is_refused() -> None:
+    text = Calibration(("score",), LOGISTIC).to_json().replace("logistic", "spline")
+    with pytest.raises(ValueError, match="spline"):
+        Calibration.from_json(text)

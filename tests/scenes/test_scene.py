@@ -8,11 +8,11 @@ from scenes import DYNAMIC, LABELS, Scene, scene
 SMALL = (160, 120)
 
 
-def share(labels: np.ndarray, word: str) -> float:
-    return float((labels == LABELS.index(word)).mean())
+def share(labels: np.ndarray, label: str) -> float:
+    return float((labels == LABELS.index(label)).mean())
 
 
-def test_the_same_scene_is_the_same_picture() -> None:
+def test_the_same_scene_is_the_same_image() -> None:
     first, second = Scene(3, size=SMALL).render(), Scene(3, size=SMALL).render()
 
     np.testing.assert_array_equal(first[0], second[0])
@@ -57,8 +57,8 @@ def test_a_thing_in_front_hides_part_of_the_place_and_nothing_else_changes(thing
 def test_a_street_has_what_streets_have() -> None:
     seen = [Scene(seed, size=SMALL).render()[1] for seed in range(4)]
 
-    for word in ("sky", "building", "road", "sidewalk"):
-        assert np.mean([share(labels, word) for labels in seen]) > 0.03, word
+    for label in ("sky", "building", "road", "sidewalk"):
+        assert np.mean([share(labels, label) for labels in seen]) > 0.03, label
 
 
 def test_near_things_move_more_than_far_ones() -> None:

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from schemas.ports import Index
 from schemas.records import Changes, Selection
 from worker.search.flat_index import FlatIndex
+from worker.search.ports import Index
 
-DIMENSIONS = {"words": 3, "detail": 2}
+DIMENSIONS = {"semantic": 3, "detail": 2}
 EVERYTHING = Selection(None, np.zeros(0, np.int64))
 NOBODY = np.zeros(0, np.int64)
 
@@ -29,7 +29,7 @@ def filled(count: int, seed: int = 0) -> tuple[Index, np.ndarray]:
 
 
 def split(vector: np.ndarray) -> Mapping[str, np.ndarray]:
-    return {"words": vector[:3], "detail": vector[3:]}
+    return {"semantic": vector[:3], "detail": vector[3:]}
 
 
 def nearest(index: Index, vector: np.ndarray, channel: str, count: int, selection: Selection = EVERYTHING) -> list[int]:
@@ -44,11 +44,11 @@ def test_each_channel_finds_its_nearest_and_the_union_has_all_distances() -> Non
 
     found = index.search(split(query), 4, EVERYTHING)
 
-    words = np.linalg.norm(vectors[:, :3] - query[:3], axis=1)
+    semantic = np.linalg.norm(vectors[:, :3] - query[:3], axis=1)
     detail = np.linalg.norm(vectors[:, 3:] - query[3:], axis=1)
-    assert nearest(index, query, "words", 4) == (np.argsort(words)[:4] + 10).tolist()
+    assert nearest(index, query, "semantic", 4) == (np.argsort(semantic)[:4] + 10).tolist()
     assert nearest(index, query, "detail", 4) == (np.argsort(detail)[:4] + 10).tolist()
-    np.testing.assert_allclose(found.distances["words"], words[found.seqs - 10], rtol=1e-5)
+    np.testing.assert_allclose(found.distances["semantic"], semantic[found.seqs - 10], rtol=1e-5)
     np.testing.assert_allclose(found.distances["detail"], detail[found.seqs - 10], rtol=1e-5)
     assert found.searched == 50
     assert found.seqs.tolist() == sorted(found.seqs.tolist())
@@ -57,7 +57,7 @@ def test_each_channel_finds_its_nearest_and_the_union_has_all_distances() -> Non
 def test_equal_vectors_come_in_enrolment_order_even_across_the_edge() -> None:
     index: Index = FlatIndex(DIMENSIONS, "r")
     index.apply(changes(1, [1, 2, 3, 4, 5, 6], np.ones((6, 5))))
-    assert nearest(index, np.ones(5, np.float32), "words", 3) == [1, 2, 3]
+    assert nearest(index, np.ones(5, np.float32), "semantic", 3) == [1, 2, 3]
 
 
 def test_an_empty_index_answers_with_nothing() -> None:
@@ -68,7 +68,7 @@ def test_an_empty_index_answers_with_nothing() -> None:
 
 def test_asking_for_more_than_there_is_gives_what_there_is() -> None:
     index, vectors = filled(3)
-    assert sorted(nearest(index, vectors[0], "words", 100)) == [10, 11, 12]
+    assert sorted(nearest(index, vectors[0], "semantic", 100)) == [10, 11, 12]
 
 
 @given(st.sets(st.integers(5, 45)), st.sets(st.integers(5, 45)), st.integers(1, 12))
@@ -79,7 +79,7 @@ def test_a_filter_is_exact_and_the_answer_is_filled_whenever_enough_fit(
     selection = Selection(np.array(sorted(only), np.int64), np.array(sorted(never), np.int64))
     allowed = [s for s in range(10, 40) if s in only and s not in never]
 
-    found = nearest(index, vectors[7], "words", count, selection)
+    found = nearest(index, vectors[7], "semantic", count, selection)
 
     by_distance = sorted(allowed, key=lambda s: (np.linalg.norm(vectors[s - 10, :3] - vectors[7, :3]), s))
     assert found == by_distance[:count]
@@ -89,8 +89,8 @@ def test_a_filter_is_exact_and_the_answer_is_filled_whenever_enough_fit(
 def test_a_view_described_anew_is_found_by_its_new_vector_only() -> None:
     index, vectors = filled(20)
     index.apply(changes(2, [15], np.full((1, 5), 9.0)))
-    assert nearest(index, np.full(5, 9.0, np.float32), "words", 1) == [15]
-    assert nearest(index, vectors[5], "words", 1) != [15]
+    assert nearest(index, np.full(5, 9.0, np.float32), "semantic", 1) == [15]
+    assert nearest(index, vectors[5], "semantic", 1) != [15]
     assert len(index) == 20
 
 
@@ -123,7 +123,7 @@ class Following(RuleBasedStateMachine):
         assert len(self.index) == len(self.model)
         assert self.index.revision == self.revision
         wanted = sorted(self.model, key=lambda s: (round(float(np.linalg.norm(self.model[s][:3] - query[:3])), 6), s))
-        assert nearest(self.index, query, "words", 5) == wanted[:5]
+        assert nearest(self.index, query, "semantic", 5) == wanted[:5]
 
 
 TestFollowing = Following.TestCase
@@ -132,4 +132,4 @@ TestFollowing = Following.TestCase
 @pytest.mark.parametrize("dtype", [np.int64])
 def test_nothing_selected_is_nothing_found(dtype: type) -> None:
     index, vectors = filled(5)
-    assert nearest(index, vectors[0], "words", 3, Selection(np.zeros(0, dtype), NOBODY)) == []
+    assert nearest(index, vectors[0], "semantic", 3, Selection(np.zeros(0, dtype), NOBODY)) == []

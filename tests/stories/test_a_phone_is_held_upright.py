@@ -11,7 +11,7 @@ from scenes.scene import Scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg
-from worker.bootstrap import build
+from worker.runtime import build
 
 NAMES = ("mill lane", "the green", "school hill", "chapel row")
 
@@ -28,8 +28,8 @@ def test_it_finds_the_place_and_how_near_it_is(tmp_path: Path) -> None:
         for name in NAMES:
             client.post(f"/enroll?place={name}", content=held(scene(name).seen_from(), upright=False), **sent)
         for name in NAMES:
-            asked = held(scene(name).seen_from(dx=0.4, turn=2), upright=True)
-            [best, next_best, *_] = client.post("/query", content=asked, **sent).json()["matches"]
+            taken = held(scene(name).seen_from(dx=0.4, turn=2), upright=True)
+            [best, next_best, *_] = client.post("/query", content=taken, **sent).json()["matches"]
             assert best["view"]["place"] == name
             assert best["score"] > 2 * next_best["score"]
             assert best["dense"]["scale"] == pytest.approx(1, abs=0.1)

@@ -1,4 +1,4 @@
-"""The real house, asked on every route: each answer is held against the OpenAPI document by the client itself."""
+"""The real service, called on every route: each answer is held against the OpenAPI document by the client itself."""
 
 import time
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
-from worker.bootstrap import build
+from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 
@@ -31,14 +31,14 @@ def enroll(client: CheckedClient, seed: int, query: str = "map=campus", **header
     return client.post(f"/enroll?{query}", content=street(seed), headers=JPEG | headers)
 
 
-def test_a_map_from_its_first_picture_to_its_end(client: CheckedClient) -> None:
+def test_a_map_from_its_first_image_to_its_end(client: CheckedClient) -> None:
     first = enroll(client, 0, "map=campus&place=gate&x=0&y=0&heading=90&captured_at=2026-03-01T09:30:00Z")
     assert first.status_code == 201
     assert enroll(client, 1, "map=campus&place=yard&x=5&y=0").status_code == 201
     assert enroll(client, 0).status_code == 200
 
-    asked = client.post("/query?map=campus&explain=true", content=street(0), headers=JPEG).json()
-    assert [match["view"]["place"] for match in asked["matches"]] == ["gate", "yard"]
+    answer = client.post("/query?map=campus&explain=true", content=street(0), headers=JPEG).json()
+    assert [match["view"]["place"] for match in answer["matches"]] == ["gate", "yard"]
     assert client.post("/query?map=campus&place=yard", content=street(0), headers=JPEG).json()["searched"] == 1
     assert client.post("/query?map=campus&near=0,0,1", content=street(1), headers=JPEG).json()["searched"] == 1
 
@@ -72,7 +72,7 @@ def test_a_map_from_its_first_picture_to_its_end(client: CheckedClient) -> None:
     assert client.get("/maps/campus").status_code == 404
 
 
-def test_a_picture_that_nobody_waits_for_and_a_call_that_is_repeated(client: CheckedClient) -> None:
+def test_a_image_that_nobody_waits_for_and_a_call_that_is_repeated(client: CheckedClient) -> None:
     first = enroll(client, 3, "wait=false", **{"idempotency-key": "k1"})
     again = enroll(client, 3, "wait=false", **{"idempotency-key": "k1"})
     assert (first.status_code, again.content, again.headers["idempotent-replayed"]) == (202, first.content, "true")

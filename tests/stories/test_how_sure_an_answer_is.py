@@ -1,4 +1,4 @@
-"""Confidence says how sure the first answer is, whatever else was asked for and however small the map."""
+"""Confidence says how sure the first answer is, whatever else is wanted and however small the map."""
 
 from collections.abc import Iterator
 
@@ -9,7 +9,7 @@ from scenes import scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
-from worker.bootstrap import build
+from worker.runtime import build
 
 
 @pytest.fixture(scope="module")
@@ -19,14 +19,14 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
         yield opened
 
 
-def test_it_does_not_depend_on_how_many_matches_are_asked_for(client: CheckedClient) -> None:
+def test_it_does_not_depend_on_how_many_matches_are_wanted(client: CheckedClient) -> None:
     for name in ("mill lane", "station road", "rose garden"):
         client.post(
             f"/enroll?map=three&place={name}", content=photo(scene(name)), headers={"content-type": "image/jpeg"}
         )
-    asked = photo(scene("foreign street"))
+    taken = photo(scene("foreign street"))
     answers = [
-        client.post(f"/query?map=three&top={top}", content=asked, headers={"content-type": "image/jpeg"}).json()
+        client.post(f"/query?map=three&top={top}", content=taken, headers={"content-type": "image/jpeg"}).json()
         for top in (1, 2, 3)
     ]
     assert [len(answer["matches"]) for answer in answers] == [1, 2, 3]

@@ -11,8 +11,8 @@ from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
-from worker.bootstrap import build
 from worker.description.describer import Describer
+from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 
@@ -54,8 +54,8 @@ def test_a_view_that_was_acknowledged_stays_when_describing_it_fails_again(
     assert [kept["id"] for kept in client.get("/views").json()["views"]] == [view["id"]]
 
 
-def test_other_labels_leave_the_parameters_and_the_views_of_a_map(client: CheckedClient) -> None:
-    client.put("/maps/default", json={"parameters": {"candidates": 7}})
+def test_other_labels_leave_the_parameters_the_ranking_and_the_views_of_a_map(client: CheckedClient) -> None:
+    client.put("/maps/default", json={"parameters": {"local_features": 64}, "ranking": {"candidates": 7}})
     view = enroll(client, 0).json()["view"]
 
     begun = client.post("/maps/default/recipe", json={"labels": ["road", "sky", "building"], "dynamic": []})
@@ -63,11 +63,12 @@ def test_other_labels_leave_the_parameters_and_the_views_of_a_map(client: Checke
     assert begun.status_code == 202
     assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
     facts = client.get("/maps/default").json()
-    assert [label["word"] for label in facts["labels"]] == ["road", "sky", "building"]
-    assert facts["recipe"]["parameters"]["candidates"] == 7
-    asked = client.post("/query?explain=true", content=client.get(view["links"]["image"]).content, headers=JPEG).json()
-    assert asked["matches"][0]["view"]["id"] == view["id"]
-    assert client.get(asked["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
+    assert [label["label"] for label in facts["labels"]] == ["road", "sky", "building"]
+    assert facts["recipe"]["parameters"]["local_features"] == 64
+    assert facts["ranking"]["candidates"] == 7
+    answer = client.post("/query?explain=true", content=client.get(view["links"]["image"]).content, headers=JPEG).json()
+    assert answer["matches"][0]["view"]["id"] == view["id"]
+    assert client.get(answer["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
 
 
 def test_too_few_views_for_a_vocabulary_are_said_to_be_too_few(client: CheckedClient) -> None:

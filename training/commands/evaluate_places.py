@@ -8,18 +8,16 @@ queries through the service's own code. The sets are the folder pairs below ``DA
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from lab import evaluate
 from lab.datasets import pairs
 from lab.datasets.dataset import Dataset
-from lab.evaluation.contender import Contender
+from lab.evaluation.in_process import contender, runtime_for_measuring
 from lab.evaluation.measuring import Evaluation
+from lab.evaluation.progress import progress_bar
 from lab.evaluation.querying import Progress
-from lab.evaluation.service import map_of_its_own
 from lab.evaluation.tables import as_json, overview
 from schemas.errors import RevisitError
 from schemas.image import Image
@@ -27,10 +25,8 @@ from schemas.settings import Settings, read_settings
 from training.commands.export import export
 from training.commands.train_vocabulary import general_images, train_vocabulary
 from worker.description.ports import Encoder
-from worker.description.presets import PRESETS, Wanted, carried, make_recipe
-from worker.description.vocabularies import Vocabulary
+from worker.description.presets import PRESETS, carried
 from worker.encoders.compact.encoder import CompactEncoder
-from worker.runtime import build
 
 SETS = ("corridor", "essex_campus", "gardenspoint", "months", "nordland", "pepper_changed", "pepper_repeat")
 """Sets that checkpoints are judged on; the others below ``DATA/places`` are kept for final evaluations."""
@@ -68,7 +64,7 @@ def recall_of(
     settings: Settings,
     *,
     seed: int = 0,
-    progress: Callable[[str], Progress] | None = None,
+    progress: Progress | None = None,
 ) -> list[Evaluation]:
     """Measure an encoder on sets of places with the preset that the settings name.
 
@@ -82,8 +78,7 @@ def recall_of(
         Where data are kept is not touched.
     seed : int
         Of the vocabulary, of the order of enrolment and of the intervals.
-    progress : function or None
-        From a data set's name to what is told how far its run is.
+    progress : Progress or None
 
     Raises
     ------
@@ -91,35 +86,11 @@ def recall_of(
         Too few images for the vocabulary of the preset.
     """
     vocabulary = train_vocabulary(encoder, carried(settings.preset, encoder), images, seed)
-    with service_with(encoder, vocabulary, settings) as contender:
+    with runtime_for_measuring(settings, settings.device, lambda settings, threads: (encoder, None)) as runtime:
+        judged = [contender(runtime, settings.preset, vocabulary)]
         return [
-            evaluate.run(
-                dataset,
-                [contender],
-                seed=seed,
-                progress=progress(dataset.name) if progress else None,
-                examples=0,
-            ).evaluation
-            for dataset in datasets
+            evaluate.run(dataset, judged, seed=seed, progress=progress, examples=0).evaluation for dataset in datasets
         ]
-
-
-@contextmanager
-def service_with(encoder: Encoder, vocabulary: Vocabulary, settings: Settings) -> Iterator[Contender]:
-    """A running service with an encoder and a general vocabulary that do not ship, as something that `lab` measures.
-
-    This is the only function of `training` that knows how a service is put together.
-    """
-    with tempfile.TemporaryDirectory(prefix="revisit-places-") as folder:
-        apart = {"data": Path(folder), "database": None, "inline_worker": True}
-        runtime = build(settings.model_copy(update=apart), make_encoder=lambda settings, threads: (encoder, None))
-        runtime.store.vocabularies.keep(vocabulary.digest, vocabulary.tensors)
-        recipe = make_recipe(encoder, Wanted(), preset=settings.preset, vocabulary=vocabulary)
-        runtime.start()
-        try:
-            yield Contender(partial(map_of_its_own, runtime, recipe, settings.preset))
-        finally:
-            runtime.stop()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -148,7 +119,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(prefix="revisit-export-") as folder:
             encoder = open_encoder(options.network, options.data, Path(folder), options.device, options.threads)
             images = general_images(options.data, options.seed)
-            figures = recall_of(encoder, images, datasets, settings, seed=options.seed, progress=evaluate.Bar)
+            with progress_bar("places") as progress:
+                figures = recall_of(encoder, images, datasets, settings, seed=options.seed, progress=progress)
     except RevisitError as refusal:
         print(refusal.detail, file=sys.stderr)
         return 2

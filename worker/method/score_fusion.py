@@ -51,7 +51,8 @@ def weigh(terms: Mapping[str, Floats], weights: Mapping[str, float]) -> tuple[Fl
     total = sum(weights.values())
     parts = {name: terms[name] * np.float32(weight / total) for name, weight in weights.items() if name in terms}
     nothing = np.zeros(len(next(iter(terms.values()))), np.float32)
-    return sum(parts.values(), start=nothing), parts
+    # Rounding may leave a sum of weights, and so a score, just above 1.
+    return np.minimum(sum(parts.values(), start=nothing), 1), parts
 
 
 def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) -> tuple[Floats, dict[str, Floats]]:
@@ -82,6 +83,7 @@ def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) ->
         scale = np.ones(len(total), np.float32)
         scale[others] = np.minimum(1, ceiling / np.maximum(total[others], 1e-9))
         total = total * scale
+        total[others] = np.minimum(total[others], ceiling)  # rounding may leave a product just above it
         parts = {name: part * scale for name, part in parts.items()}
     return total, parts
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from schemas.errors import InvalidParameters, SetupError
-from schemas.ports import Encoder
 from schemas.records import Meaning
 from tests.encoders.lseg import small
+from worker.description.ports import Encoder
 from worker.encoders.lseg.encoder import LsegEncoder, Mode
 
 IMAGES = [small.image(40, 130, 1), small.image(60, 80, 2), small.image(75, 72, 3), small.image(80, 60, 4)]
@@ -23,7 +23,7 @@ def encoder(mode: Mode = "windows", batch: int = 0, dtype: torch.dtype | None = 
 def test_it_keeps_the_port() -> None:
     kept: Encoder = encoder()
 
-    assert (kept.name, dict(kept.layers)) == ("lseg", {"words": 16})
+    assert (kept.name, dict(kept.layers)) == ("lseg", {"semantic": 16})
     assert kept.digest == "d" * 64
 
 
@@ -76,7 +76,7 @@ def test_the_mode_is_part_of_the_digest() -> None:
     assert len(encoder("single").digest) == 64
 
 
-def test_fields_are_made_when_they_are_asked_for() -> None:
+def test_fields_are_made_when_they_are_wanted() -> None:
     passes = []
     one = encoder()
     one._network.register_forward_hook(lambda *_: passes.append(1))

@@ -1,4 +1,4 @@
-"""Every baseline finds a picture again, and none sees more than it should."""
+"""Every baseline finds an image again, and none sees more than it should."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lab.baselines.baseline import Baseline, nothing
+from lab.baselines.baseline import Baseline
 from lab.baselines.hog import Hog, gradients
 from lab.baselines.known import PLAIN, Needs, baselines
 from lab.baselines.orb_words import OrbWords
@@ -39,7 +39,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], list[P
 @pytest.mark.parametrize("baseline", [TinyImage(), Hog(), OrbWords(words=50)], ids=lambda b: str(b.name))
 def test_places_are_known_again_at_dusk(places: tuple[list[Path], list[Path]], baseline: Baseline) -> None:
     noon, dusk = places
-    distances = baseline.rank(noon, dusk, nothing)
+    distances = baseline.rank(noon, dusk, lambda: None)
     assert distances.shape == (6, 6)
     assert distances.dtype == np.float32
     assert distances.argmin(axis=1).tolist() == list(range(6))
@@ -51,32 +51,34 @@ def test_a_ranking_depends_on_the_seed_alone(places: tuple[list[Path], list[Path
     ticks: list[int] = []
     [one], [two] = baselines([name], Needs(), seed=3), baselines([name], Needs(), seed=3)
     a = one.rank(noon, dusk, lambda: ticks.append(1))
-    assert np.array_equal(a, two.rank(noon, dusk, nothing))
+    assert np.array_equal(a, two.rank(noon, dusk, lambda: None))
     assert len(ticks) == 12
 
 
 def test_one_query_does_not_change_the_answer_to_another(places: tuple[list[Path], list[Path]]) -> None:
     noon, dusk = places
     for baseline in (TinyImage(), Hog(), OrbWords(words=50)):
-        alone = baseline.rank(noon, dusk[2:3], nothing)[0]
-        assert alone == pytest.approx(baseline.rank(noon, dusk, nothing)[2], abs=1e-5)
+        alone = baseline.rank(noon, dusk[2:3], lambda: None)[0]
+        assert alone == pytest.approx(baseline.rank(noon, dusk, lambda: None)[2], abs=1e-5)
 
 
-def test_a_featureless_picture_is_far_from_everything(places: tuple[list[Path], list[Path]], tmp_path: Path) -> None:
+def test_a_featureless_image_is_far_from_everything(places: tuple[list[Path], list[Path]], tmp_path: Path) -> None:
     fog = tmp_path / "fog.png"
     assert cv2.imwrite(str(fog), np.full((96, 128), 128, np.uint8))
-    distances = OrbWords(words=50).rank([*places[0], fog], [fog], nothing)
+    distances = OrbWords(words=50).rank([*places[0], fog], [fog], lambda: None)
     assert distances.tolist() == [[1.0] * 7]
 
 
 def test_random_differs_by_seed() -> None:
     paths = [Path("a"), Path("b")]
-    assert not np.array_equal(RandomOrder(0).rank(paths, paths, nothing), RandomOrder(1).rank(paths, paths, nothing))
+    assert not np.array_equal(
+        RandomOrder(0).rank(paths, paths, lambda: None), RandomOrder(1).rank(paths, paths, lambda: None)
+    )
 
 
 def test_hog_of_a_vertical_edge_by_hand() -> None:
     image = np.zeros((256, 256), np.uint8)
-    image[:, 136:] = 200  # within a cell, in the middle of the picture
+    image[:, 136:] = 200  # within a cell, in the middle of the image
     descriptor = gradients(image).reshape(15, 15, 4, 9)
     # The gradient points along x: angle 0 lies between the last bin and the first, half in each.
     block = descriptor[7, 7]
@@ -96,6 +98,6 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         baselines(["netvlad"], Needs())
     with pytest.raises(InvalidParameters, match="there are random, tiny"):
         baselines(["sift"], Needs())
-    (tmp_path / "text.png").write_text("no picture")
+    (tmp_path / "text.png").write_text("no image")
     with pytest.raises(BadImage):
-        TinyImage().rank([tmp_path / "text.png"], [], nothing)
+        TinyImage().rank([tmp_path / "text.png"], [], lambda: None)

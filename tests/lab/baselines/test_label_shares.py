@@ -6,33 +6,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.baselines.baseline import nothing
 from lab.baselines.label_shares import LabelShares
-from schemas.description import Floats, PixelField
+from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.image import Image
 from schemas.records import Meaning
 
 
 class RowsOfLabels:
-    """The grey level of the one pixel row says what share of the cells is the first word; the rest is the last."""
+    """The grey level of the one pixel row says what share of the cells is the first label; the rest is the last."""
 
     name, digest = "rows", "0"
-    layers: Mapping[str, int] = {"words": 3}
+    layers: Mapping[str, int] = {SEMANTIC: 3}
+    known_labels: frozenset[str] | None = None
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         for image in images:
             sky, cars = (int(v) for v in image.pixels[0, 0, :2])
             which = np.repeat([0, 1, 2], [sky, 10 - sky - cars, cars])
-            yield PixelField({"words": np.eye(3, dtype=np.float32)[which][None]}, (1.0, 1.0))
+            yield PixelField({SEMANTIC: np.eye(3, dtype=np.float32)[which][None]}, (1.0, 1.0))
 
-    def fine(self, image: Image) -> PixelField:
-        raise AssertionError("not asked here")
+    def text_vectors(self, labels: Sequence[str]) -> Floats:
+        return np.eye(3, dtype=np.float32)[: len(labels)]
 
-    def text_vectors(self, words: Sequence[str]) -> Floats:
-        return np.eye(3, dtype=np.float32)[: len(words)]
-
-    def meanings(self, words: Sequence[str]) -> list[Meaning]:
-        return [Meaning(w, (w,), True) for w in words]
+    def meanings(self, labels: Sequence[str]) -> list[Meaning]:
+        return [Meaning(label, (label,), True) for label in labels]
 
 
 def decode(path: Path) -> Image:
@@ -42,7 +39,7 @@ def decode(path: Path) -> Image:
 
 def test_shares_are_of_what_stays_and_cars_do_not_matter() -> None:
     baseline = LabelShares(RowsOfLabels(), ("sky", "building", "car"), ("car",), decode)
-    distances = baseline.rank([Path("8_0"), Path("5_0")], [Path("8_0"), Path("4_5"), Path("0_10")], nothing)
+    distances = baseline.rank([Path("8_0"), Path("5_0")], [Path("8_0"), Path("4_5"), Path("0_10")], lambda: None)
     assert distances[0] == pytest.approx([0, np.hypot(0.3, 0.3)], abs=1e-3)
     assert distances[1] == pytest.approx([0, np.hypot(0.3, 0.3)], abs=1e-3)  # 4 of the 5 static cells are sky
     assert distances[2] == pytest.approx([np.hypot(0.8, 0.2), np.hypot(0.5, 0.5)], abs=1e-3)

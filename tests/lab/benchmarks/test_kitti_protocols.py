@@ -1,4 +1,4 @@
-"""The faults of section 5 show on a drawn drive, without any picture."""
+"""The faults of section 5 show on a drawn drive, without any image."""
 
 from pathlib import Path
 

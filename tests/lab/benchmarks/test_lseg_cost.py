@@ -5,10 +5,10 @@ import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
+from lab.benchmarks.lseg_cost import multiply_adds
 from tests.encoders.lseg import small
 from worker.encoders.lseg import linear
 from worker.encoders.lseg.config import PUBLISHED
-from lab.benchmarks.lseg_cost import multiply_adds
 
 
 def test_the_transformer_of_one_published_window() -> None:

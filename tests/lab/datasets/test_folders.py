@@ -47,7 +47,7 @@ def test_pairs_say_what_they_expect(tmp_path: Path) -> None:
         pairs.read(tmp_path)
     a_set_of_pairs(tmp_path)
     (tmp_path / "d" / "2.jpg").unlink()
-    with pytest.raises(UnexpectedLayout, match=r"1 pictures that the table names are not there: d/2\.jpg"):
+    with pytest.raises(UnexpectedLayout, match=r"1 images that the table names are not there: d/2\.jpg"):
         pairs.read(tmp_path)
     (tmp_path / "ground_truth.csv").write_text("a,b\n1,2\n")
     with pytest.raises(UnexpectedLayout, match="column query_folder"):
@@ -67,7 +67,7 @@ def test_aligned_counts_frames_in_natural_order(tmp_path: Path) -> None:
     assert found.sequential
     assert not aligned.read(tmp_path, tolerance=0)[0].sequential
     (tmp_path / "query" / "IMG2.png").unlink()
-    with pytest.raises(UnexpectedLayout, match="5 pictures in database, 4 in query"):
+    with pytest.raises(UnexpectedLayout, match="5 images in database, 4 in query"):
         aligned.read(tmp_path)
     with pytest.raises(UnexpectedLayout, match="no such folder"):
         aligned.read(tmp_path, query="night")

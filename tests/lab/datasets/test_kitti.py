@@ -68,7 +68,7 @@ def test_the_folder_dataset_is_found(tmp_path: Path) -> None:
         (lambda root: (root / "poses" / "00.txt").write_text("1 2 3\n"), "line 1 has 3 numbers"),
         (lambda root: (root / "poses" / "00.txt").write_text("a " * 12), "could not convert"),
         (lambda root: (root / "poses" / "00.txt").write_text(""), "empty"),
-        (lambda root: (root / "sequences/00/image_2/000000.png").unlink(), "1 pictures .* but 2 poses"),
+        (lambda root: (root / "sequences/00/image_2/000000.png").unlink(), "1 images .* but 2 poses"),
     ],
 )
 def test_what_was_expected_is_said(tmp_path: Path, spoil: object, says: str) -> None:

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.io import savemat  # type: ignore[import-untyped]
 
 from lab.datasets import pitts30k
 from lab.datasets.dataset import UnexpectedLayout
-from lab.datasets.matlab import NotMatlab, read_matlab
 from tests.lab.datasets.drawn import image
 
 HERE = Path(__file__).parent
@@ -39,13 +40,6 @@ def test_the_matlab_structure(tmp_path: Path, which: str) -> None:
     assert [p.tolist() for p in found.positives] == [[0, 1], []]
 
 
-def test_all_fields_of_the_structure_are_read() -> None:
-    content = read_matlab(HERE / "pitts30k_packed.mat")["dbStruct"]
-    assert content["whichSet"] == "val"
-    assert content["posDistThr"].tolist() == [[25.0]]
-    assert content["utmDb"].shape == (2, 3)
-
-
 def test_positions_in_file_names(tmp_path: Path) -> None:
     [found] = pitts30k.read(named_layout(tmp_path))
     assert [p.tolist() for p in found.positives] == [[0], [1], [2]]
@@ -59,7 +53,7 @@ def test_a_subset_is_seeded_and_keeps_distractors(tmp_path: Path) -> None:
     assert a.database == b.database
     assert a.queries == b.queries
     assert (a.database, a.queries) != (c.database, c.queries)
-    # Six pictures for two queries: at least four are nobody's right answer.
+    # Six images for two queries: at least four are nobody's right answer.
     assert len({int(i) for p in a.positives for i in p}) <= 2
     assert len(a.database) == 6
 
@@ -69,10 +63,10 @@ def test_no_layout_at_all(tmp_path: Path) -> None:
         pitts30k.read(tmp_path)
 
 
-def test_a_picture_of_the_structure_is_missing(tmp_path: Path) -> None:
+def test_an_image_of_the_structure_is_missing(tmp_path: Path) -> None:
     netvlad_layout(tmp_path, "plain")
     (tmp_path / DATABASE[1]).unlink()
-    with pytest.raises(UnexpectedLayout, match="1 of 5 pictures are not there"):
+    with pytest.raises(UnexpectedLayout, match="1 of 5 images are not there"):
         pitts30k.read(tmp_path)
 
 
@@ -85,14 +79,25 @@ def test_a_name_without_position(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", [0, 100, 140, 700])
 def test_a_damaged_structure_is_an_explained_refusal(tmp_path: Path, cut: int) -> None:
-    path = tmp_path / "cut.mat"
-    path.write_bytes((HERE / "pitts30k_plain.mat").read_bytes()[:cut])
-    with pytest.raises(NotMatlab):
-        read_matlab(path)
+    table = netvlad_layout(tmp_path, "plain") / "datasets" / "pitts30k_val.mat"
+    table.write_bytes(table.read_bytes()[:cut])
+    with pytest.raises(UnexpectedLayout, match=r"no MAT-file that can be read|no struct dbStruct"):
+        pitts30k.read(tmp_path)
 
 
 def test_version_73_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "new.mat"
-    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\0" * 384)
-    with pytest.raises(NotMatlab, match="-v7"):
-        read_matlab(path)
+    table = netvlad_layout(tmp_path, "plain") / "datasets" / "pitts30k_val.mat"
+    table.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\0" * 384)
+    with pytest.raises(UnexpectedLayout, match="-v7"):
+        pitts30k.read(tmp_path)
+
+
+def test_a_set_of_one_image_is_read(tmp_path: Path) -> None:
+    layout = netvlad_layout(tmp_path, "plain")
+    names = {"dbImageFns": np.array([[DATABASE[0]]], object), "qImageFns": np.array([[QUERIES[0]]], object)}
+    named = names | {"utmDb": np.array([[1.0], [2.0]]), "utmQ": np.array([[4.0], [6.0]])}
+    savemat(layout / "datasets" / "pitts30k_val.mat", {"dbStruct": named})
+    [found] = pitts30k.read(tmp_path, radius_m=5)
+    assert found.database_positions is not None
+    assert found.database_positions.tolist() == [[1.0, 2.0]]
+    assert [p.tolist() for p in found.positives] == [[0]]

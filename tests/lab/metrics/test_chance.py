@@ -51,7 +51,7 @@ def test_a_retriever_without_answers_is_at_chance() -> None:
     assert looks_like_chance(np.full((SIZE, 5), -1), WALK, np.random.default_rng(0)).at_chance
 
 
-def test_truth_offset_from_the_pictures_is_named() -> None:
+def test_truth_offset_from_the_images_is_named() -> None:
     # What the paper's newest KITTI code does: the pose of frame i for query i of the second half.
     luck = looks_like_chance(np.roll(good(1.0), 30, axis=0), WALK, np.random.default_rng(0))
     assert luck.at_chance

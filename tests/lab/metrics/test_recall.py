@@ -64,7 +64,7 @@ def test_chance_in_a_database_smaller_than_n() -> None:
 
 
 def test_the_readme_of_gardenspoint_gives_the_same_chance() -> None:
-    # 200 pictures, +-2 frames: five right answers, fewer at both ends of the walk.
+    # 200 images, +-2 frames: five right answers, fewer at both ends of the walk.
     truth = Truth.of([list(range(max(0, i - 2), min(200, i + 3))) for i in range(200)], 200)
     assert chance(truth, depths=(1, 5, 10)) == pytest.approx([0.025, 0.119, 0.227], abs=5e-4)
 

@@ -19,7 +19,7 @@ def test_a_vocabulary_is_written_into_a_folder_that_is_made_for_it(
     assert f"{written.name}: 5 bytes, SHA-256 0123" in capsys.readouterr().out
 
 
-def test_a_data_folder_is_asked_for_where_the_encoder_needs_them(
+def test_a_data_folder_is_wanted_where_the_encoder_needs_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):

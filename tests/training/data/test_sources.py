@@ -4,7 +4,7 @@ from pathlib import Path
 from training.data.sources import find_sources
 
 
-def test_validation_images_are_learned_from_only_when_asked_for(data_folder: Path) -> None:
+def test_validation_images_are_learned_from_only_when_wanted(data_folder: Path) -> None:
     folder = data_folder / "segmentation" / "camvid"
     for kind in ("images", "labels"):
         (folder / "val" / kind).mkdir(parents=True)
