@@ -1,1 +1,1 @@
-"""What travels and what is kept: the nouns of revisit, without I/O."""
+"""Data of revisit that is sent or stored: plain types without I/O."""

@@ -1,4 +1,4 @@
-"""What an encoder and the method make of a picture: frozen arrays that check their own shapes."""
+"""Pixel fields and descriptions of images: frozen arrays with checked shapes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,23 +12,23 @@ Int8s = npt.NDArray[np.int8]
 Booleans = npt.NDArray[np.bool_]
 
 SEMANTIC = "semantic"
-"""Name of the language-aligned layer and of its channel; every encoder has it."""
+"""Name of the language-aligned layer, which every encoder has, and of its channel."""
 
 DETAIL = "detail"
-"""Name of the appearance layer and of its channel, where an encoder has one."""
+"""Name of the appearance layer, which some encoders have, and of its channel."""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelField:
-    """Embeddings of a picture's cells, one layer per kind of embedding.
+    """Embeddings of an image's cells, in one or more layers.
 
     Parameters
     ----------
     layers : mapping of name to float32 of shape (rows, columns, channels)
-        Unit length per cell. ``words`` lies in the space of `Encoder.text_vectors`.
+        Unit length per cell. ``semantic`` lies in the space of `Encoder.text_vectors`.
         All layers share rows and columns.
     extent : (float, float)
-        (width, height) of the picture as fractions of its longer side.
+        (width, height) of the image as fractions of its longer side.
     """
 
     layers: Mapping[str, Floats]
@@ -64,11 +64,11 @@ class ContextGraph:
     labels : int16 of shape (nodes,)
         Index into the map's label set.
     positions : float32 of shape (nodes, 2)
-        (x, y) of the centroid, in fractions of the picture's longer side.
+        (x, y) of the centroid, in fractions of the image's longer side.
     embeddings : float32 of shape (nodes, channels)
         Unit length; the embedding of the region's cell nearest to the centroid.
     shares : float32 of shape (nodes,)
-        Share of the picture's cells in the region.
+        Share of the image's cells in the region.
     """
 
     labels: npt.NDArray[np.int16]
@@ -90,14 +90,14 @@ class ContextGraph:
 
 @dataclass(frozen=True, eq=False)
 class LocalFeatures:
-    """Keypoints for geometric verification.
+    """Keypoints and their descriptors for geometric verification.
 
     Parameters
     ----------
     positions : float32 of shape (keypoints, 2)
-        (x, y) in fractions of the picture's longer side.
+        (x, y) in fractions of the image's longer side.
     descriptors : int8 of shape (keypoints, channels)
-        Reduced descriptors; their inner products order as the cosines do.
+        Reduced descriptors times 127; inner products are proportional to cosines up to rounding.
     """
 
     positions: Floats
@@ -113,15 +113,15 @@ class LocalFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The part of a description that re-ranking reads of every candidate.
+    """The part of a description that re-ranking reads of all candidates.
 
     Parameters
     ----------
     coarse : int8 of shape (rows, columns, dimensions)
-        Dense cells at half size; without rows and columns when the recipe has none.
+        Dense cells at half size; 0 rows and columns when the recipe has none.
     graph : ContextGraph
     extent : (float, float)
-        (width, height) of the picture as fractions of its longer side.
+        (width, height) of the image as fractions of its longer side.
     """
 
     coarse: Int8s
@@ -131,23 +131,23 @@ class Appearance:
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What one recipe makes of one picture.
+    """The description of one image by one recipe.
 
     Parameters
     ----------
     vectors : mapping of channel to float32 of shape (dimensions,)
-        One histogram vector per channel of the recipe.
+        Histogram vector of each channel of the recipe.
     appearance : Appearance
     cells : int8 of shape (rows, columns, dimensions)
-        Dense cells in full: the channels' embeddings joined; without rows and columns when the recipe has none.
+        Dense cells at full resolution: the channels' embeddings joined; 0 rows and columns when the recipe has none.
     keypoints : LocalFeatures or None
-        None when the recipe does not verify.
+        None when the recipe has no local features.
     label_shares : float32 of shape (labels,)
-        Share of the picture's cells that carry each label; sums to 1.
+        Share of the image's cells that carry each label; sums to 1.
     static_share : float
-        Share of cells that are not dynamic, 0..1.
+        Share of cells that are static, 0..1.
     descriptor_count : int
-        How many pixel descriptors the histograms were counted from.
+        Number of pixel descriptors that the histograms count.
     """
 
     vectors: Mapping[str, Floats]

@@ -1,10 +1,10 @@
-"""Every refusal of revisit, with a code that stays.
+"""All errors of revisit, with stable codes.
 
 ::
 
     RevisitError
     ├── BadBody            no-picture, malformed-body
-    ├── BadPicture         not-a-picture, undecodable-picture, picture-too-large, picture-too-small
+    ├── BadImage           not-a-picture, undecodable-picture, picture-too-large, picture-too-small
     ├── BodyTooLarge       body-too-large
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static
@@ -14,12 +14,12 @@
     ├── Unauthorized       unauthorized          Forbidden   forbidden
     ├── Busy               too-many-requests     Unavailable unavailable
     ├── DiskFull           disk-full
-    ├── LeaseLost          (a worker came too late; never reaches a client)
-    ├── DescriptorMismatch (two parts of a recipe do not fit)
-    └── SetupError         (the service cannot start as it is configured)
+    ├── LeaseLost          lease-lost            (in workers; never sent to a client)
+    ├── DescriptorMismatch descriptor-mismatch   (descriptors do not fit the vocabulary)
+    └── SetupError         setup                 (the service cannot start as it is configured)
 
-Clients switch on the code; the text says what was wrong, what was seen and what to do, and may change.
-HTTP statuses are the business of `app.http.problems`.
+Clients branch on the code; the text says what was wrong, what was seen and what to do, and may change.
+`app.http.problems` maps codes to HTTP statuses.
 """
 
 import math
@@ -29,14 +29,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ParameterError:
-    """One parameter that cannot be used.
+    """An invalid parameter.
 
     Parameters
     ----------
     parameter : str
         Its name as the client wrote it, with a path for nested values (``metadata.colour``).
     detail : str
-        What was seen and what is allowed.
+        The value seen and what is allowed.
     """
 
     parameter: str
@@ -44,7 +44,7 @@ class ParameterError:
 
 
 class RevisitError(Exception):
-    """Something asked of revisit that it refuses, and why."""
+    """Base of all errors; `code` is stable, `detail` is for people."""
 
     code = "internal"
 
@@ -54,7 +54,7 @@ class RevisitError(Exception):
 
 
 class BadBody(RevisitError):
-    """The request's body holds no picture, or cannot be taken apart."""
+    """The request's body holds no image, or cannot be parsed."""
 
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(detail)
@@ -62,7 +62,7 @@ class BadBody(RevisitError):
 
 
 class BadImage(RevisitError):
-    """Bytes that are not a usable picture."""
+    """Bytes that are not an accepted image."""
 
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(detail)
@@ -70,7 +70,7 @@ class BadImage(RevisitError):
 
 
 class BodyTooLarge(RevisitError):
-    """More bytes than the service takes in one request."""
+    """A request body larger than the limit."""
 
     code = "body-too-large"
 
@@ -91,7 +91,7 @@ class InvalidParameters(RevisitError):
 
 
 class NothingStatic(RevisitError):
-    """Every pixel of the picture belongs to something that moves: there is nothing to know the place by."""
+    """Every cell of the image has a dynamic label: nothing is left to recognise the place by."""
 
     code = "nothing-static"
 
@@ -106,36 +106,36 @@ class NotFound(RevisitError):
 
 
 class Conflict(RevisitError):
-    """The request contradicts what is already there or under way."""
+    """The request contradicts stored data or a running job."""
 
     code = "conflict"
 
 
 class KeyReused(RevisitError):
-    """An Idempotency-Key came again with another request."""
+    """An Idempotency-Key was used again with another request."""
 
     code = "idempotency-key-reused"
 
 
 class Unauthorized(RevisitError):
-    """No key, or a wrong one."""
+    """The API key is missing or wrong."""
 
     code = "unauthorized"
 
 
 class Forbidden(RevisitError):
-    """A right key that does not open this."""
+    """The API key does not allow this."""
 
     code = "forbidden"
 
 
 class Busy(RevisitError):
-    """More work is waiting than the service takes on.
+    """A queue of the service is full.
 
     Parameters
     ----------
     retry_after_s : int
-        Seconds after which the queue will have drained, from its length and the measured time per picture.
+        Estimated seconds until the queue is empty: its length times the measured time per image.
     """
 
     code = "too-many-requests"
@@ -146,31 +146,31 @@ class Busy(RevisitError):
 
     @classmethod
     def queue(cls, waiting: int, pace_s: float, kind: str) -> "Busy":
-        """Refuse because `waiting` requests of a kind, at `pace_s` seconds each, are as many as are let in."""
+        """The error for a queue full with `waiting` requests of a kind, at `pace_s` seconds each."""
         wait = max(1, math.ceil(waiting * pace_s))
         return cls(f"{waiting} {kind} are waiting, as many as are let in; try again in {wait} s", wait)
 
 
 class Unavailable(Busy):
-    """The service is starting or stopping."""
+    """The service cannot answer now: it is starting, stopping or overtaken by deletions."""
 
     code = "unavailable"
 
 
 class DiskFull(RevisitError):
-    """Nothing more can be written; reading and deleting still work."""
+    """The disk is full; reading and deleting still work."""
 
     code = "disk-full"
 
 
 class LeaseLost(RevisitError):
-    """A worker finished a job that was meanwhile given to another, or deleted."""
+    """A worker reported on a job that another worker has claimed meanwhile, or that was cancelled or deleted."""
 
     code = "lease-lost"
 
 
 class DescriptorMismatch(RevisitError):
-    """Descriptors and vocabulary (or two descriptions) come from different encoders."""
+    """Descriptors and vocabulary have different numbers of channels."""
 
     code = "descriptor-mismatch"
 

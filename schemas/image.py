@@ -1,4 +1,4 @@
-"""A decoded picture."""
+"""A decoded image."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -11,18 +11,18 @@ Bytes2D = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A picture as the method sees it: upright, RGB, eight bits.
+    """A decoded image: upright, RGB, eight bits.
 
     Parameters
     ----------
     pixels : uint8 of shape (height, width, 3)
         RGB.
     digest : str
-        SHA-256 (hex) of the bytes it was decoded from; seeds everything random about it.
+        SHA-256 (hex) of the encoded bytes; seeds the sampling of its descriptors.
     format : str
         ``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
     byte_count : int
-        Length of the encoded picture.
+        Length of the encoded bytes.
     """
 
     pixels: Bytes2D
@@ -32,11 +32,11 @@ class Image:
 
     def __post_init__(self) -> None:
         if self.pixels.ndim != 3 or self.pixels.shape[2] != 3 or self.pixels.dtype != np.uint8:
-            raise ValueError(f"a picture is uint8 (height, width, 3), not {self.pixels.dtype} {self.pixels.shape}")
+            raise ValueError(f"an image is uint8 (height, width, 3), not {self.pixels.dtype} {self.pixels.shape}")
 
     @classmethod
     def of(cls, pixels: Bytes2D) -> "Image":
-        """A picture that was drawn rather than decoded; its digest is that of its pixels."""
+        """An image from pixels instead of encoded bytes; its digest is that of the pixels."""
         return cls(np.ascontiguousarray(pixels), hashlib.sha256(pixels.tobytes()).hexdigest(), "png", pixels.nbytes)
 
     @property
@@ -51,19 +51,19 @@ class Image:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """(width, height) as fractions of the longer side: the unit in which graph positions are given."""
+        """(width, height) as fractions of the longer side, the unit of graph positions and keypoints."""
         return extent_of(self.width, self.height)
 
 
 def extent_of(width: int, height: int) -> tuple[float, float]:
-    """(width, height) in pixels as fractions of the longer of both."""
+    """(width, height) in pixels to fractions of the longer side."""
     longer = max(width, height)
     return width / longer, height / longer
 
 
 @dataclass(frozen=True)
 class ImageFacts:
-    """What is kept of a picture besides its bytes."""
+    """The stored facts of an image: size in pixels and bytes, format, SHA-256 (hex)."""
 
     width: int
     height: int

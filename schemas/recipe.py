@@ -1,8 +1,8 @@
-"""How a map describes images and how it ranks them: two halves, both data.
+"""How a map describes images (`DescriptionRecipe`) and how it ranks views (`RankingConfig`).
 
-`DescriptionRecipe` decides every number that is stored of a view. It is hashed, names the stored rows, and changing it
-describes every view anew. `RankingConfig` decides what is made of those numbers when a query is ranked. It belongs to
-the map and changes at once.
+A description recipe determines all numbers stored of a view. Its hash names the stored rows; another recipe means that
+every view is described again. A ranking config determines how a query ranks views by those numbers. It belongs to the
+map and takes effect at once.
 """
 
 import hashlib
@@ -17,40 +17,40 @@ Weight = Annotated[float, Field(ge=0, le=1000)]
 
 
 class Frozen(BaseModel):
-    """A value: immutable, and with no field that it does not know."""
+    """An immutable value; unknown fields are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Identified(Frozen):
-    """A value that is named by a hash of its content."""
+    """A value identified by a hash of its content."""
 
     @property
     def id(self) -> str:
-        """First 16 hex digits of the SHA-256 of the value as canonical JSON (sorted keys, no blanks)."""
+        """First 16 hex digits of the SHA-256 of the value as canonical JSON (sorted keys, no spaces)."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class Channel(Frozen):
-    """How one layer of the pixel field becomes a histogram vector."""
+    """How the histogram vector of a channel is computed from a layer of the pixel field."""
 
     layer: str = Field(description="Layer of the encoder's pixel field that the descriptors come from.")
-    vocabulary_size: Annotated[int, Field(ge=2, le=65536)] = Field(description="Size V of the vocabulary.")
+    vocabulary_size: Annotated[int, Field(ge=2, le=65536)] = Field(description="Number of visual words, V.")
     descriptors: Annotated[int, Field(ge=1)] | None = Field(
-        None, description="K, drawn at random among static cells; null takes all of them."
+        None, description="K, sampled at random among static cells; null takes all static cells."
     )
     assignments: Annotated[int, Field(ge=1, le=16)] = Field(
-        1, description="Nearest words a descriptor is shared among."
+        1, description="Number of nearest visual words that a descriptor is assigned to."
     )
     temperature: Annotated[float, Field(gt=0)] = Field(
-        0.05, description="Of the soft assignment, in units of cosine; without effect when assignments is 1."
+        0.05, description="Temperature of the soft assignment, in units of cosine; no effect when assignments is 1."
     )
     normalisation: Literal["l1", "hellinger"] = Field(
-        "hellinger", description="l1 sums to 1; hellinger takes the root of that."
+        "hellinger", description="l1: frequencies that sum to 1; hellinger: their square roots."
     )
     dimensions: Annotated[int, Field(ge=2, le=4096)] | None = Field(
-        None, description="Length after half-whitened PCA and scaling to unit length; null keeps the histogram."
+        None, description="Length after half-whitened PCA and scaling to unit length; null: no PCA."
     )
 
     @property
@@ -60,44 +60,44 @@ class Channel(Frozen):
 
 
 class DynamicFilter(Frozen):
-    """When a cell counts as something that moves."""
+    """When a cell counts as dynamic."""
 
     margin: Annotated[float, Field(ge=0, le=2)] = Field(
-        0.0, description="By how much the best dynamic label must beat the best static one, as cosine."
+        0.0, description="By how much the best dynamic label's cosine must exceed the best static one's."
     )
     most: Annotated[float, Field(ge=0, le=1)] = Field(
-        1.0, description="Never drop more than this share of an image; the most certain cells go first."
+        1.0, description="Largest share of cells that may be left out; those with the largest margin go first."
     )
 
 
 class CellGrid(Frozen):
-    """The coarse grid of embeddings that re-ranking compares, kept in full and at half its size."""
+    """The coarse grid of embeddings that re-ranking compares, stored at full resolution and at half size."""
 
     rows: Annotated[int, Field(ge=2, le=64)] = 16
     columns: Annotated[int, Field(ge=2, le=64)] = 28
-    dimensions: Annotated[int, Field(ge=1, le=512)] = Field(32, description="Numbers of a cell, for each channel.")
+    dimensions: Annotated[int, Field(ge=1, le=512)] = Field(32, description="Dimensions of a cell, per channel.")
     channel_weights: dict[str, Annotated[float, Field(gt=0, le=1)]] = Field(
         default_factory=dict,
-        description="How much each channel counts in a cell, scaled to sum to 1; all the same when none is named.",
+        description="Weight of each channel in a cell, scaled to sum to 1; equal weights when empty.",
     )
 
 
 class GraphNodes(Frozen):
     """Which regions become nodes of the context graph (paper, "Context Graph")."""
 
-    min_region_cells: Annotated[int, Field(ge=1)] = Field(1, description="Smaller regions are no nodes.")
+    min_region_cells: Annotated[int, Field(ge=1)] = Field(1, description="Regions with fewer cells are not nodes.")
 
 
 class DescriptionParameters(Frozen):
-    """The numbers of a description."""
+    """Parameters of a description."""
 
     channels: dict[str, Channel] = Field(min_length=1)
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="Of everything random: drawn descriptors, vocabulary.")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="Seed for sampling descriptors and training vocabularies.")
     dynamic: DynamicFilter = DynamicFilter()
     dense: CellGrid | None = None
     graph: GraphNodes = GraphNodes()
     local_features: Annotated[int, Field(ge=8, le=4096)] | None = Field(
-        None, description="Keypoints kept of an image for geometric verification; null keeps none."
+        None, description="Keypoints stored per image for geometric verification; null: none."
     )
 
     @model_validator(mode="after")
@@ -109,14 +109,14 @@ class DescriptionParameters(Frozen):
         return self
 
     def cell_channels(self) -> dict[str, float]:
-        """Weight of each channel that a dense cell joins; empty without dense cells."""
+        """Weight of each channel in a dense cell, not scaled; empty without dense cells."""
         if self.dense is None:
             return {}
         return self.dense.channel_weights or dict.fromkeys(self.channels, 1.0)
 
 
 class DescriptionRecipe(Identified):
-    """Encoder, labels, parameters and vocabulary: the same recipe always makes the same description of an image."""
+    """Encoder, labels, parameters and vocabulary, which together determine the description of an image."""
 
     encoder: str
     weights: str = Field(description="SHA-256 of the encoder's weights.")
@@ -127,9 +127,9 @@ class DescriptionRecipe(Identified):
 
 
 class TermWeights(Frozen):
-    """Weight of each term of the score, at least 0; they are scaled to sum to 1. At least one is above 0."""
+    """Weights of the score's terms, scaled to sum to 1. At least one is above 0."""
 
-    dense_full: Weight = Field(0.0, description="Similarity of the dense cells in full.")
+    dense_full: Weight = Field(0.0, description="Similarity of the dense cells at full resolution.")
     dense: Weight = Field(0.0, description="Similarity of the dense cells at half size.")
     histogram: dict[str, Weight] = Field(
         default_factory=dict, description="Similarity of the histogram vectors, by channel."
@@ -144,52 +144,53 @@ class TermWeights(Frozen):
         return self
 
     def terms(self) -> dict[str, float]:
-        """Weights by the names that terms have in an answer, ``histogram.CHANNEL`` for the histograms."""
+        """Weights by name of the term as in an answer, ``histogram.CHANNEL`` for the histograms."""
         named = {"dense_full": self.dense_full, "dense": self.dense}
         named |= {f"histogram.{channel}": weight for channel, weight in self.histogram.items()}
         return named | {"graph": self.graph, "verification": self.verification}
 
 
 class RankingConfig(Identified):
-    """How the candidates of a query are ranked. What a description lacks (cells, local features) is left out."""
+    """How the candidates of a query are ranked. Terms that the description recipe cannot give are left out."""
 
-    preset: str = Field("default", description="Named preset it started from; chooses the shipped calibration.")
+    preset: str = Field("default", description="Preset that it is based on; selects the shipped calibration.")
     mode: Literal["weighted", "graph"] = Field(
-        "weighted", description="weighted adds up terms; graph sorts by graph similarity alone, as the paper says."
+        "weighted", description="weighted: weighted mean of the terms; graph: graph similarity alone, as in the paper."
     )
     candidates: Annotated[int, Field(ge=0, le=500)] = Field(
-        20, description="Re-ranked candidates of each channel; 0 ranks by histograms alone."
+        20, description="Candidates of each channel that are re-ranked; 0 ranks by histograms alone."
     )
     weights: TermWeights = TermWeights(graph=1.0)
     full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
-        10, description="How many of the best by cells at half size are compared in full."
+        10, description="How many of the best by cells at half size are compared at full resolution."
     )
     detail_only_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
         0,
-        description="How many of those are also compared in full by the channel detail alone; 0 reads the cells of "
-        "all channels together only. A candidate counts by the comparison in which it stands out more.",
+        description="How many of those are also compared at full resolution by the channel detail alone; 0: none. "
+        "Of the two similarities the larger counts, after scaling to one range.",
     )
     scale_penalty: Annotated[float, Field(ge=0, le=10)] = Field(
-        0.0, description="Exponent: a view that shows the place s times as large counts min(s, 1 / s) ** scale_penalty."
+        0.0,
+        description="Exponent: a view that shows the place s times as large as the query counts min(s, 1 / s) ** this.",
     )
     graph_cosine: Annotated[float, Field(ge=-1, lt=1)] = Field(
-        0.95, description="t: nodes correspond when their cosine is above this."
+        0.95, description="t: smallest cosine of corresponding nodes (exclusive)."
     )
     graph_max_edge: Annotated[float, Field(gt=0)] = Field(
         70 / 520, description="tau: longest edge of a context graph, in fractions of the longer side."
     )
     verified_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
-        10, description="How many of the best are verified by local features; 0 verifies none."
+        10, description="How many of the best are verified by local features; 0: none."
     )
 
     def detail_only(self, recipe: DescriptionRecipe) -> int:
-        """`detail_only_top_k` as far as the recipe's cells join detail with something else; otherwise 0."""
+        """`detail_only_top_k` when the recipe's cells join the channel detail with others; otherwise 0."""
         channels = recipe.parameters.cell_channels()
         return self.detail_only_top_k if DETAIL in channels and len(channels) > 1 else 0
 
 
 class MapRecipe(Frozen):
-    """Both halves of what a map is made with."""
+    """Description recipe and ranking config of a map."""
 
     description: DescriptionRecipe
     ranking: RankingConfig

@@ -1,4 +1,4 @@
-"""What the store, the index and the encoder hand over: frozen records without behaviour."""
+"""Records that store, index and encoder return: frozen, without behaviour."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ class Meaning:
     label : str
         As the user wrote it.
     mapped_to : tuple of str
-        The encoder's own labels that stand for it; (label,) when it knows the label itself.
+        The encoder's own labels used for it; (label,) when the encoder has the label itself.
     trained : bool
-        Whether labelled pixels of it were seen in training.
+        Whether the encoder was trained on labelled pixels of it.
     """
 
     label: str
@@ -40,7 +40,10 @@ class Meaning:
 
 @dataclass(frozen=True)
 class Position:
-    """A position; metres (x, y, z) or degrees (lat, lon, alt), never both. All None: not said."""
+    """Metres (x, y, z) in the map's frame or WGS 84 (lat, lon in degrees, alt in metres); all None: not given.
+
+    `heading` is in degrees, clockwise from north or from +y.
+    """
 
     x: float | None = None
     y: float | None = None
@@ -53,7 +56,7 @@ class Position:
 
 @dataclass(frozen=True)
 class ViewAttributes:
-    """What the user said about a view."""
+    """Attributes that the user gives to a view."""
 
     place: str | None = None
     position: Position = Position()
@@ -63,7 +66,7 @@ class ViewAttributes:
 
 @dataclass(frozen=True)
 class MapRecord:
-    """A map as the store knows it."""
+    """A map in the store."""
 
     name: str
     revision: int
@@ -73,13 +76,13 @@ class MapRecord:
 
     @property
     def recipe(self) -> MapRecipe:
-        """Both halves together."""
+        """Description recipe and ranking config together."""
         return MapRecipe(description=self.description, ranking=self.ranking)
 
 
 @dataclass(frozen=True)
 class MapCounts:
-    """Size of a map: views by state, places, bytes of pictures, and the box of positions, if any."""
+    """Size of a map: views by state, places, bytes of images, and the bounding box of positions (all None without)."""
 
     views: Mapping[str, int]
     places: int
@@ -90,7 +93,7 @@ class MapCounts:
 
 @dataclass(frozen=True, eq=False)
 class DescriptionRecord:
-    """The small facts of a description that every answer shows."""
+    """Summary of a description, shown in every answer."""
 
     recipe: str
     descriptor_count: int
@@ -101,12 +104,12 @@ class DescriptionRecord:
 
 @dataclass(frozen=True)
 class ViewRecord:
-    """A view as the store knows it.
+    """A view in the store.
 
     Parameters
     ----------
     seq : int
-        Grows with every enrolment in the store; the index's id.
+        Sequence number, ascending with every enrolment in the store; the view's id in indexes.
     """
 
     id: str
@@ -122,7 +125,7 @@ class ViewRecord:
 
 @dataclass(frozen=True)
 class JobProgress:
-    """How far a job is: `done` of `total` images."""
+    """Progress of a job: `done` of `total` images."""
 
     done: int
     total: int
@@ -130,19 +133,19 @@ class JobProgress:
 
 @dataclass(frozen=True)
 class JobRecord:
-    """A piece of work in the background, durable.
+    """A durable background job.
 
     Parameters
     ----------
     kind : str
-        ``describe``: one view; ``recipe``: all views of a map by another recipe; ``vocabulary``: train one on a map's
-        views, then describe them by it.
+        ``describe``: describe one view; ``recipe``: describe all views of a map by another recipe; ``vocabulary``:
+        train a vocabulary on a map's views, then describe them by it.
     view_id : str or None
         Of a describe job.
     progress : JobProgress or None
-        None of a describe job, which is one step.
+        None for a describe job.
     result : mapping or None
-        What a finished job made, such as the recipe's id.
+        Of a finished job, such as the recipe's id.
     failure : (str, str) or None
         Code and detail.
     """
@@ -162,12 +165,12 @@ class JobRecord:
 
 @dataclass(frozen=True)
 class Claim:
-    """A describe job that a worker holds until its lease ends.
+    """A describe job claimed by a worker under a lease.
 
     Parameters
     ----------
     token : str
-        Proves the lease: finishing with an outdated token raises LeaseLost.
+        Identifies the lease: finishing with an outdated token raises LeaseLost.
     """
 
     job_id: str
@@ -179,7 +182,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class MapClaim:
-    """A job of a whole map that a worker holds until its lease ends; reporting progress renews it."""
+    """A job of a map claimed by a worker under a lease; reporting progress renews the lease."""
 
     job_id: str
     kind: JobKind
@@ -189,7 +192,7 @@ class MapClaim:
 
 @dataclass(frozen=True)
 class Submitted:
-    """A view that is durable: `created` is False when the same bytes were in the map already."""
+    """A durably stored view; `created` is False when the same bytes were in the map already."""
 
     view: ViewRecord
     job_id: str | None
@@ -199,18 +202,18 @@ class Submitted:
 
 @dataclass(frozen=True)
 class Changes:
-    """What happened to a map's searchable views after a revision.
+    """Changes to a map's searchable views since a revision.
 
     Parameters
     ----------
     revision : int
-        The map's revision this brings an index to.
+        The map's revision after these changes.
     recipe : str
-        Id of the map's recipe at that revision; an index of another recipe starts anew.
+        Id of the map's description recipe at that revision; an index of another recipe is rebuilt.
     seqs : int64 of shape (n,)
         Views described since, ascending.
     vectors : float32 of shape (n, dimensions)
-        Their vectors, the recipe's channels side by side in the recipe's order.
+        Their histogram vectors, the channels concatenated in the recipe's order.
     gone : int64 of shape (m,)
         Views deleted since.
     """
@@ -224,7 +227,7 @@ class Changes:
 
 @dataclass(frozen=True)
 class Filters:
-    """Which views a search or a listing is about; empty fields do not restrict.
+    """Selects views for a search or a listing; empty fields do not restrict.
 
     Parameters
     ----------
@@ -233,9 +236,9 @@ class Filters:
     after, before : datetime or None
         Bounds of `captured_at`, both inclusive.
     exclude_last : int or timedelta or None
-        Not the newest N views, or not those enrolled within this time of the newest one.
+        Leave out the newest N views, or those enrolled within this time of the newest one.
     exclude : tuple of str
-        View ids.
+        Ids of views to leave out.
     """
 
     near: tuple[float, float, float] | None = None
@@ -250,7 +253,7 @@ class Filters:
 
 @dataclass(frozen=True)
 class Selection:
-    """The views a search may return: all of `only` (None: every view) without `never`, both ascending int64."""
+    """Views a search may return, by sequence number: `only` (None: all) without `never`, both ascending int64."""
 
     only: Sequence64 | None
     never: Sequence64
@@ -258,7 +261,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class Replay:
-    """A finished call, as it was answered."""
+    """The stored answer to a finished call with an Idempotency-Key."""
 
     status: int
     headers: Mapping[str, str]
@@ -267,7 +270,7 @@ class Replay:
 
 @dataclass(frozen=True)
 class Removal:
-    """What a deletion took away."""
+    """Result of a deletion: numbers of views and image files removed, and the map's revision, if it still exists."""
 
     views: int
     images: int
@@ -276,20 +279,20 @@ class Removal:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The union of what each channel's search found, at one revision of the map.
+    """The union of the channels' search results, at one revision of the map.
 
     Parameters
     ----------
     revision : int
         The map's revision that was searched.
     searched : int
-        How many views the search looked at.
+        Number of views searched.
     seqs : int64 of shape (n,)
-        Ascending, that is in enrolment order.
+        Sequence numbers of the candidates, ascending: enrolment order.
     distances : mapping of channel to float32 of shape (n,)
-        Euclidean (not squared), for every candidate whichever channel found it.
+        Euclidean distance (not squared), for all candidates.
     ranks : mapping of channel to int64 of shape (n,)
-        From 1, nearest first, ties by enrolment order; 0 where the channel did not find the candidate itself.
+        From 1, nearest first, ties by enrolment order; 0 where only other channels found the candidate.
     """
 
     revision: int

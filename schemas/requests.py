@@ -1,4 +1,4 @@
-"""What is sent to the service as JSON, field by field."""
+"""Models of the JSON bodies of requests."""
 
 from typing import Annotated, Any
 
@@ -6,18 +6,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class PutMap(BaseModel):
-    """What a map is to be made with; what is left out is the service's default.
+    """Recipe of a map; fields left out take the service's defaults.
 
-    The texts of its refusals name the words, presets or parameters that exist.
+    Errors name the labels, presets or parameters that exist.
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     labels: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, min_length=1, max_length=255, description="What pixels are labelled with, in order."
+        None, min_length=1, max_length=255, description="Label set, in order."
     )
     dynamic: list[Annotated[str, Field(min_length=1, max_length=100)]] | None = Field(
-        None, max_length=255, description="Labels of things that move; their pixels never describe a place."
+        None, max_length=255, description="Labels of things that move; their cells are left out of descriptions."
     )
     preset: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
         None, description="Named set of parameters, such as `default` or `paper`.", examples=["default"]
@@ -31,7 +31,7 @@ class PutMap(BaseModel):
 
 
 class PatchMap(BaseModel):
-    """What of a map changes at once: its ranking."""
+    """Changes of a map that take effect at once: its ranking."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 

@@ -15,32 +15,32 @@ MEGA = 1_000_000
 
 
 class Settings(BaseSettings):
-    """All that can be set from outside; docs/settings.md is the same table in words."""
+    """All settings; docs/settings.md documents them."""
 
     model_config = SettingsConfigDict(env_prefix="REVISIT_", frozen=True, extra="forbid")
 
-    data: Path = Field(Path("data"), description="Folder of the database and the pictures.")
+    data: Path = Field(Path("data"), description="Folder of the database and the images.")
     database: str | None = Field(None, description="SQLAlchemy URL; default is SQLite in the data folder.")
     host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
     port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
     open: bool = Field(False, description="Allow an address other than loopback although anybody may then call.")
-    encoder: Literal["compact", "color", "lseg"] = Field("compact", description="Network that describes pictures.")
+    encoder: Literal["compact", "color", "lseg"] = Field("compact", description="Encoder that describes images.")
     weights: Path | None = Field(None, description="Weights file of the encoder `lseg`.")
     bpe: Path | None = Field(None, description="CLIP's byte-pair vocabulary, for the encoder `lseg`.")
-    lseg_mode: Literal["windows", "single"] = Field("windows", description="How the encoder `lseg` covers a picture.")
-    device: str = Field("cpu", description="Where the network runs: cpu, cuda, cuda:1, ...")
-    preset: str = Field("default", description="Preset of maps that are made without naming one.")
+    lseg_mode: Literal["windows", "single"] = Field("windows", description="How the encoder `lseg` covers an image.")
+    device: str = Field("cpu", description="Device of the network: cpu, cuda, cuda:1, ...")
+    preset: str = Field("default", description="Preset of maps that are created without naming one.")
     threads: int = Field(0, ge=0, le=256, description="Threads of the network; 0 takes one per core.")
-    batch: int = Field(0, ge=0, le=256, description="Pictures encoded together; 0: 1 on a CPU, 8 on a GPU.")
-    inline_worker: bool = Field(True, description="Describe enrolled pictures inside `serve`.")
-    lease_s: float = Field(60, gt=0, description="Seconds after which an unfinished picture is taken up again.")
+    batch: int = Field(0, ge=0, le=256, description="Images encoded together; 0: 1 on a CPU, 8 on a GPU.")
+    inline_worker: bool = Field(True, description="Describe enrolled images inside `serve`.")
+    lease_s: float = Field(60, gt=0, description="Seconds after which an unfinished job is claimed again.")
     max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
-    max_megapixels: float = Field(50, gt=0, description="Largest picture, in 10^6 pixels.")
+    max_megapixels: float = Field(50, gt=0, description="Largest image, in 10^6 pixels.")
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
     queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
-    explanations: int = Field(200, ge=0, description="Latest queries whose explanation can still be drawn.")
-    log: Literal["text", "json"] = Field("text", description="Form of log lines.")
-    url: str = Field("http://127.0.0.1:8000", description="Service that the command line talks to.")
+    explanations: int = Field(200, ge=0, description="Latest explained queries that are kept for drawing.")
+    log: Literal["text", "json"] = Field("text", description="Format of log lines.")
+    url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
 
     @property
     def database_url(self) -> str:

@@ -1,4 +1,4 @@
-"""What travels over HTTP as answers, field by field; `schemas.requests` has what is sent as JSON."""
+"""Models of the answers over HTTP; `schemas.requests` has those of the requests."""
 
 from datetime import datetime
 from typing import Annotated, Any, Literal
@@ -19,13 +19,13 @@ Moment = Annotated[
 
 
 class Answer(BaseModel):
-    """Base of every answer: what is not declared is not sent."""
+    """Base of all answers: undeclared fields are errors."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 class Position(Answer):
-    """Where a picture was taken: metres in the map's frame, or WGS 84 degrees; never both."""
+    """Where an image was taken: metres in the map's frame, or WGS 84 degrees; never both."""
 
     x: float | None = Field(None, description="Metres, right-handed, in the map's frame.")
     y: float | None = None
@@ -37,14 +37,14 @@ class Position(Answer):
 
 
 class LabelShare(Answer):
-    """How much of a picture carries a label."""
+    """Share of an image's cells with a label."""
 
     label: str
     share: float = Field(ge=0, le=1)
 
 
 class ImageFacts(Answer):
-    """The enrolled picture, upright."""
+    """The enrolled image; width and height after turning it upright."""
 
     width: int
     height: int
@@ -54,11 +54,11 @@ class ImageFacts(Answer):
 
 
 class DescriptionFacts(Answer):
-    """What the map's recipe made of the picture."""
+    """Summary of the image's description by the map's recipe."""
 
     recipe: str
     sampled_descriptors: int = Field(description="Pixel descriptors that the histograms count.")
-    static_share: float = Field(description="Share of cells that do not move.", ge=0, le=1)
+    static_share: float = Field(description="Share of cells that are static.", ge=0, le=1)
     labels: list[LabelShare] = Field(description="Labels present, largest share first.")
     nodes: int = Field(description="Nodes of the context graph.")
 
@@ -71,7 +71,7 @@ class Failure(Answer):
 
 
 class ViewLinks(Answer):
-    """Where to find more about a view."""
+    """URLs of a view and its images."""
 
     self: str
     image: str
@@ -81,7 +81,7 @@ class ViewLinks(Answer):
 
 
 class View(Answer):
-    """One enrolled picture and what was said about it."""
+    """One enrolled image and its attributes."""
 
     id: str
     map: str
@@ -98,19 +98,19 @@ class View(Answer):
 
 
 class Enrolled(Answer):
-    """One picture was enrolled, or was there already."""
+    """The result of enrolling one image."""
 
     view: View
-    created: bool = Field(description="False when these very bytes were in the map already.")
-    revision: int = Field(description="The map's revision after this.")
-    job: str | None = Field(None, description="The job that describes it, when the call did not wait.")
+    created: bool = Field(description="False when the same bytes were in the map already.")
+    revision: int = Field(description="The map's revision after this enrolment.")
+    job: str | None = Field(None, description="The job that describes the view, while it is pending.")
     timing_ms: dict[str, float]
 
 
 class EnrolmentError(Answer):
-    """One picture of several that was refused."""
+    """A refused image among several."""
 
-    index: int = Field(description="Position among the pictures sent, from 0.")
+    index: int = Field(description="Position among the images sent, from 0.")
     filename: str | None
     type: str
     title: str
@@ -120,7 +120,7 @@ class EnrolmentError(Answer):
 
 
 class EnrolledMany(Answer):
-    """Several pictures were sent."""
+    """The result of enrolling several images."""
 
     views: list[Enrolled]
     errors: list[EnrolmentError]
@@ -129,7 +129,7 @@ class EnrolledMany(Answer):
 
 
 class QueryFacts(Answer):
-    """The picture that was asked about."""
+    """The query image."""
 
     id: str
     width: int
@@ -139,31 +139,31 @@ class QueryFacts(Answer):
 
 
 class ChannelMatch(Answer):
-    """How one channel's histogram search saw a match."""
+    """A match in the histogram search of one channel."""
 
     distance: float = Field(description="L2 between the histogram vectors.")
     rank: int | None = Field(description="Rank in this channel's search, from 1; null when outside its candidates.")
 
 
 class DenseMatch(Answer):
-    """Comparison of the coarse grids of embeddings."""
+    """Comparison of the dense cells."""
 
     similarity: float = Field(
-        description="Root of the share of the query's cells that agree on one shift, 0..1: of cells that join all "
-        "channels, or of a channel alone, whichever has the view stand out more."
+        description="Square root of the share of the query's cells that agree on one shift, 0..1; the larger of all "
+        "channels together and detail alone."
     )
-    median_similarity: float = Field(description="The median similarity of all candidates: what a wrong view gets.")
+    median_similarity: float = Field(description="Median over all candidates: what a wrong view gets.")
     p85_similarity: float = Field(
-        description="85th percentile over all candidates: what wrong views get that look alike."
+        description="85th percentile over all candidates: what wrong views get that look most like the query."
     )
-    shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid moved to fit best.")
+    shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid is moved against the query's.")
     scale: float | None = Field(
-        description="How much larger the view shows the place than the query, 0.5..2; null if not compared in full."
+        description="Size of the place in the view relative to the query, 0.5..2; null unless compared in full."
     )
 
 
 class NodePair(Answer):
-    """Two nodes that correspond: same label, cosine above t, each the other's best."""
+    """Two corresponding nodes: same label, cosine above t, each the other's best."""
 
     label: str
     cosine: float
@@ -196,7 +196,7 @@ class VerificationMatch(Answer):
 
 
 class MatchLinks(Answer):
-    """Pictures of a match."""
+    """URLs of the images of a match."""
 
     image: str
     thumbnail: str
@@ -210,7 +210,7 @@ class Match(Answer):
     view: View
     score: float = Field(ge=0, le=1)
     confidence: float = Field(description="Calibrated probability that this is the place.", ge=0, le=1)
-    parts: dict[str, float] = Field(description="What each term adds; they sum to the score.")
+    parts: dict[str, float] = Field(description="What each term adds to the score; the parts sum to it.")
     channels: dict[str, ChannelMatch]
     dense: DenseMatch | None
     graph: GraphMatch | None
@@ -219,7 +219,7 @@ class Match(Answer):
 
 
 class Estimate(Answer):
-    """Where the query was probably taken, from the positions of the matches that agree."""
+    """Estimated position of the query, from the positions of matches that agree."""
 
     position: Position
     radius_m: float
@@ -227,7 +227,7 @@ class Estimate(Answer):
 
 
 class QueryAnswer(Answer):
-    """Which views of the map show the place."""
+    """The answer to a query: views of the map that may show the place, best first."""
 
     query: QueryFacts
     map: str
@@ -247,14 +247,14 @@ class Label(Answer):
 
     index: int = Field(description="Value of its pixels in segmentation.png.")
     label: str
-    mapped_to: list[str] = Field(description="The encoder's own labels that stand for it.")
-    trained: bool = Field(description="Whether the encoder saw labelled pixels of it.")
+    mapped_to: list[str] = Field(description="The encoder's own labels used for it.")
+    trained: bool = Field(description="Whether the encoder was trained on labelled pixels of it.")
     dynamic: bool
     colour: str = Field(description="#rrggbb in segmentation.png.")
 
 
 class Extent(Answer):
-    """The box around a map's positions."""
+    """Bounding box of a map's positions."""
 
     minimum: Position
     maximum: Position
@@ -267,9 +267,9 @@ class MapFacts(Answer):
     revision: int
     views: dict[Literal["pending", "ready", "failed"], int]
     places: int
-    bytes: int = Field(description="Of the pictures.")
-    recipe: dict[str, Any] = Field(description="What decides descriptions; `id` names it.")
-    ranking: dict[str, Any] = Field(description="How candidates are ranked; PATCH changes it. `id` names it.")
+    bytes: int = Field(description="Of all images.")
+    recipe: dict[str, Any] = Field(description="Description recipe, with its `id`.")
+    ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None
@@ -277,7 +277,7 @@ class MapFacts(Answer):
 
 
 class Maps(Answer):
-    """All maps, by name."""
+    """All maps, sorted by name."""
 
     maps: list[MapFacts]
 
@@ -310,19 +310,19 @@ class Deleted(Answer):
     """Receipt of a deletion."""
 
     views: int
-    images: int = Field(description="Picture files removed; one is kept while another view shows the same bytes.")
+    images: int = Field(description="Image files removed; a file is kept while another view has the same bytes.")
     revision: int | None
 
 
 class JobProgress(Answer):
-    """How far a job is: images done, of how many."""
+    """Progress of a job, in images."""
 
     done: int
     total: int
 
 
 class Job(Answer):
-    """A piece of work in the background."""
+    """A background job."""
 
     id: str
     kind: Literal["describe", "recipe", "vocabulary"]
@@ -330,8 +330,8 @@ class Job(Answer):
     map: str
     view: str | None
     attempts: int
-    progress: JobProgress | None = Field(description="Of a job of a map, once it has begun.")
-    result: dict[str, Any] | None = Field(description="What a finished job made, such as the id of the map's recipe.")
+    progress: JobProgress | None = Field(description="Of a job of a map that has started.")
+    result: dict[str, Any] | None = Field(description="Of a finished job, such as the id of the map's recipe.")
     created_at: Moment
     finished_at: Moment | None
     failure: Failure | None
@@ -346,14 +346,14 @@ class Jobs(Answer):
 
 
 class Readiness(Answer):
-    """What the service can do at this moment."""
+    """Whether the service can answer, and the state of each part."""
 
     ready: bool
     checks: dict[str, str] = Field(description="Name of each part: ok, or what is wrong with it.")
 
 
 class Version(Answer):
-    """What is running."""
+    """Versions of the running service and its parts."""
 
     version: str
     encoder: str
@@ -365,7 +365,7 @@ class Version(Answer):
 
 
 class ProblemParameter(Answer):
-    """One parameter that cannot be used."""
+    """An invalid parameter."""
 
     parameter: str
     detail: str

@@ -1,4 +1,4 @@
-"""Process globals, set in one place: threads of every library, the interpreter's switching, the allocator."""
+"""Settings of the whole process: threads of each library, the interpreter's switch interval, the allocator."""
 
 import ctypes
 import sys
@@ -9,14 +9,14 @@ import faiss
 from schemas.errors import SetupError
 
 SWITCH_S = 0.001
-"""After how long a thread lets another one into the interpreter: the encoder's comes back for a moment between calls of
-many milliseconds, and by default may have to wait 5 ms for it (a tenth of an enrolment: docs/speed.md)."""
+"""Seconds after which a thread releases the interpreter to another. The encoder's thread needs it for a moment
+between native calls; Python's default of 5 ms delayed an enrolment by a tenth (docs/speed.md)."""
 
 
 def configure(threads: int) -> None:
-    """Set what belongs to the whole process, torch apart.
+    """Set the threads of OpenCV and FAISS and the switch interval of the process.
 
-    How many threads numpy's products take is set in `worker.__init__`.
+    `worker.__init__` sets the threads of numpy's products, `configure_torch` those of torch.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def configure(threads: int) -> None:
         Of OpenCV.
     """
     cv2.setNumThreads(threads)
-    # A search is bound by memory; threads that contend for cores make it several times slower.
+    # A search is memory-bound; threads that compete for cores make it several times slower.
     faiss.omp_set_num_threads(1)
     sys.setswitchinterval(SWITCH_S)
 
@@ -36,7 +36,7 @@ def configure_torch(threads: int, device: str = "cpu") -> None:
     ----------
     threads : int
     device : str
-        Where torch runs a network.
+        Device on which torch runs a network.
 
     Raises
     ------
@@ -51,12 +51,12 @@ def configure_torch(threads: int, device: str = "cpu") -> None:
 
 
 def keep_freed_memory() -> None:
-    """Tell glibc to keep freed memory instead of handing it back; elsewhere do nothing.
+    """Tell glibc to keep freed memory instead of returning it to the kernel; without glibc do nothing.
 
     For networks in torch: ONNX Runtime has an arena of its own.
 
-    A network's maps are megabytes each and live for a millisecond. By default glibc returns them to the kernel and
-    fetches them again, zeroed, page by page: that took a fifth of a forward pass on one thread.
+    A network's feature maps are megabytes each and live for a millisecond. By default glibc returns them to the kernel
+    and gets them back zeroed, page by page: a fifth of a forward pass on one thread.
     """
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):

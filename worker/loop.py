@@ -1,4 +1,4 @@
-"""The worker's loop: claim an image, have it described, keep the description; train and prune beside it."""
+"""The worker's loop: claim images, describe them, store the descriptions; train and prune in a second thread."""
 
 import logging
 import threading
@@ -18,13 +18,13 @@ from worker.description.scheduler import Scheduler, Timed
 log = logging.getLogger("revisit.worker")
 
 AHEAD = 2
-"""Batches claimed at a time: one is decoded while the other is encoded."""
+"""Batches claimed ahead: one is decoded while the other is encoded."""
 
 PRUNE_EVERY_S = 5.0
-"""How often jobs of maps, and what no map uses any more, are looked for."""
+"""Seconds between checks for jobs of maps and for unused descriptions."""
 
 MAP_JOB_PATIENCE_S = 10.0
-"""How long stopping waits for a job of a map to be put back."""
+"""Seconds that `Loop.stop` waits for a job of a map to be put back."""
 
 Decode = Callable[[bytes], Image]
 
@@ -36,26 +36,26 @@ class _Underway:
 
 
 class DescribeJobs(Protocol):
-    """The queue of images to be described, and of jobs of maps."""
+    """The queues of describe jobs and of jobs of maps."""
 
     def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
-        """Take up to `count` of the oldest jobs."""
+        """Claim up to `count` of the oldest describe jobs."""
         ...
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
-        """Keep a description; raises LeaseLost."""
+        """Store a description and end its job; returns the revision; raises LeaseLost."""
         ...
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
-        """Give a job up; raises LeaseLost."""
+        """End a job as failed; raises LeaseLost."""
         ...
 
     def release(self, claim: Claim) -> None:
-        """Put a job back unharmed."""
+        """Put a job back without counting the attempt."""
         ...
 
     def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
-        """Take the oldest job of a map that waits for a worker."""
+        """Claim the oldest waiting job of a map."""
         ...
 
 
@@ -63,22 +63,22 @@ class ImageReader(Protocol):
     """Enrolled images."""
 
     def image(self, view_id: str) -> bytes:
-        """The enrolled image; raises NotFound."""
+        """The enrolled bytes; raises NotFound."""
         ...
 
 
 class Pruning(Protocol):
-    """What no map uses any more."""
+    """Descriptions, recipes and vocabularies that no map uses."""
 
     def prune(self) -> int:
-        """Remove one portion of it; 0 when nothing is left."""
+        """Remove a portion of them; returns how many descriptions, 0 when none is left."""
         ...
 
 
 class Loop:
     """Describes enrolled images until it is stopped.
 
-    Jobs of whole maps are carried out in a thread of their own, so that enrolments do not wait for them.
+    Jobs of maps run in a thread of their own, so that enrolments do not wait for them.
 
     Parameters
     ----------
@@ -87,15 +87,16 @@ class Loop:
     scheduler : Scheduler
     describers : Describers
     train : function
-        Carries out a job of a map; its second argument tells whether to stop.
+        Runs a job of a map; its second argument returns whether to stop.
     decode : function
         Bytes to Image; raises BadImage.
     name : str
-        Of this worker, for the leases.
+        Of this worker, written to leases.
     batch : int
+        Images encoded together.
     lease : timedelta
     idle_s : float
-        How long to sleep when nothing waits; `wake` ends a sleep.
+        Seconds to sleep when no job waits; `wake` ends the sleep.
     """
 
     def __init__(
@@ -130,35 +131,35 @@ class Loop:
         self._on_finish: list[Callable[[str], None]] = []
 
     def on_finish(self, notify: Callable[[str], None]) -> None:
-        """Call `notify` with the id of each view whose description is settled, in the worker's thread."""
+        """Call `notify`, in the worker's thread, with the id of each view that was described or failed."""
         self._on_finish.append(notify)
 
     @property
     def alive(self) -> bool:
-        """Whether the loop runs."""
+        """Whether the loop's thread runs."""
         return self._thread.is_alive()
 
     def start(self) -> None:
-        """Run in a thread of its own."""
+        """Start the threads for describe jobs and for jobs of maps."""
         self._thread.start()
         self._map_thread.start()
 
     def wake(self) -> None:
-        """Look for work at once."""
+        """End the sleep: check for jobs at once."""
         self._awake.set()
         self._map_awake.set()
 
     def stop(self) -> None:
-        """Finish what is being encoded, put the rest back, and stop."""
+        """Finish the images that are being encoded, put the other jobs back, and stop."""
         self._stopping.set()
         self.wake()
         if self._thread.is_alive():
             self._thread.join()
-        if self._map_thread.is_alive():  # one that is in the middle of a long step is taken up again after its lease
+        if self._map_thread.is_alive():  # a job in a long step is claimed again after its lease
             self._map_thread.join(MAP_JOB_PATIENCE_S)
 
     def run(self) -> None:
-        """Work until `stop`; what goes wrong with one picture is that picture's failure, never the loop's."""
+        """Describe images until `stop`; an error with one image fails that image's job, never the loop."""
         underway: list[_Underway] = []
         while not self._stopping.is_set():
             try:
@@ -178,7 +179,7 @@ class Loop:
                 self._settle(item)
 
     def _run_map_jobs(self) -> None:
-        """Carry out jobs of maps, and prune when there are none, until `stop`."""
+        """Run jobs of maps, and prune when none waits, until `stop`."""
         while not self._stopping.is_set():
             try:
                 claim = self._jobs.claim_map_job(self._name, self._lease, _now())

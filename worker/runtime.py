@@ -1,4 +1,4 @@
-"""The one place that names adapters: settings in, everything that runs out."""
+"""Builds all parts of a service from its settings; the only module that names adapters."""
 
 import os
 import platform
@@ -68,20 +68,20 @@ class Runtime:
     catalogue : Catalogue
         Of the maps' indexes.
     loop : Loop or None
-        None when other processes describe the images.
+        None when only other processes describe images.
     settlements : Settlements
-        Tells when a view is described.
+        Waits for a view to be described.
     services : Services
     default_recipe : MapRecipe
-        Of maps that are made by their first enrolment.
+        Recipe of a map that its first enrolment creates.
     calibration : function
-        Recipe to what makes confidences of its evidence.
+        Recipe to the calibration of its confidences.
     schema_version : str
-        Of the database's tables.
+        Revision of the database's tables.
     serving : bool
-        Whether this is the one process that answers HTTP over the data folder.
+        True for the one process that serves the data folder over HTTP, False for a worker.
     unlock : function
-        Lets go of the data folder.
+        Releases the data folder.
     """
 
     settings: Settings
@@ -101,15 +101,15 @@ class Runtime:
     unlock: Callable[[], None]
 
     def start(self) -> None:
-        """Clean up after a crash, if there was one, and begin to work."""
-        if self.serving:  # a worker must not forget the calls that the service beside it is answering
+        """Clean up after a crash, then start the scheduler and the loop."""
+        if self.serving:  # a worker would delete the calls that the service is answering
             self.store.recover(datetime.now(UTC))
         self.scheduler.start()
         if self.loop is not None:
             self.loop.start()
 
     def stop(self) -> None:
-        """Finish what is under way, put the rest back, and let go of the data folder."""
+        """Finish running work, put waiting jobs back, and release the data folder."""
         if self.loop is not None:
             self.loop.stop()
         self.scheduler.stop()
@@ -118,11 +118,11 @@ class Runtime:
 
 
 MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
-"""From settings and a number of threads."""
+"""From settings and a number of threads to an encoder and its segmenter, if any."""
 
 
 def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter | None]:
-    """The encoder that the settings name, and its segmenter; networks are imported only when one is."""
+    """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported."""
     if settings.encoder == "color":
         from worker.encoders.color import ColorEncoder
 
@@ -148,7 +148,7 @@ def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter |
 
 
 def make_product(settings: Settings) -> Product:
-    """How vectors of bytes are multiplied: with what is loaded for the encoder anyway."""
+    """The product of int8 vectors: float32 for `color`, which loads no torch; otherwise the fastest."""
     if settings.encoder == "color":
         return float_product
     from worker.search.byte_product import fastest_product
@@ -165,9 +165,9 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
     ----------
     settings : Settings
     serving : bool
-        True for the one process that answers HTTP over a data folder; False for a worker beside it.
+        True for the one process that serves the data folder over HTTP; False for a worker.
     make_encoder : function
-        For measuring with another encoder.
+        Another one for benchmarks with other encoders.
 
     Raises
     ------
@@ -255,7 +255,7 @@ def _services(
     default_recipe: MapRecipe,
     wake: Callable[[], None],
 ) -> Services:
-    """The use-cases, each with the parts it needs."""
+    """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
     return Services(
         enroll=EnrollService(
@@ -310,7 +310,7 @@ def _services(
 
 
 def shipped_calibration(recipe: MapRecipe) -> Calibration:
-    """The calibration that comes with an encoder and a preset, or one that reads the score alone."""
+    """The calibration shipped for a recipe's encoder and preset, or one by the score alone."""
     path = SHIPPED / f"{recipe.description.encoder}-{recipe.ranking.preset}.calibration.json"
     return Calibration.from_json(path.read_text()) if path.exists() else UNCALIBRATED
 
@@ -320,4 +320,4 @@ def _empty_index(recipe: DescriptionRecipe) -> FlatIndex:
 
 
 def _nothing() -> None:
-    """A worker holds no lock of its own: the store it opens keeps migrations away."""
+    """Does nothing: a worker has no serving lock to release, a service without a loop none to wake."""

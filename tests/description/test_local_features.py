@@ -1,4 +1,4 @@
-"""Keypoints: where they are, how they are stored, and that the same picture gives the same ones."""
+"""Keypoints: where they are, how they are stored, and that the same image gives the same ones."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def textured(height: int = 240, width: int = 320) -> Bytes2D:
     return np.kron(coarse, np.ones((8, 8, 1), np.uint8))
 
 
-def test_the_same_picture_gives_the_same_keypoints_strongest_first() -> None:
+def test_the_same_image_gives_the_same_keypoints_strongest_first() -> None:
     first, second = local_features(textured(), 100), local_features(textured(), 100)
     np.testing.assert_array_equal(first.positions, second.positions)
     np.testing.assert_array_equal(first.descriptors, second.descriptors)
@@ -31,7 +31,7 @@ def test_positions_are_fractions_of_the_longer_side() -> None:
 
 
 @pytest.mark.parametrize("shape", [(200, 300, 3), (32, 32, 3), (1, 40, 3)])
-def test_a_picture_without_structure_has_none(shape: tuple[int, ...]) -> None:
+def test_an_image_without_structure_has_none(shape: tuple[int, ...]) -> None:
     found = local_features(np.full(shape, 127, np.uint8), 100)
     assert len(found) == 0
     assert found.descriptors.shape == (0, 48)
@@ -44,7 +44,7 @@ def test_descriptors_are_unit_length_in_bytes() -> None:
     np.testing.assert_allclose(length, 127, atol=3)
 
 
-def test_a_part_of_a_picture_lies_where_it_was_cut() -> None:
+def test_a_part_of_an_image_lies_where_it_was_cut() -> None:
     whole = textured(320, 480)
     part = np.ascontiguousarray(whole[40:280, 80:400])
     [found] = verification.verify(local_features(part, 300), [local_features(whole, 300)])

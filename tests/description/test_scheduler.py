@@ -1,4 +1,4 @@
-"""Queries come first, one failure is one picture's, and stopping serves what was submitted."""
+"""Queries come first, one failure is one image's, and stopping serves what was submitted."""
 
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +14,7 @@ from worker.description.scheduler import Scheduler
 
 
 class GatedEncoder:
-    """Encodes one picture whenever the test lets it, and remembers the order."""
+    """Encodes one image whenever the test lets it, and remembers the order."""
 
     name = "gated"
     digest = "0" * 64
@@ -110,7 +110,7 @@ def test_what_needs_no_field_is_made_while_the_network_is_busy() -> None:
     scheduler.stop()
 
 
-def test_a_query_waits_for_nothing_that_is_made_in_parallel_for_an_enrolment() -> None:
+def test_a_query_waits_for_nothing_that_runs_in_parallel_for_an_enrolment() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -130,7 +130,7 @@ def test_a_query_waits_for_nothing_that_is_made_in_parallel_for_an_enrolment() -
     scheduler.stop()
 
 
-def test_a_failure_in_parallel_to_the_network_belongs_to_the_one_who_submitted_it() -> None:
+def test_a_failure_in_parallel_to_the_encoder_belongs_to_its_request() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -145,7 +145,7 @@ def test_a_failure_in_parallel_to_the_network_belongs_to_the_one_who_submitted_i
     scheduler.stop()
 
 
-def test_one_failing_picture_does_not_take_its_batch_down() -> None:
+def test_one_failing_image_does_not_take_its_batch_down() -> None:
     encoder = GatedEncoder()
     scheduler = Scheduler(encoder, batch=4, queries=5)
     futures = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 99, 3)]
@@ -184,7 +184,7 @@ def test_stopping_serves_what_was_submitted_and_refuses_what_comes_after() -> No
         scheduler.submit(image(3), number_of, urgent=True)
 
 
-def test_an_error_of_the_finish_belongs_to_the_one_who_submitted_it() -> None:
+def test_an_error_of_the_finish_belongs_to_its_request() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=1, queries=5)
@@ -199,7 +199,7 @@ def test_an_error_of_the_finish_belongs_to_the_one_who_submitted_it() -> None:
     scheduler.stop()
 
 
-def test_pictures_to_be_drawn_get_the_segmenters_field_among_others_that_do_not() -> None:
+def test_images_to_be_drawn_get_the_segmenters_field_among_others_that_do_not() -> None:
     encoder = GatedEncoder()
     encoder.gate.release(9)
     scheduler = Scheduler(encoder, batch=4, queries=5, segmenter=FinerSegmenter())

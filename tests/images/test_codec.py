@@ -1,4 +1,4 @@
-"""The codec takes what is a picture, upright and whole, and says of everything else what is wrong with it."""
+"""The codec takes what is an image, upright and whole, and says of everything else what is wrong with it."""
 
 import io
 import struct
@@ -73,7 +73,7 @@ def test_exif_orientation_is_honoured(form: str, orientation: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Corrupt EXIF data")
-def test_a_nonsense_orientation_and_a_broken_exif_block_do_not_spoil_a_picture() -> None:
+def test_a_nonsense_orientation_and_a_broken_exif_block_do_not_spoil_an_image() -> None:
     exif = PilImage.Exif()
     exif[0x0112] = 77
     for data in (
@@ -168,7 +168,7 @@ def test_float_pixels_are_refused_rather_than_guessed() -> None:
 
 @pytest.mark.parametrize("form", ["jpeg", "png", "webp", "bmp", "tiff"])
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
-def test_a_truncated_picture_is_refused(form: str, share: float) -> None:
+def test_a_truncated_image_is_refused(form: str, share: float) -> None:
     data = encoded(drawn(320, 240), form)
     assert refusal(data[: int(len(data) * share)]).code == "undecodable-picture"
 
@@ -182,7 +182,7 @@ def test_a_jpeg_truncated_anywhere_is_refused_even_with_a_whole_thumbnail_inside
         assert refusal(data[:cut]).code == "undecodable-picture", cut
 
 
-def test_a_jpeg_with_a_second_picture_or_rubbish_behind_it_is_taken() -> None:
+def test_a_jpeg_with_a_second_image_or_rubbish_behind_it_is_taken() -> None:
     data = encoded(drawn(80, 60), "jpeg")
     for tail in (b"\x00" * 100, b"SEFH and more from the camera", encoded(drawn(40, 40), "jpeg")):
         assert decode(data + tail, LIMITS).width == 80
@@ -196,7 +196,7 @@ def test_a_jpeg_that_turns_grey_midway_is_refused() -> None:
     assert refusal(damaged).code == "undecodable-picture"
 
 
-def test_a_jpeg_that_ends_in_grey_is_a_picture() -> None:
+def test_a_jpeg_that_ends_in_grey_is_an_image() -> None:
     pixels = drawn(96, 64).copy()
     pixels[32:] = 128
     assert (decode(encoded(pixels, "jpeg"), LIMITS).pixels[-8:] == 128).all()
@@ -208,7 +208,7 @@ def test_a_flipped_byte_in_a_png_is_noticed() -> None:
     assert refusal(bytes(data)).code == "undecodable-picture"
 
 
-def test_a_picture_of_rubbish_behind_true_magic_bytes_is_undecodable() -> None:
+def test_an_image_of_rubbish_behind_true_magic_bytes_is_undecodable() -> None:
     rubbish = np.random.default_rng(1).integers(0, 256, 4000, np.uint8).tobytes()
     riff = b"RIFF" + struct.pack("<I", 4000) + b"WEBPVP8 "
     for magic in (b"\xff\xd8\xff\xe0", PNG_MAGIC, b"BM", b"II*\x00", b"MM\x00*", riff):
@@ -231,10 +231,10 @@ UNKNOWN_PLACES = {
     "a GIF that moves": gif(3),
     "a PDF": b"%PDF-1.7\n" + b"0" * 200,
     "an SVG drawing": b'<?xml version="1.0"?>\n<svg xmlns="http://www.w3.org/2000/svg"/>',
-    "an HEIC picture": iso(b"heic"),
-    "an AVIF picture": iso(b"avif"),
+    "an HEIC image": iso(b"heic"),
+    "an AVIF image": iso(b"avif"),
     "an MP4 or similar film": iso(b"isom"),
-    "a JPEG 2000 picture": b"\x00\x00\x00\x0cjP  \r\n\x87\n" + b"\x00" * 100,
+    "a JPEG 2000 image": b"\x00\x00\x00\x0cjP  \r\n\x87\n" + b"\x00" * 100,
     "a zip archive": b"PK\x03\x04" + b"\x00" * 100,
     "a gzip archive": b"\x1f\x8b\x08" + b"\x00" * 100,
     "a tar archive": b"a.jpg".ljust(257, b"\x00") + b"ustar\x0000" + b"\x00" * 300,
@@ -247,7 +247,7 @@ UNKNOWN_PLACES = {
 
 
 @pytest.mark.parametrize("name", UNKNOWN_PLACES)
-def test_what_is_not_a_picture_is_refused_by_its_content_and_named(name: str) -> None:
+def test_what_is_not_an_image_is_refused_by_its_content_and_named(name: str) -> None:
     error = refusal(UNKNOWN_PLACES[name])
     assert error.code == "not-a-picture"
     assert name.removesuffix(" that moves") in error.detail
@@ -261,7 +261,7 @@ def test_an_animated_webp_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (31, 32), (32, 31), (1000, 5)])
-def test_a_picture_smaller_than_32_by_32_is_refused(width: int, height: int) -> None:
+def test_an_image_smaller_than_32_by_32_is_refused(width: int, height: int) -> None:
     error = refusal(encoded(drawn(width, height), "png"))
     assert error.code == "picture-too-small"
     assert f"{width} x {height}" in error.detail
@@ -320,12 +320,12 @@ def test_more_bytes_than_allowed_are_refused() -> None:
         decode(encoded(drawn(320, 240), "bmp"), Limits(max_bytes=1000))
 
 
-def test_nothing_at_all_is_not_a_picture() -> None:
+def test_nothing_at_all_is_not_an_image() -> None:
     with pytest.raises(BadImage):
         decode(b"", LIMITS)
 
 
-def test_a_picture_that_is_kept_small_keeps_its_digest() -> None:
+def test_an_image_that_is_kept_small_keeps_its_digest() -> None:
     image = decode(encoded(drawn(320, 240), "png"), LIMITS)
     small = shrink(image, 64)
     assert (small.width, small.height, small.digest) == (64, 48, image.digest)

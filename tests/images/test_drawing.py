@@ -30,7 +30,7 @@ def graph(*nodes: tuple[int, float, float, float]) -> ContextGraph:
     )
 
 
-def test_a_segmentation_has_the_size_of_the_picture_and_labels_as_values() -> None:
+def test_a_segmentation_has_the_size_of_the_image_and_labels_as_values() -> None:
     labels = np.array([[0, 0, 1], [2, 1, 1]], np.int16)
 
     image = PilImage.open(io.BytesIO(drawing.segmentation_png(labels, (30, 20), LABELS)))
@@ -50,7 +50,7 @@ def test_the_palette_gives_each_label_the_colour_that_the_map_names_and_no_trans
     assert image.convert("RGB").getpixel((0, 0)) == colour("car")
 
 
-def test_the_picture_may_have_any_size() -> None:
+def test_the_image_may_have_any_size() -> None:
     image = PilImage.open(io.BytesIO(drawing.segmentation_png(np.zeros((60, 80), np.int16), (33, 41), LABELS)))
 
     assert image.size == (33, 41)
@@ -94,7 +94,7 @@ def test_graphs_without_edges_can_be_drawn(nodes: int) -> None:
     assert decoded(drawing.graph_png(np.zeros((40, 50, 3), np.uint8), empty, LABELS, 0.1)).shape == (40, 50, 3)
 
 
-def test_an_explanation_joins_what_agrees_across_pictures_of_different_sizes() -> None:
+def test_an_explanation_joins_what_agrees_across_images_of_different_sizes() -> None:
     query, view = np.full((60, 80, 3), 120, np.uint8), np.full((200, 150, 3), 120, np.uint8)
 
     plain = decoded(drawing.explanation_png(query, view, [], [], ["score 0.8"]))

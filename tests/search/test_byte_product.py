@@ -39,7 +39,7 @@ def test_a_comparison_does_not_depend_on_the_product() -> None:
     np.testing.assert_array_equal(floats.scales, bytes_.scales)
 
 
-def test_the_words_of_a_picture_do_not_depend_on_the_product_and_hardly_on_rounding() -> None:
+def test_the_histogram_of_an_image_does_not_depend_on_the_product_and_hardly_on_rounding() -> None:
     draw = np.random.default_rng(0)
     words = unit(draw.standard_normal((64, 97)))
     descriptors = unit(words[draw.integers(0, 64, 600)] + 0.12 * draw.standard_normal((600, 97)))

@@ -1,4 +1,4 @@
-"""Pictures, recipes and descriptions to try a store with, and the simplest index that follows one."""
+"""Images, recipes and descriptions to try a store with, and the simplest index that follows one."""
 
 import hashlib
 from collections.abc import Iterable
@@ -38,7 +38,7 @@ RECIPE = recipe()
 
 
 def image(name: str) -> bytes:
-    """Bytes that stand for a picture; a store does not look into them."""
+    """Bytes that stand for an image; a store does not look into them."""
     return f"picture {name}".encode()
 
 
@@ -76,7 +76,7 @@ def vector(view: ViewRecord, recipe_id: str) -> list[float]:
 
 
 def seed(view: ViewRecord, recipe_id: str) -> int:
-    """Of the description of a view: the same picture and recipe give the same description."""
+    """Of the description of a view: the same image and recipe give the same description."""
     return int(view.image.sha256[:6] + recipe_id[:6], 16)
 
 
@@ -89,7 +89,7 @@ def enroll(
     now: datetime = NOW,
     by: MapRecipe = RECIPE,
 ) -> Submitted:
-    """Enrol the picture of that name."""
+    """Enrol the image of that name."""
     body = image(name)
     return store.enrolment.submit(map, body, facts(body), attributes, by, now)
 

@@ -1,4 +1,4 @@
-"""Pictures are whole and owned, or not there: whatever fails between the file and its row."""
+"""Images are whole and owned, or not there: whatever fails between the file and its row."""
 
 import errno
 import os
@@ -27,7 +27,7 @@ class PowerCut(BaseException):
 
 
 def files(data: Path) -> list[Path]:
-    """All files of pictures, whole or not."""
+    """All files of images, whole or not."""
     return sorted(path for path in (data / "pictures").rglob("*") if path.is_file() and path.name != ".lock")
 
 
@@ -44,13 +44,13 @@ def closed(store: SqlStore) -> Any:
     store.close()
 
 
-def test_a_picture_lies_in_two_levels_of_folders_under_its_digest(store: SqlStore, data: Path) -> None:
+def test_an_image_lies_in_two_levels_of_folders_under_its_digest(store: SqlStore, data: Path) -> None:
     digest = enroll(store, "gate").view.image.sha256
     assert files(data) == [data / "pictures" / digest[:2] / digest[2:4] / digest]
     assert files(data)[0].read_bytes() == image("gate")
 
 
-def test_a_picture_is_durable_under_its_name_before_its_row_is_committed(
+def test_an_image_is_durable_under_its_name_before_its_row_is_committed(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     events: list[str] = []
@@ -164,23 +164,23 @@ def test_a_full_database_is_said_and_leaves_nothing_behind(store: SqlStore, data
     assert store.removals.delete_view(view.id).views == 1
 
 
-def test_a_conflict_leaves_the_picture_of_the_view_that_is_there(store: SqlStore, data: Path) -> None:
+def test_a_conflict_leaves_the_image_of_the_view_that_is_there(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate", attributes=ViewAttributes("gate")).view
     with pytest.raises(Conflict):
         enroll(store, "gate", attributes=ViewAttributes("pond"))
     assert store.views.image(view.id) == image("gate")
 
 
-def test_a_lost_file_is_healed_by_enrolling_its_picture_again(store: SqlStore, data: Path) -> None:
+def test_a_lost_file_is_healed_by_enrolling_its_image_again(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate").view
     files(data)[0].unlink()
-    with pytest.raises(NotFound, match="enrol the picture again"):
+    with pytest.raises(NotFound, match="enrol the image again"):
         store.views.image(view.id)
     enroll(store, "gate")
     assert store.views.image(view.id) == image("gate")
 
 
-def test_a_picture_enrolled_while_others_sweep_and_delete_it_is_never_taken_away(store: SqlStore, data: Path) -> None:
+def test_an_image_enrolled_while_others_sweep_and_delete_it_is_never_taken_away(store: SqlStore, data: Path) -> None:
     stop = False
 
     def sweep() -> None:

@@ -50,7 +50,7 @@ def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> No
     assert store.views.get(view.id).state == "ready"
 
 
-def test_a_picture_that_kills_three_workers_is_given_up(store: SqlStore) -> None:
+def test_an_image_that_kills_three_workers_is_given_up(store: SqlStore) -> None:
     submitted = enroll(store, "bomb")
     moment = NOW
     for attempt in (1, 2, 3):

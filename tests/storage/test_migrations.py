@@ -151,7 +151,7 @@ def test_maps_of_a_build_before_the_first_release_are_refused(database_url: str,
         connection.execute(
             sa.text("INSERT INTO maps (name, recipe, revision, anew, created_at) VALUES ('campus', 'old', 1, 1, 0)")
         )
-    with pytest.raises(SetupError, match="enrol the pictures again"):
+    with pytest.raises(SetupError, match="enrol the images again"):
         migrate(database_url, data)
     with database.writing() as connection:
         connection.execute(sa.text("DELETE FROM maps"))

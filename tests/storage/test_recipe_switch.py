@@ -82,7 +82,7 @@ def test_a_second_switch_waits_for_the_first(store: SqlStore) -> None:
         store.jobs.switch_recipe("campus", recipe("third"), NOW)
 
 
-def test_a_picture_enrolled_during_a_switch_is_described_by_both_recipes_and_goes_first(store: SqlStore) -> None:
+def test_an_image_enrolled_during_a_switch_is_described_by_both_recipes_and_goes_first(store: SqlStore) -> None:
     enroll(store, "gate")
     describe_all(store)
     store.jobs.switch_recipe("campus", PAPER, NOW)
@@ -154,7 +154,7 @@ def test_a_switch_ends_when_the_last_view_it_waits_for_needs_no_description(stor
     assert Follower(store).catch_up().vectors.keys() == {gate.seq}
 
 
-def test_a_picture_still_waiting_for_the_old_recipe_is_ready_by_the_new_one(store: SqlStore) -> None:
+def test_an_image_still_waiting_for_the_old_recipe_is_ready_by_the_new_one(store: SqlStore) -> None:
     view = enroll(store, "gate").view
     store.jobs.switch_recipe("campus", PAPER, NOW)
     old, new = store.jobs.claim("worker", 2, LEASE, NOW)

@@ -36,7 +36,7 @@ def test_a_new_store_is_empty_and_well(store: SqlStore) -> None:
     assert store.maps.all() == []
 
 
-def test_the_first_picture_makes_its_map(store: SqlStore) -> None:
+def test_the_first_image_makes_its_map(store: SqlStore) -> None:
     enroll(store, "gate")
     assert store.maps.get("campus").recipe == RECIPE
     assert store.maps.get("campus").created_at == NOW
@@ -192,7 +192,7 @@ def test_a_recipe_without_verification_has_no_keypoints(store: SqlStore) -> None
     assert store.descriptions.local_features([claim.view.seq], RECIPE.description.id) == {}
 
 
-def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> None:
+def test_the_same_image_twice_is_the_view_that_is_there(store: SqlStore) -> None:
     attributes = ViewAttributes("gate", Position(x=1.0, y=2.0), metadata={"floor": 2, "dusk": True})
     first = enroll(store, "gate", attributes=attributes)
     for again in (ViewAttributes(), ViewAttributes("gate"), ViewAttributes(metadata={"floor": 2}), attributes):
@@ -203,14 +203,14 @@ def test_the_same_picture_twice_is_the_view_that_is_there(store: SqlStore) -> No
     assert store.maps.counts("campus").views == {"pending": 0, "ready": 1, "failed": 0}
 
 
-def test_the_same_picture_with_something_else_said_is_a_conflict_that_names_it(store: SqlStore) -> None:
+def test_the_same_image_with_something_else_said_is_a_conflict_that_names_it(store: SqlStore) -> None:
     enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=2.0), metadata={"floor": 1}))
     anew = ViewAttributes("gate", Position(x=1.0, y=3.0), NOW, {"floor": True})
     with pytest.raises(Conflict, match=r"another y, captured_at, metadata\.floor; PATCH"):
         enroll(store, "gate", attributes=anew)
 
 
-def test_a_failed_picture_that_is_sent_again_is_tried_again(store: SqlStore) -> None:
+def test_a_failed_image_that_is_sent_again_is_tried_again(store: SqlStore) -> None:
     first = enroll(store, "gate")
     [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
     store.jobs.fail(claim, "nothing-static", "a bus in front", NOW)
@@ -292,7 +292,7 @@ def test_a_deleted_view_is_gone_from_table_index_and_folder(store: SqlStore, dat
     assert enroll(store, "gate").view.seq > view.seq + 1
 
 
-def test_a_picture_stays_while_a_view_of_another_map_shows_it(store: SqlStore) -> None:
+def test_an_image_stays_while_a_view_of_another_map_shows_it(store: SqlStore) -> None:
     here = enroll(store, "gate", map="campus").view
     there = enroll(store, "gate", map="museum").view
     assert store.removals.delete_view(here.id).images == 0
@@ -392,7 +392,7 @@ def test_a_vocabulary_is_kept_under_its_digest(store: SqlStore) -> None:
     assert store.vocabularies.get("abc") == b"tensors"
 
 
-def test_a_picture_of_wrong_digest_is_refused(store: SqlStore) -> None:
+def test_an_image_of_wrong_digest_is_refused(store: SqlStore) -> None:
     with pytest.raises(ValueError, match="SHA-256"):
         store.enrolment.submit("campus", b"one", facts(b"another"), ViewAttributes(), RECIPE, NOW)
     assert store.maps.all() == []

@@ -66,7 +66,7 @@ class ModelView:
 
 @dataclass
 class ModelMap:
-    """A map: its views by picture."""
+    """A map: its views by image."""
 
     recipe: str
     following: str | None = None
@@ -265,7 +265,7 @@ class StoreMachine(RuleBasedStateMachine):
         assert self.store.jobs.count_waiting() == sum(not job.background for job in unfinished)
 
     @invariant()
-    def no_picture_is_kept_without_a_view(self) -> None:
+    def no_image_is_kept_without_a_view(self) -> None:
         files = {path.read_bytes() for path in (self.folder / "pictures").rglob("??/??/*")}
         assert files == {image(shown) for of in self.maps.values() for shown in of.views}
 

@@ -1,1 +1,1 @@
-"""Image to description: the describer, the scheduler of the encoder, local features, vocabularies, presets."""
+"""Image to description: describer, scheduler of the encoder, local features, vocabularies, presets."""

@@ -1,4 +1,4 @@
-"""Picture to description: the encoder's field, then the method's steps in the paper's order."""
+"""Image to description: the method's steps on a pixel field, in the paper's order."""
 
 from dataclasses import dataclass
 
@@ -19,11 +19,12 @@ from worker.method.context_graph import Regions
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """What a picture shows, cell by cell.
+    """Label of each cell of an image, and which cells are static.
 
     Parameters
     ----------
     labels : int16 of shape (rows, columns)
+        Index into the recipe's labels.
     static : bool of shape (rows, columns)
     """
 
@@ -32,16 +33,17 @@ class Segmentation:
 
 
 class Describer:
-    """Describes pictures by one recipe. Holds no state that a picture could change, so the order never matters.
+    """Describes images by one recipe. Stateless: the order of the images does not matter.
 
     Parameters
     ----------
     encoder : Encoder
-        Whose fields it will be given; only its text vectors are used here.
+        Made the fields; only its text vectors are used here.
     recipe : DescriptionRecipe
     words : Vocabulary
-        The one that the recipe names.
+        The vocabulary that the recipe names.
     product : Product
+        Multiplies descriptors with visual words.
     """
 
     def __init__(
@@ -54,26 +56,26 @@ class Describer:
         self._dynamic = np.isin(np.array(recipe.labels), np.array(recipe.dynamic))
 
     def segment(self, field: PixelField) -> Segmentation:
-        """Label map and static cells of a field."""
+        """Label map and static cells of a pixel field."""
         parameters = self.recipe.parameters.dynamic
         scores = labels.scores(field.semantic, self._text)
         static = static_mask.static_cells(scores, self._dynamic, parameters.margin, parameters.most)
         return Segmentation(labels.label_map(scores), static)
 
     def graph(self, field: PixelField, segmentation: Segmentation) -> ContextGraph:
-        """The context graph of a field."""
+        """The context graph of a pixel field."""
         least = self.recipe.parameters.graph.min_region_cells
         return context_graph.build(
             segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
         )
 
     def keypoints(self, image: Image) -> LocalFeatures | None:
-        """Local features for verification, if the recipe has one; they do not need the field."""
+        """Local features for verification; None when the recipe has none. They do not need the pixel field."""
         wanted = self.recipe.parameters.local_features
         return None if wanted is None else local_features(image.pixels, wanted)
 
     def describe(self, image: Image, field: PixelField, found: LocalFeatures | None) -> Description:
-        """Everything the recipe wants to know about a picture, of which `found` is what `keypoints` found.
+        """The description of an image by the recipe; `found` are the local features from `keypoints`.
 
         Raises
         ------
@@ -84,7 +86,7 @@ class Describer:
         segmentation = self.segment(field)
         if not segmentation.static.any():
             shown = ", ".join(self.recipe.labels[i] for i in np.unique(segmentation.labels))
-            raise NothingStatic(f"every part of the picture is something that moves ({shown}); show more of the place")
+            raise NothingStatic(f"every part of the image is something that moves ({shown}); show more of the place")
         random = sampling.generator(parameters.seed, image.digest)
         vectors: dict[str, Floats] = {}
         parts: dict[str, Floats] = {}

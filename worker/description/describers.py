@@ -1,4 +1,4 @@
-"""Describers by recipe: made once, shared by queries and enrolments."""
+"""Describers by recipe: built once, shared by queries and enrolments."""
 
 import threading
 from collections import OrderedDict
@@ -12,19 +12,19 @@ from worker.description.vocabularies import Vocabulary
 from worker.method.byte_vectors import Product, float_product
 
 KEPT = 32
-"""Describers held ready; a service with more recipes in use makes the others anew, which takes milliseconds."""
+"""Describers kept; with more recipes in use the least recently used are built again, in milliseconds."""
 
 
 class Describers:
-    """Finds the vocabulary a recipe names and makes its describer.
+    """Loads the vocabulary that a recipe names and builds its describer.
 
     Parameters
     ----------
     encoder : Encoder
     vocabularies : VocabularyReader
-        Those vocabularies that maps have trained.
+        Vocabularies that were trained on maps.
     general : iterable of Vocabulary
-        Those that ship with the encoder.
+        Vocabularies that ship with the encoder.
     product : Product
     """
 

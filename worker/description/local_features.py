@@ -1,4 +1,4 @@
-"""Keypoints of a picture for geometric verification: SIFT on the evened-out luminance, reduced to 48 bytes each."""
+"""Keypoints of an image for geometric verification: SIFT on the equalised luminance, descriptors of 48 bytes."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -12,37 +12,36 @@ from worker.method.byte_vectors import quantise
 from worker.method.unit_length import unit
 
 LONGER_SIDE = 320
-"""Pixels to which a picture is scaled, up or down: SIFT's time goes with its area."""
+"""Pixels to which the longer side is scaled, up or down: the time of SIFT grows with the area."""
 
 CONTRAST = 0.01
-"""Keypoints fainter than this are left out (OpenCV's default of 0.04 leaves dark rooms without any)."""
+"""SIFT's contrast threshold (OpenCV's default of 0.04 leaves dark rooms without keypoints)."""
 
 CLIP_LIMIT = 2.0
-"""Of the histogram equalisation in 8 x 8 tiles that evens out the light first (CLAHE)."""
+"""Of CLAHE in 8 x 8 tiles, which equalises contrast before SIFT."""
 
 PROJECTION = Path(__file__).with_name("rootsift_projection.npz")
-"""Mean and leading 48 directions of general pictures' RootSIFT (`training/rootsift_projection.py`)."""
+"""Mean and first 48 principal directions of RootSIFT on many images (`training.commands.fit_rootsift_projection`)."""
 
 
 def local_features(pixels: Bytes2D, keypoints: int) -> LocalFeatures:
-    """The strongest keypoints of a picture.
+    """The strongest keypoints of an image.
 
     Parameters
     ----------
     pixels : uint8 of shape (height, width, 3)
         RGB.
     keypoints : int
-        At most so many are kept.
+        Number kept at most.
 
     Returns
     -------
     LocalFeatures
-        Strongest first, ties from the top left; none for a picture without structure. Descriptors are int8 of 48.
+        Strongest first, ties by row, then column; empty for an image without structure. Descriptors are int8 (n, 48).
 
     Notes
     -----
-    SIFT: Lowe 2004. RootSIFT (L1, then square root): Arandjelovic and Zisserman 2012. The same picture always gives
-    the same features.
+    SIFT: Lowe 2004. RootSIFT (L1, then square root): Arandjelovic and Zisserman 2012. Deterministic.
     """
     positions, descriptors = root_descriptors(pixels, keypoints)
     return LocalFeatures(positions, reduce(descriptors))
@@ -55,7 +54,7 @@ def root_descriptors(pixels: Bytes2D, keypoints: int) -> tuple[Floats, Floats]:
     -------
     positions : float32 of shape (n, 2)
     descriptors : float32 of shape (n, 128)
-        RootSIFT, unit length, not negative.
+        RootSIFT, unit length, non-negative.
     """
     image = _evened(pixels)
     sift = cv2.SIFT_create(nfeatures=max(1, keypoints), contrastThreshold=CONTRAST)
@@ -88,13 +87,13 @@ def reduce(descriptors: Floats) -> Int8s:
 
 @lru_cache(maxsize=1)
 def reduction() -> tuple[Floats, Floats]:
-    """Mean, float32 (128,), and projection, float32 (128, 48), that come with the program."""
+    """The shipped mean, float32 (128,), and projection, float32 (128, 48)."""
     with np.load(PROJECTION, allow_pickle=False) as stored:
         return stored["mean"].astype(np.float32), stored["matrix"].astype(np.float32)
 
 
 def _evened(pixels: Bytes2D) -> Bytes2D:
-    """Luminance with its longer side at `LONGER_SIDE`, contrast evened out, uint8 (height, width)."""
+    """Luminance with its longer side at `LONGER_SIDE`, contrast equalised, uint8 (height, width)."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
     scale = LONGER_SIDE / max(height, width)

@@ -1,4 +1,4 @@
-"""A vocabulary for a map, trained on its own views, as a job that survives a restart."""
+"""Training of a vocabulary on a map's own views, as a durable job."""
 
 import logging
 import threading
@@ -25,7 +25,7 @@ PAGE = 500
 
 
 class Stop(Exception):
-    """The worker is stopping: the job goes back unharmed."""
+    """The worker is stopping: the job is put back."""
 
 
 class MapReader(Protocol):
@@ -52,40 +52,40 @@ class ViewReader(Protocol):
         ...
 
     def image(self, view_id: str) -> bytes:
-        """The enrolled image; raises NotFound."""
+        """The enrolled bytes; raises NotFound."""
         ...
 
 
 class VocabularyWriter(Protocol):
-    """Keeps vocabularies."""
+    """Stores vocabularies."""
 
     def keep(self, digest: str, tensors: bytes) -> None:
-        """Keep safetensors bytes under their SHA-256."""
+        """Store safetensors bytes under their SHA-256."""
         ...
 
 
 class TrainingJobs(Protocol):
-    """Jobs of maps, under a lease."""
+    """Jobs of maps, held under a lease."""
 
     def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta, now: datetime) -> None:
-        """Say how far a job is, and renew its lease; raises LeaseLost."""
+        """Report the progress of a job and renew its lease; raises LeaseLost."""
         ...
 
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
-        """Have the map's views described by the trained vocabulary; raises LeaseLost."""
+        """Queue the description of the map's views by the recipe with the trained vocabulary; raises LeaseLost."""
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """Give a job up; raises LeaseLost."""
+        """End a job as failed; raises LeaseLost."""
         ...
 
     def release_map_job(self, claim: MapClaim) -> None:
-        """Put a job back unharmed."""
+        """Put a job back without counting the attempt."""
         ...
 
 
 class VocabularyTrainer:
-    """Carries out jobs of the kind ``vocabulary``.
+    """Runs jobs of the kind ``vocabulary``.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class VocabularyTrainer:
         self._describers, self._scheduler, self._decode, self._lease = describers, scheduler, decode, lease
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
-        """Train, and leave the rest to the describe jobs that this queues; what goes wrong ends in the job."""
+        """Train a vocabulary and queue the descriptions by it until `stopping()` is true; an error fails the job."""
         try:
             recipe = self._maps.get(claim.map).description
             describer = self._describers.of(recipe)
@@ -150,7 +150,7 @@ class VocabularyTrainer:
     def _fields(
         self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]
     ) -> Iterator[PixelField]:
-        """Fields of the map's views, in a random order that the seed decides; behind all queries."""
+        """Pixel fields of the map's views, in random order by `seed`; queries go first."""
         ids: list[str] = []
         cursor: str | None = None
         while True:
@@ -168,12 +168,12 @@ class VocabularyTrainer:
 
 
 class _Heartbeat:
-    """Renews a lease while its block runs, however long one step takes.
+    """Renews a lease in a thread of its own while its block runs.
 
     Parameters
     ----------
     report : function
-        Of the progress; raises LeaseLost.
+        Called with the progress; raises LeaseLost.
     lease : timedelta
     """
 

@@ -1,4 +1,4 @@
-"""What describing needs from outside: an encoder, and optionally a network for segmentations."""
+"""Ports of describing: an encoder, optionally a segmenter, and trained vocabularies."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
@@ -9,11 +9,11 @@ from schemas.records import Meaning
 
 
 class Encoder(Protocol):
-    """Turns images into fields of language-aligned embeddings. Deterministic on one machine type."""
+    """Turns images into pixel fields of language-aligned embeddings. Deterministic on one machine type."""
 
     @property
     def name(self) -> str:
-        """Of the encoder; with `digest` it decides every embedding."""
+        """Name of the encoder; with `digest` it identifies every embedding."""
         ...
 
     @property
@@ -23,12 +23,12 @@ class Encoder(Protocol):
 
     @property
     def layers(self) -> Mapping[str, int]:
-        """Channels of each layer of its fields; ``semantic`` is always there."""
+        """Number of channels by layer of its fields; ``semantic`` is always among them."""
         ...
 
     @property
     def known_labels(self) -> frozenset[str] | None:
-        """Labels that it has text vectors for; None when it makes one for any label."""
+        """Labels with a text vector; None when it computes one for any label."""
         ...
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
@@ -36,15 +36,15 @@ class Encoder(Protocol):
         ...
 
     def text_vectors(self, labels: Sequence[str]) -> Floats:
-        """Vectors of labels, float32 (labels, channels of the layer ``semantic``).
+        """Text vectors of labels, float32 of shape (labels, channels of the layer ``semantic``).
 
-        A cell's inner product with one is their cosine. Not longer than 1; shorter by what lies outside the space that
-        cells can reach.
+        The inner product of a cell and a text vector is their cosine. Length at most 1: vectors are projected onto the
+        subspace that cells can reach.
 
         Raises
         ------
         InvalidParameters
-            Names each label it does not know, and those it does.
+            Names each unknown label, and the known ones.
         """
         ...
 
@@ -54,15 +54,15 @@ class Encoder(Protocol):
 
 
 class Segmenter(Protocol):
-    """Sees an image at a finer grid than an encoder, for people to look at; nothing that is stored is made of it."""
+    """Segments an image on a finer grid than an encoder, for drawings only; nothing of it is stored."""
 
     def segment(self, image: Image) -> PixelField:
-        """The layer ``semantic`` at the finest grid there is, in the space of the encoder's text vectors."""
+        """A field with the layer ``semantic`` on the finer grid, in the space of the encoder's text vectors."""
         ...
 
 
 class VocabularyReader(Protocol):
-    """Vocabularies that maps have trained."""
+    """Vocabularies that were trained on maps."""
 
     def get(self, digest: str) -> bytes:
         """The safetensors bytes of a vocabulary by their SHA-256; raises NotFound."""

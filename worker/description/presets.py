@@ -1,4 +1,4 @@
-"""Named presets, and how both halves of a recipe are made of a preset, an encoder and what the user changed."""
+"""Named presets, and map recipes built from a preset, an encoder and the user's changes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ PAPER_LABELS = (
 """The 14 labels of the paper (after Semantic-KITTI)."""
 
 PAPER_DYNAMIC = ("vehicle", "car", "bicycle", "motorcycle", "cyclist", "other")
-"""The paper's labels of things that move."""
+"""The paper's dynamic labels."""
 
 CODE_LABELS = (
     "ground", "road", "sidewalk", "parking", "structure", "building", "house", "vehicle", "car", "truck", "van",
@@ -49,19 +49,19 @@ STREET_AND_ROOM = (
     "grass", "terrain", "water", "mountain", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle",
     "window", "door", "floor", "ceiling", "cabinet", "chair", "table", "sofa", "bed", "stairs", "other",
 )  # fmt: skip
-"""Labels of the default preset: the street outside, the country around it, and the room inside."""
+"""Labels of the default preset: streets, countryside and rooms."""
 
 STREET_AND_ROOM_DYNAMIC = ("person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle")
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A named way of describing and ranking.
+    """Labels, description parameters and ranking under one name.
 
     Parameters
     ----------
     labels, dynamic : tuple of str
-        Labels, and those of them that move.
+        All labels, and the dynamic ones among them.
     parameters : DescriptionParameters
     ranking : RankingConfig
     """
@@ -119,15 +119,15 @@ PRESETS: Mapping[str, Preset] = {
     "paper": Preset(PAPER_LABELS, PAPER_DYNAMIC, _PAPER, _PAPER_RANKING),
     "code-words": Preset(CODE_LABELS, CODE_DYNAMIC, _PAPER, _PAPER_RANKING.model_copy(update={"preset": "code-words"})),
 }
-"""``paper`` is what the paper states, with the authors' numbers where it is silent; ``code-words`` the same with the
-labels of their program; ``default`` is what measuring found (docs/evaluation.md)."""
+"""``paper`` has the paper's values, and the authors' program's where the paper gives none; ``code-words`` the same with
+the labels of their program; ``default`` was tuned by measurement (docs/evaluation.md)."""
 
 
 def preset_for(name: str, encoder: Encoder) -> Preset:
-    """A preset that an encoder can serve at once.
+    """A preset that an encoder can use without training.
 
-    Where no vocabulary ships for it, the words of its one channel are the label vectors themselves
-    (`vocabularies.of_text`), until the map trains its own.
+    Where no vocabulary ships for both, the preset has one channel, whose visual words are the labels' text vectors
+    (`vocabularies.of_text`).
 
     Raises
     ------
@@ -145,10 +145,10 @@ def preset_for(name: str, encoder: Encoder) -> Preset:
 
 
 def carried(name: str, encoder: Encoder) -> Preset:
-    """A preset as far as an encoder can carry it; raises InvalidParameters.
+    """A preset reduced to the layers and labels of an encoder; raises InvalidParameters for an unknown name.
 
-    An encoder without an appearance layer searches and ranks by the semantic channel alone. One that does not know the
-    preset's labels gets the paper's.
+    An encoder without the layer ``detail`` searches and ranks by the semantic channel alone. One that does not know all
+    of the preset's labels gets the paper's.
     """
     if name not in PRESETS:
         raise InvalidParameters.of("preset", f"{name!r} is not one of {', '.join(PRESETS)}")
@@ -161,7 +161,7 @@ def carried(name: str, encoder: Encoder) -> Preset:
 
 
 def _with_channels(preset: Preset, channels: Mapping[str, Channel]) -> Preset:
-    """A preset with these channels only, and with weights of the terms that they can give."""
+    """A preset with these channels only, without weights of terms that need others."""
     parameters, weights = preset.parameters, preset.ranking.weights
     dense = parameters.dense
     if dense is not None:
@@ -181,7 +181,7 @@ def _with_channels(preset: Preset, channels: Mapping[str, Channel]) -> Preset:
 
 
 def general_vocabulary(encoder: Encoder, name: str) -> Vocabulary:
-    """The vocabulary that a preset starts with: shipped with the encoder, or else its text vectors."""
+    """The vocabulary of a preset before training: shipped with the encoder, or else its text vectors."""
     found = vocabularies.shipped(encoder.name, name)
     if found is not None:
         return found
@@ -191,12 +191,12 @@ def general_vocabulary(encoder: Encoder, name: str) -> Vocabulary:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a user wants a map to be made with; None leaves it as it is.
+    """A user's changes to a recipe; None changes nothing.
 
     Parameters
     ----------
     labels, dynamic : sequence of str, optional
-        Replace the preset's. Without `dynamic`, those of the preset's dynamic labels that are among the labels.
+        Replace the preset's. Without `dynamic`, the preset's dynamic labels that are among the labels.
     preset : str, optional
     parameters, ranking : mapping, optional
         Merged into the preset's, key by key at every depth.
@@ -217,23 +217,23 @@ def make_recipe(
     present: MapRecipe | None = None,
     vocabulary: Vocabulary | None = None,
 ) -> MapRecipe:
-    """Both halves of a recipe from a preset and what the user changed of it.
+    """A map recipe from a preset and the user's changes.
 
     Parameters
     ----------
     encoder : Encoder
     wanted : Wanted
     preset : str
-        Where `wanted` names none.
+        Name of the preset when `wanted` has none.
     present : MapRecipe, optional
-        What the map has: `wanted` is merged into it instead of the preset's.
+        The map's recipe: its parameters are changed instead of the preset's.
     vocabulary : Vocabulary, optional
-        Instead of the general one.
+        Used instead of the general vocabulary.
 
     Raises
     ------
     InvalidParameters
-        Lists everything that is wrong at once.
+        Lists all invalid parameters.
     """
     name = wanted.preset or preset
     base = preset_for(name, encoder)
@@ -271,7 +271,7 @@ def make_recipe(
 
 
 def changed_ranking(present: MapRecipe, changes: Mapping[str, Any]) -> RankingConfig:
-    """A map's ranking with some of its numbers changed; raises InvalidParameters, which lists everything wrong."""
+    """A map's ranking with changed parameters; raises InvalidParameters, which lists all invalid ones."""
     errors: list[ParameterError] = []
     ranking = _merged(RankingConfig, present.ranking, changes, "ranking", errors)
     errors += ranking_errors(ranking, present.description.parameters, changes)
@@ -283,7 +283,7 @@ def changed_ranking(present: MapRecipe, changes: Mapping[str, Any]) -> RankingCo
 def ranking_errors(
     ranking: RankingConfig, parameters: DescriptionParameters, changes: Mapping[str, Any]
 ) -> list[ParameterError]:
-    """What a ranking asks for that the descriptions do not have."""
+    """Errors of a ranking that needs more than the descriptions have."""
     errors = []
     if "preset" in changes:
         errors.append(ParameterError("ranking.preset", "is set by `preset`, beside `ranking`"))
@@ -307,7 +307,7 @@ Half = TypeVar("Half", DescriptionParameters, RankingConfig)
 def _merged(
     model: type[Half], base: Half, changes: Mapping[str, Any] | None, name: str, errors: list[ParameterError]
 ) -> Half:
-    """`base` with changes; what is wrong with them is added to `errors`."""
+    """`base` with changes; invalid ones are added to `errors`, and `base` is returned."""
     if not changes:
         return base
     try:
@@ -318,7 +318,7 @@ def _merged(
 
 
 def _listed(error: ValidationError, model: type[BaseModel], name: str) -> list[ParameterError]:
-    """What is wrong with one half of a recipe; a parameter of the other half is sent there."""
+    """A validation error as parameter errors; a parameter of the other half is named as such."""
     other: type[BaseModel] = RankingConfig if model is DescriptionParameters else DescriptionParameters
     listed = []
     for one in error.errors():

@@ -1,4 +1,4 @@
-"""The one desk where pictures are encoded: queries first, enrolments when nobody asks."""
+"""The scheduler of the encoder: batches images, queries before enrolments."""
 
 import logging
 import queue
@@ -17,7 +17,7 @@ from worker.description.ports import Encoder, Segmenter
 
 T = TypeVar("T")
 Finish = Callable[..., T]
-"""Of a picture and its field; and of what was made beside the network, where something was."""
+"""Called with an image and its pixel field, and the result of `parallel` where that was given."""
 
 QUERY, ENROLMENT, CLOSE = 0, 1, 2
 
@@ -26,14 +26,14 @@ log = logging.getLogger("revisit.scheduler")
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
-    """What came of a picture, and how long it took.
+    """A result with the times that it took.
 
     Parameters
     ----------
     value : T
-        Result of the `finish` function.
+        Returned by the `finish` function.
     queue_ms, encode_ms, finish_ms : float
-        Waiting, the network (shared among a batch), and `finish`, with what was left to do beside the network.
+        Milliseconds in the queue, in the encoder, and in `finish`, including the wait for `parallel`.
     """
 
     value: T
@@ -56,21 +56,23 @@ class _Request:
 
 
 class Scheduler:
-    """One thread that owns the encoder, and two for what can be done while it is busy.
+    """One thread runs the encoder, two more run `parallel` and `finish` functions while it is busy.
 
-    What does not need the field (local features) is made beside the network: that of queries in a thread of their
-    own, so that it waits for no enrolment. What is enrolled is described while the next picture is encoded.
+    Work that does not need the pixel field (local features) runs parallel to the encoder; that of queries has a thread
+    of its own, so that it does not wait for enrolments. An enrolment is described while the next image is encoded.
 
-    A query waits for the batch under way and for other queries, never for queued enrolments. The thread that
-    encodes it describes it too, so that it does not wait for the description of an enrolment either.
+    A query waits for the running batch and for earlier queries, never for queued enrolments. Its `finish` runs in the
+    encoder's thread, so that it does not wait for the description of an enrolment either.
 
     Parameters
     ----------
     encoder : Encoder
     batch : int
-        Pictures encoded together. On a CPU one at a time is as quick, and keeps queries from waiting.
+        Images encoded together. On a CPU 1 is as fast, and queries wait less.
     queries : int
         Queries that may wait; more are refused with Busy.
+    segmenter : Segmenter, optional
+        Makes the fields of requests with `segment`; without one the encoder does.
     """
 
     def __init__(self, encoder: Encoder, batch: int, queries: int, segmenter: Segmenter | None = None) -> None:
@@ -82,7 +84,7 @@ class Scheduler:
         self._numbers = count()
         self._lock = threading.Lock()
         self._pending_queries = 0
-        self._pace_s = 0.2  # seconds per picture, a moving average; the start is a guess that the first ones correct
+        self._pace_s = 0.2  # seconds per image, a moving average; an initial guess
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
@@ -90,20 +92,20 @@ class Scheduler:
 
     @property
     def pace_s(self) -> float:
-        """Measured seconds per picture."""
+        """Measured seconds per image."""
         return self._pace_s
 
     @property
     def alive(self) -> bool:
-        """Whether pictures are being served."""
+        """Whether the scheduler runs and accepts images."""
         return self._thread.is_alive() and not self._closed
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start the encoder's thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Serve what was handed in, then stop."""
+        """Finish all submitted images, then stop."""
         with self._lock:
             if self._closed:
                 return
@@ -124,15 +126,24 @@ class Scheduler:
         segment: bool = False,
         parallel: Callable[[Image], Any] | None = None,
     ) -> "Future[Timed[T]]":
-        """Have a picture encoded, and `finish` called with it and its field (in a thread of the desk).
+        """Queue an image to be encoded; the result is what `finish` returns.
 
-        With `segment` the field is the segmenter's, which is for drawing. What `parallel` makes of the picture, while
-        the network works on it, is the third argument of `finish`.
+        Parameters
+        ----------
+        image : Image
+        finish : function
+            Called in a thread of the scheduler with the image, its pixel field and, if given, the result of `parallel`.
+        urgent : bool
+            True for queries, False for enrolments.
+        segment : bool
+            Whether the field comes from the segmenter, for drawings.
+        parallel : function, optional
+            Called with the image while the encoder works on it.
 
         Raises
         ------
         Busy
-            Too many queries wait already; only for urgent ones.
+            Too many queries wait; only for urgent requests.
         Unavailable
             The service is stopping.
         """
@@ -193,11 +204,11 @@ class Scheduler:
                     self._describing.submit(_finish, request, pixel_field, waited_ms, encode_ms)
         except Exception as error:
             left = batch[timed:]
-            if len(left) > 1:  # one picture must not take others down with it
+            if len(left) > 1:  # one image must not fail the others
                 for request in left:
                     self._serve([request])
                 return
-            log.exception("the encoder failed on a picture")
+            log.exception("the encoder failed on an image")
             for request in left:
                 request.future.set_exception(error)
         if batch:
@@ -217,7 +228,7 @@ def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_
     try:
         made = () if request.made is None else (request.made.result(),)
         value = request.finish(request.image, pixel_field, *made)
-    except BaseException as error:  # belongs to the one who asked, not to the desk
+    except BaseException as error:  # is the result of this request, not an error of the scheduler
         request.future.set_exception(error)
         return
     request.future.set_result(Timed(value, queue_ms, encode_ms, (time.perf_counter() - began) * 1000))

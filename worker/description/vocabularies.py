@@ -1,4 +1,4 @@
-"""Vocabularies as files: one set of tensors per recipe, named by the SHA-256 of its bytes."""
+"""Vocabularies as files: safetensors with the tensors of all channels, named by the SHA-256 of the bytes."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,13 +20,13 @@ SHIPPED = Path(__file__).parents[1] / "encoders" / "weights"
 """Folder of the general vocabularies, ``ENCODER-PRESET.vocabulary.safetensors``."""
 
 NAMES_IN_FILES = {SEMANTIC: "words"}
-"""What files call channels, where that differs: recipes name files by their SHA-256, so they stay as they are."""
+"""Names of channels in files, where they differ: recipes name files by their SHA-256, so files keep theirs."""
 
 PER_IMAGE = 200
-"""Descriptors of a picture that take part in training, so that no picture counts more than another."""
+"""Descriptors drawn per image for training, so that all images count the same."""
 
 MOST_IMAGES = 1000
-"""Pictures that training looks at; more change nothing but the time it takes."""
+"""Images used for training at most; more only take longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Vocabulary:
 
     @cached_property
     def tensors(self) -> bytes:
-        """As safetensors; equal vocabularies give equal bytes."""
+        """The vocabulary as safetensors bytes; equal vocabularies give equal bytes."""
         named: dict[str, Floats] = {}
         for name, channel in sorted((NAMES_IN_FILES.get(n, n), c) for n, c in self.channels.items()):
             named[f"{name}.words"] = channel.words
@@ -50,17 +50,17 @@ class Vocabulary:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of `tensors`, hexadecimal: what a recipe calls it."""
+        """SHA-256 (hex) of `tensors`, by which recipes name the vocabulary."""
         return hashlib.sha256(self.tensors).hexdigest()
 
     @classmethod
     def read(cls, tensors: bytes, source: str) -> "Vocabulary":
-        """A vocabulary from safetensors bytes; `source` names them in errors.
+        """Read a vocabulary from safetensors bytes; `source` names them in errors.
 
         Raises
         ------
         SetupError
-            The bytes are no vocabulary.
+            The bytes are not a vocabulary.
         """
         try:
             named = load(tensors)
@@ -79,12 +79,12 @@ class Vocabulary:
         return cls(channels)
 
     def check(self, parameters: DescriptionParameters, layers: Mapping[str, int]) -> None:
-        """Refuse to serve a recipe that this vocabulary does not fit.
+        """Check that this vocabulary fits a recipe's parameters and an encoder's layers.
 
         Raises
         ------
         SetupError
-            Names the first channel whose sizes disagree.
+            Names the first channel whose sizes differ.
         """
         for name, channel in parameters.channels.items():
             learned = self.channels.get(name)
@@ -104,16 +104,16 @@ class Vocabulary:
 
 
 def shipped(encoder: str, preset: str) -> Vocabulary | None:
-    """The general vocabulary that comes with an encoder, if one does."""
+    """The general vocabulary that ships for an encoder and a preset; None where there is none."""
     path = SHIPPED / f"{encoder}-{preset}.vocabulary.safetensors"
     return Vocabulary.read(path.read_bytes(), path.name) if path.exists() else None
 
 
 def of_text(text_vectors: Floats, parameters: DescriptionParameters) -> Vocabulary:
-    """A vocabulary for an encoder that nothing has been trained for: the text vectors themselves are the words.
+    """A vocabulary without training: the labels' text vectors are the visual words.
 
-    Every channel must take its descriptors from the language-aligned layer and have as many words as there are
-    text vectors; its histogram then counts labels.
+    Every channel must take its descriptors from the layer ``semantic`` and have as many visual words as there are text
+    vectors; its histogram then counts labels.
     """
     return Vocabulary({name: ChannelVocabulary(text_vectors) for name in parameters.channels})
 
@@ -124,22 +124,22 @@ StaticCells = Callable[[PixelField], Booleans]
 def train(
     fields: Iterable[PixelField], static_cells: StaticCells, parameters: DescriptionParameters, seed: int = 0
 ) -> Vocabulary:
-    """Train the vocabulary of every channel on pictures (paper, "Visual-Language Vocabulary").
+    """Train the vocabulary of every channel on images (paper, "Visual-Language Vocabulary").
 
     Parameters
     ----------
     fields : iterable of PixelField
-        Of database pictures only: a vocabulary that has seen the queries flatters every figure. Consumed once; at
-        most MOST_PICTURES are read.
+        Of database images only: a vocabulary trained on queries inflates all results. Consumed once; at most
+        `MOST_IMAGES` are read.
     static_cells : function
-        Field to bool (rows, columns): the cells that do not move.
+        Field to bool of shape (rows, columns), True for static cells.
     parameters : DescriptionParameters
     seed : int
 
     Raises
     ------
     ValueError
-        Too few pictures for the number of words or dimensions; says which.
+        Too few images for the number of visual words or dimensions; says which.
     """
     random = np.random.default_rng(seed)
     images: dict[str, list[Floats]] = {name: [] for name in parameters.channels}
@@ -171,7 +171,7 @@ def _train_channel(
     random: np.random.Generator,
 ) -> ChannelVocabulary:
     sample = np.concatenate([p[random.permutation(len(p))[:PER_IMAGE]] for p in images]).astype(np.float32)
-    # Soft assignment compares cosines, so its words are kept on the sphere; counting the nearest is plain k-means.
+    # Soft assignment compares cosines: spherical k-means. Hard assignment takes the nearest word: plain k-means.
     words = vocabulary.train_words(sample, channel.vocabulary_size, random, spherical=channel.assignments > 1)
     plain = ChannelVocabulary(words)
     projection = None

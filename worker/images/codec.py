@@ -1,8 +1,8 @@
-"""Bytes to pictures and back, within limits; the only module that decodes what unknown places send.
+"""Bytes to images and back, within limits; the only module that decodes bytes from clients.
 
 The order matters: type by magic bytes, size from the header, completeness by structure, and only then the decoder.
-JPEG and PNG without peculiarities go through OpenCV, which is quicker; everything with alpha, a palette, CMYK or
-unusual depths goes through Pillow, which knows what they mean.
+Plain RGB and grey JPEG and PNG are decoded by OpenCV, which is faster; all others (alpha, palette, CMYK, other depths)
+by Pillow.
 """
 
 import hashlib
@@ -20,29 +20,29 @@ from schemas.image import Bytes2D, Image, ImageFacts
 from schemas.settings import MEGA, Settings
 from worker.images.sniffing import ACCEPTED, image_type
 
-# `decode` compares the header's size with its own, lower limit; Pillow's would only add a warning.
+# `decode` checks the size against `Limits` first; Pillow's own limit would only add a warning.
 PilImage.MAX_IMAGE_PIXELS = None
 
 SHORTEST_SIDE = 32
-"""Pixels; below that there is nothing to recognise."""
+"""Smallest side accepted, in pixels."""
 
 _ORIENTATION = 0x0112  # EXIF tag
-_TURNED = range(5, 9)  # its values that swap width and height
+_TURNED = range(5, 9)  # values that swap width and height
 _THUMBNAIL_QUALITY = 85
-_QUICKER = ("jpeg", "png")  # by OpenCV; of WebP it also returns what is damaged
+_QUICKER = ("jpeg", "png")  # by OpenCV; not WebP, of which it returns damaged files too
 _PLAIN_MODES = ("RGB", "L")  # what OpenCV decodes exactly as Pillow would
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a picture may measure.
+    """Limits of an image's size.
 
     Parameters
     ----------
     max_bytes : int
-        Of the encoded picture.
+        Length of the encoded bytes.
     max_pixels : int
-        Width times height, as its header says.
+        Width times height, from the header.
     """
 
     max_bytes: int = 25 * MEGA
@@ -50,15 +50,15 @@ class Limits:
 
     @classmethod
     def of(cls, settings: Settings) -> "Limits":
-        """The limits that an operator has set."""
+        """The limits in the settings."""
         return cls(round(settings.max_body_mb * MEGA), round(settings.max_megapixels * MEGA))
 
 
 def decode(data: bytes, limits: Limits) -> Image:
-    """Decode a picture: upright, RGB, eight bits.
+    """Decode an image: upright, RGB, eight bits.
 
     Orientation follows EXIF. Grey is repeated, alpha is laid over white, sixteen bits keep their upper eight, CMYK is
-    converted without a profile, and of several pages or frames of JPEG, PNG and TIFF the first counts.
+    converted without a profile, and of several pages or frames in JPEG, PNG and TIFF the first is taken.
 
     Raises
     ------
@@ -72,20 +72,20 @@ def decode(data: bytes, limits: Limits) -> Image:
 
 
 def probe(data: bytes, limits: Limits) -> ImageFacts:
-    """All that can be said of a picture without decoding it; raises as `decode`, but overlooks damaged pixels."""
+    """Facts of an image from its header, without decoding; raises as `decode`, except for damaged pixels."""
     header = _Header.read(data, limits)
     return ImageFacts(header.width, header.height, len(data), header.format, hashlib.sha256(data).hexdigest())
 
 
 def facts(image: Image) -> ImageFacts:
-    """What is kept of a decoded picture besides its bytes."""
+    """The stored facts of a decoded image."""
     return ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
 
 
 def thumbnail(data: bytes, longest: int) -> bytes:
-    """A JPEG of a picture that `decode` accepts, upright, its longer side at most `longest`; never enlarged.
+    """A JPEG of an image that `decode` accepts, upright, its longer side at most `longest`; never enlarged.
 
-    It carries no EXIF: where a photo was taken is not told by its thumbnail.
+    It has no EXIF, so it does not reveal where a photo was taken.
     """
     with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
         # A JPEG can be decoded straight to a fraction of its size, which saves most of the time.
@@ -101,7 +101,7 @@ def thumbnail(data: bytes, longest: int) -> bytes:
 
 
 def shrink(image: Image, longest: int = 640) -> Image:
-    """The picture with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
+    """The image with its longer side at most `longest`, for drawing on; it keeps its digest and is never enlarged."""
     scale = longest / max(image.width, image.height)
     if scale >= 1:
         return image
@@ -115,7 +115,7 @@ _FORMATS = [name.upper() for name in ACCEPTED]
 
 @dataclass(frozen=True)
 class _Header:
-    """What a picture says of itself before it is decoded."""
+    """Facts of an encoded image, read without decoding."""
 
     format: str
     stored: tuple[int, int]  # (width, height) as encoded
@@ -134,7 +134,7 @@ class _Header:
     def read(cls, data: bytes, limits: Limits) -> "_Header":
         """Check everything that needs no decoding; raises as `decode`."""
         if len(data) > limits.max_bytes:
-            raise BodyTooLarge(f"the picture has {len(data):,} bytes; at most {limits.max_bytes:,} are taken")
+            raise BodyTooLarge(f"the image has {len(data):,} bytes; at most {limits.max_bytes:,} are taken")
         kind = image_type(data)
         try:
             with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
@@ -143,14 +143,14 @@ class _Header:
                 animated = kind == "webp" and getattr(pil_image, "n_frames", 1) > 1
                 plain = kind in _QUICKER and pil_image.mode in _PLAIN_MODES and "transparency" not in pil_image.info
         except Exception as error:
-            # Pillow's parsers raise whatever their struct and zlib calls do; by now the type is known to be right.
+            # Pillow's parsers raise errors of struct, zlib and others; the type is already checked.
             raise _undecodable(kind, f"its header cannot be read ({error})") from error
         if animated:
-            raise BadImage("not-a-picture", "this is an animated WebP; send a single picture")
+            raise BadImage("not-a-picture", "this is an animated WebP; send a still image")
         _check_size(*stored, limits)
         whole = _WHOLE.get(kind)
         if whole is not None and not whole(data):
-            raise _undecodable(kind, "it ends before the picture does")
+            raise _undecodable(kind, "the file ends too early")
         return cls(kind, stored, orientation, plain)
 
 
@@ -158,23 +158,23 @@ def _check_size(width: int, height: int, limits: Limits) -> None:
     if width * height > limits.max_pixels:
         raise BadImage(
             "picture-too-large",
-            f"the picture is {width} x {height} = {width * height / MEGA:.1f} megapixels; "
+            f"the image is {width} x {height} = {width * height / MEGA:.1f} megapixels; "
             f"at most {limits.max_pixels / MEGA:g} are taken",
         )
     if min(width, height) < SHORTEST_SIDE:
         raise BadImage(
             "picture-too-small",
-            f"the picture is {width} x {height} pixels; at least {SHORTEST_SIDE} x {SHORTEST_SIDE} are needed",
+            f"the image is {width} x {height} pixels; at least {SHORTEST_SIDE} x {SHORTEST_SIDE} are needed",
         )
 
 
 def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
-    """EXIF orientation, 1 to 8; 1 when there is none, or none that can be read. Decodes no pixels."""
+    """EXIF orientation, 1 to 8; 1 when it is missing or unreadable. Decodes no pixels."""
     if pil_image.format == "TIFF":
-        return 1  # Pillow turns these by itself
+        return 1  # Pillow applies it by itself
     try:
         if pil_image.format == "PNG":
-            # Pillow's own reader of a PNG's EXIF decodes the picture, since the chunk may stand behind the pixels.
+            # Pillow's own reader of a PNG's EXIF decodes the image, since the chunk may follow the pixels.
             for kind, content in _png_chunks(data):
                 if kind == b"eXIf":
                     pil_image.info["exif"] = b"Exif\x00\x00" + content
@@ -187,8 +187,8 @@ def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
-# Where OpenCV gives up within a JPEG it leaves this grey; Pillow raises. A second opinion is asked only when the last
-# block is of exactly this grey, which hardly any sound picture has.
+# OpenCV fills the rest of a damaged JPEG with this grey, where Pillow raises. When the last block has exactly this
+# grey, which hardly any intact image has, Pillow decodes the image too.
 _UNWRITTEN = 128
 
 
@@ -206,7 +206,7 @@ def _with_opencv(data: bytes, header: _Header) -> Bytes2D:
 
 
 def _turned(pixels: Bytes2D, orientation: int) -> Bytes2D:
-    """Undo an EXIF orientation: 2 to 4 mirror or turn by half, 5 to 8 also swap rows and columns."""
+    """Undo an EXIF orientation: 2 to 4 mirror or turn by 180 degrees, 5 to 8 also swap rows and columns."""
     if orientation in _TURNED:
         pixels = pixels.transpose(1, 0, 2)
     if orientation in (2, 3, 6, 7):
@@ -229,11 +229,11 @@ def _with_pillow(data: bytes, header: _Header) -> Bytes2D:
 
 
 def _rgb(pil_image: PilImage.Image) -> PilImage.Image:
-    """Eight-bit RGB of any mode that means brightness or colour."""
+    """Convert any mode of grey or colour to eight-bit RGB; raises BadImage for 32-bit pixels."""
     if pil_image.mode.startswith("I;16"):
         return PilImage.fromarray((np.asarray(pil_image) >> 8).astype(np.uint8)).convert("RGB")
     if pil_image.mode in ("I", "F"):
-        # 32-bit numbers have no agreed white: showing them would be a guess.
+        # 32-bit pixels have no defined white level.
         raise BadImage(
             "undecodable-picture", "its pixels are 32-bit numbers without a known range; convert it to 8 or 16 bits"
         )
@@ -243,19 +243,19 @@ def _rgb(pil_image: PilImage.Image) -> PilImage.Image:
     return pil_image.convert("RGB")
 
 
-# Marker other than a stuffed zero, a restart or a fill byte: the end of a run of entropy-coded data.
+# A marker other than a stuffed zero, a restart or a fill byte ends entropy-coded data.
 _MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _END_OF_IMAGE = 0xD9
-# What may stand before it: tables, frames, scans, application data, comments. Anything else is a flipped bit, at which
-# OpenCV would stop and return what it has.
+# Segments before it: tables, frames, scans, application data, comments. Any other marker is damage, at which OpenCV
+# would stop and return an incomplete image.
 _SEGMENTS = frozenset({*range(0xC0, 0xD0), *range(0xDA, 0xDE), *range(0xE0, 0xF0), 0xFE} - {0xC8})
 
 
 def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether one known segment follows another up to an end-of-image marker that closes the picture itself.
+    """Whether known segments follow one another up to the end-of-image marker of the image itself.
 
-    Decoders fill what is missing with grey. Looking for the marker's bytes alone is not enough: the thumbnail in the
-    EXIF block has one too.
+    Decoders fill missing data with grey. Searching for the marker alone is not enough: the thumbnail in the EXIF block
+    has one too.
     """
     at = 2
     while match := _MARKER.search(data, at):
@@ -270,7 +270,7 @@ def _jpeg_is_whole(data: bytes) -> bool:
 
 
 def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Kind and content of a PNG's chunks, one behind the other, up to IEND or to where the file breaks off."""
+    """Type and content of a PNG's chunks, in order, up to IEND or the end of an incomplete file."""
     at = 8
     while at + 12 <= len(data):
         kind, length = data[at + 4 : at + 8], int.from_bytes(data[at : at + 4], "big")
@@ -281,12 +281,12 @@ def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _png_is_whole(data: bytes) -> bool:
-    """Whether the chunks follow one another up to IEND."""
+    """Whether the chunks are complete up to IEND."""
     return any(kind == b"IEND" for kind, _ in _png_chunks(data))
 
 
 def _webp_is_whole(data: bytes) -> bool:
-    """Whether the file is as long as its RIFF header says."""
+    """Whether the file has the length in its RIFF header."""
     return len(data) >= 8 + int.from_bytes(data[4:8], "little")
 
 
@@ -294,4 +294,4 @@ _WHOLE = {"jpeg": _jpeg_is_whole, "png": _png_is_whole, "webp": _webp_is_whole}
 
 
 def _undecodable(kind: str, why: str) -> BadImage:
-    return BadImage("undecodable-picture", f"this {kind} picture cannot be decoded: {why}")
+    return BadImage("undecodable-picture", f"this {kind} image cannot be decoded: {why}")

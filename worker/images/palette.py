@@ -1,4 +1,4 @@
-"""A colour for every word, the same wherever the word appears."""
+"""A colour for every label, the same in all drawings and answers."""
 
 import colorsys
 import hashlib
@@ -41,10 +41,10 @@ _USUAL: Mapping[str, Colour] = {
 }
 
 
-def colour(word: str) -> Colour:
-    """RGB of a word: the usual one of common things, otherwise one that its letters decide."""
-    if word in _USUAL:
-        return _USUAL[word]
-    digest = hashlib.sha256(word.encode()).digest()
+def colour(label: str) -> Colour:
+    """RGB of a label: from a table for common ones, otherwise from a hash of its text."""
+    if label in _USUAL:
+        return _USUAL[label]
+    digest = hashlib.sha256(label.encode()).digest()
     red, green, blue = colorsys.hls_to_rgb(digest[0] / 256, 0.35 + digest[1] / 256 * 0.3, 0.5 + digest[2] / 256 * 0.4)
     return round(red * 255), round(green * 255), round(blue * 255)

@@ -1,10 +1,10 @@
-"""What a file is, told by its first bytes: the name and the content type of an upload prove nothing."""
+"""The type of a file by its first bytes; the name and content type of an upload are not trusted."""
 
 from schemas.errors import BadImage
 
 ACCEPTED = ("jpeg", "png", "webp", "bmp", "tiff")
 
-# Only what begins with one of these is ever handed to a decoder.
+# Only files that begin with one of these are passed to a decoder.
 _IMAGES = (
     (b"\xff\xd8\xff", "jpeg"),
     (b"\x89PNG\r\n\x1a\n", "png"),
@@ -17,16 +17,16 @@ _OTHERS = (
     (b"GIF87a", "a GIF"),
     (b"GIF89a", "a GIF"),
     (b"%PDF", "a PDF"),
-    (b"\x00\x00\x00\x0cjP  ", "a JPEG 2000 picture"),
-    (b"\xff\x4f\xff\x51", "a JPEG 2000 picture"),
-    (b"\xff\x0a", "a JPEG XL picture"),
-    (b"\x00\x00\x00\x0cJXL ", "a JPEG XL picture"),
-    (b"II+\x00", "a BigTIFF picture"),
-    (b"MM\x00+", "a BigTIFF picture"),
+    (b"\x00\x00\x00\x0cjP  ", "a JPEG 2000 image"),
+    (b"\xff\x4f\xff\x51", "a JPEG 2000 image"),
+    (b"\xff\x0a", "a JPEG XL image"),
+    (b"\x00\x00\x00\x0cJXL ", "a JPEG XL image"),
+    (b"II+\x00", "a BigTIFF image"),
+    (b"MM\x00+", "a BigTIFF image"),
     (b"8BPS", "a Photoshop document"),
     (b"\x00\x00\x01\x00", "an icon"),
-    (b"v/1\x01", "an OpenEXR picture"),
-    (b"#?RADIANCE", "a Radiance HDR picture"),
+    (b"v/1\x01", "an OpenEXR image"),
+    (b"#?RADIANCE", "a Radiance HDR image"),
     (b"PK\x03\x04", "a zip archive"),
     (b"PK\x05\x06", "an empty zip archive"),
     (b"\x1f\x8b", "a gzip archive"),
@@ -40,30 +40,30 @@ _OTHERS = (
     (b"MZ", "a program"),
 )
 
-# Brands of ISO base media files, by the picture or film they hold.
+# Brands of ISO base media files.
 _BRANDS = {
-    b"heic": "an HEIC picture",
-    b"heix": "an HEIC picture",
-    b"heim": "an HEIC picture",
-    b"heis": "an HEIC picture",
-    b"hevc": "an HEIC picture",
-    b"hevx": "an HEIC picture",
-    b"mif1": "an HEIF picture",
-    b"msf1": "an HEIF picture",
-    b"avif": "an AVIF picture",
-    b"avis": "an AVIF picture",
-    b"crx ": "a Canon raw picture",
+    b"heic": "an HEIC image",
+    b"heix": "an HEIC image",
+    b"heim": "an HEIC image",
+    b"heis": "an HEIC image",
+    b"hevc": "an HEIC image",
+    b"hevx": "an HEIC image",
+    b"mif1": "an HEIF image",
+    b"msf1": "an HEIF image",
+    b"avif": "an AVIF image",
+    b"avis": "an AVIF image",
+    b"crx ": "a Canon raw image",
     b"qt  ": "a QuickTime film",
 }
 
 
 def image_type(data: bytes) -> str:
-    """``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
+    """The type of an image: ``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
 
     Raises
     ------
     BadImage
-        ``not-a-picture``, saying what it seems to be instead.
+        ``not-a-picture``; the text says what the file seems to be.
     """
     for magic, name in _IMAGES:
         if data.startswith(magic):
@@ -72,12 +72,12 @@ def image_type(data: bytes) -> str:
         return "webp"
     raise BadImage(
         "not-a-picture",
-        f"this seems to be {_guess(data)}; send a picture as {', '.join(ACCEPTED[:-1])} or {ACCEPTED[-1]}",
+        f"this seems to be {_guess(data)}; send an image as {', '.join(ACCEPTED[:-1])} or {ACCEPTED[-1]}",
     )
 
 
 def _guess(data: bytes) -> str:
-    """A name for what is not accepted, for the person who reads the refusal."""
+    """A name for a file that is not accepted, for the error's text."""
     for magic, name in _OTHERS:
         if data.startswith(magic):
             return name
@@ -91,7 +91,7 @@ def _guess(data: bytes) -> str:
 
 
 def _guess_text(head: bytes) -> str:
-    # The cut may fall inside a multi-byte character: an incomplete end is no proof against text.
+    # The cut may split a multi-byte character, so an incomplete end may still be text.
     text = head.decode("utf-8", errors="ignore").lstrip("\ufeff \t\r\n")
     if b"\x00" in head or len(text.encode()) < len(head.strip()) - 3:
         return f"something unknown (it begins with {head[:4].hex(' ')})"
@@ -103,7 +103,7 @@ def _guess_text(head: bytes) -> str:
     if lower.startswith("<?xml"):
         return "an XML document"
     if lower.startswith("data:image/"):
-        return "a data: URL (send the picture's bytes, not their base64)"
+        return "a data: URL (send the image's bytes, not their base64)"
     if lower.startswith(("{", "[")):
         return "JSON"
     return "text"

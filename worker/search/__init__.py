@@ -1,1 +1,1 @@
-"""Finding candidates: the flat index, the catalogue that keeps it level with the store, and the searcher."""
+"""Finding candidates: flat indexes, the catalogue that keeps them up to date, and reading descriptions."""

@@ -1,4 +1,4 @@
-"""One index per map, caught up to the store before it is searched."""
+"""One index per map, brought up to date with the store before each search."""
 
 import threading
 from collections.abc import Callable
@@ -19,14 +19,14 @@ class _Held:
 
 
 class Catalogue:
-    """Indexes of all maps, made when first needed. A cache of the store: losing it costs time only.
+    """Indexes of all maps, built when first needed. A cache of the store.
 
     Parameters
     ----------
     maps, descriptions
         Parts of the store.
     make : function
-        An empty index for a recipe.
+        Description recipe to an empty index.
     """
 
     def __init__(self, maps: MapReader, descriptions: DescriptionReader, make: MakeIndex) -> None:
@@ -37,7 +37,7 @@ class Catalogue:
         self._lock = threading.Lock()
 
     def index(self, name: str) -> tuple[Index, MapRecord]:
-        """The index of a map, holding everything acknowledged before this call, and the map as it was then.
+        """The index of a map, with all changes committed before this call, and the map at that revision.
 
         Raises
         ------
@@ -50,23 +50,23 @@ class Catalogue:
             while True:
                 record = self._maps.get(name)
                 held = self._indexes.get(name)
-                # A map of the same name that was deleted and made again is another map.
+                # A map that was deleted and created again under its name is another map.
                 if held is None or held.made_at != record.created_at or held.index.recipe != record.description.id:
                     held = _Held(self._make(record.description), record.created_at)
                 if held.index.revision < record.revision:
                     changes = self._descriptions.since(name, held.index.revision)
                     if changes.recipe != held.index.recipe:
-                        continue  # the map changed over between the two reads
+                        continue  # the recipe changed between the two reads
                     held.index.apply(changes)
                 self._indexes[name] = held
                 return held.index, record
 
     def forget(self, name: str) -> None:
-        """Drop a deleted map's index."""
+        """Drop the index of a deleted map."""
         with self._lock:
             self._indexes.pop(name, None)
 
     def lag(self, name: str) -> int:
-        """By how many revisions the index in memory is behind the store."""
+        """Difference between the revisions of a map and of its index; raises NotFound."""
         held = self._indexes.get(name)
         return self._maps.revision(name) - (0 if held is None else held.index.revision)

@@ -1,4 +1,4 @@
-"""What re-ranking reads of candidates, from the store: the one window of `worker.method.cascade`."""
+"""Reads candidates' descriptions from the store for `worker.method.cascade`."""
 
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
@@ -11,7 +11,9 @@ T = TypeVar("T")
 
 
 class Fetcher:
-    """Descriptions by one recipe; see `worker.method.cascade.Fetch`.
+    """Descriptions by one recipe, in the order of the candidates; raises ViewGone when one was deleted.
+
+    Implements `worker.method.cascade.Fetch`.
 
     Parameters
     ----------
@@ -28,7 +30,7 @@ class Fetcher:
         return _in_order(self._descriptions.appearances(seqs, self._recipe), seqs)
 
     def cells(self, seqs: Sequence[int]) -> list[Int8s]:
-        """Cells in full."""
+        """Cells at full resolution."""
         return _in_order(self._descriptions.cells(seqs, self._recipe), seqs)
 
     def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:

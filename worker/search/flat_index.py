@@ -14,24 +14,24 @@ DECIMALS = 6
 """Distances are ranked after rounding to this many decimals, so that equal vectors keep their enrolment order."""
 
 SPARE = 8
-"""Neighbours asked for beyond `count`, so that ties across the edge are settled by enrolment order."""
+"""Extra neighbours searched beyond `count`, so that ties at the limit are broken by enrolment order."""
 
 
 class FlatIndex:
     """The vectors of one map under one recipe, searched exhaustively.
 
-    Rows are kept in ascending `seq`. Searches may run together; catching up waits for them and they for it.
+    Rows are in ascending order of `seq`. A lock lets one search or update run at a time.
 
     Parameters
     ----------
     dimensions : mapping of channel to int
-        In the order in which `Changes.vectors` has them side by side.
+        Lengths of the channels' vectors, in the order in which `Changes.vectors` concatenates them.
     recipe : str
-        Id of the recipe.
+        Id of the description recipe.
     """
 
     def __init__(self, dimensions: Mapping[str, int], recipe: str) -> None:
-        # A search is bound by memory; threads that contend for cores make it several times slower.
+        # A search is memory-bound; threads that compete for cores make it several times slower.
         faiss.omp_set_num_threads(1)
         self.recipe = recipe
         self.revision = 0
@@ -44,7 +44,7 @@ class FlatIndex:
         return len(self._seqs)
 
     def apply(self, changes: Changes) -> None:
-        """Catch up; see `Index.apply`."""
+        """Remove deleted views and add or replace described ones; see `Index.apply`."""
         with self._lock:
             replaced = np.isin(self._seqs, np.concatenate([changes.gone, changes.seqs]))
             if replaced.any():
@@ -64,7 +64,7 @@ class FlatIndex:
             index.add(np.ascontiguousarray(vectors[:, start : start + size]))
             start += size
         self._seqs = np.concatenate([self._seqs, seqs])
-        if late:  # descriptions finished out of order, or were made anew: put the rows back into enrolment order
+        if late:  # not described in enrolment order, or again: sort the rows
             order = np.argsort(self._seqs, kind="stable")
             self._seqs = self._seqs[order]
             for name, size in self._dimensions.items():
@@ -74,7 +74,7 @@ class FlatIndex:
                 self._channels[name].add(sorted_rows)
 
     def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
-        """The nearest views by each channel, joined; see `Index.search`."""
+        """The union of the nearest views by each channel; see `Index.search`."""
         with self._lock:
             allowed = self._allowed(selection)
             available = len(self._seqs) if allowed is None else len(allowed)
@@ -98,7 +98,7 @@ class FlatIndex:
         if wanted == 0:
             return np.zeros(0, np.int64)
         parameters = None if selector is None else faiss.SearchParameters(sel=selector)
-        # FAISS pads with -1 when it is asked for more than there is, so it never is.
+        # At most `available`: FAISS pads with -1 beyond.
         squared, rows = self._channels[channel].search(vector[None], min(wanted + SPARE, available), params=parameters)
         distances = np.round(np.sqrt(np.maximum(squared[0], 0)), DECIMALS)
         nearest: npt.NDArray[np.int64] = rows[0][np.lexsort((rows[0], distances))[:wanted]]
@@ -112,7 +112,7 @@ class FlatIndex:
         return lengths
 
     def _allowed(self, selection: Selection) -> npt.NDArray[np.int64] | None:
-        """Rows that may be returned, ascending; None for all."""
+        """Rows of the selection, ascending; None for all rows."""
         if selection.only is None and len(selection.never) == 0:
             return None
         keep = np.ones(len(self._seqs), np.bool_)

@@ -1,4 +1,4 @@
-"""What a search needs from outside: an index, and the changes and descriptions that a store keeps."""
+"""Ports of the search: an index, and the store's maps, changes and descriptions."""
 
 from collections.abc import Mapping, Sequence
 from typing import Protocol
@@ -8,32 +8,33 @@ from schemas.records import Candidates, Changes, MapRecord, Selection
 
 
 class Index(Protocol):
-    """Nearest histograms of one map, per channel. A cache of the store: losing it loses nothing."""
+    """Nearest histogram vectors of one map, per channel. A cache of the store."""
 
     @property
     def revision(self) -> int:
-        """The map's revision it has caught up to."""
+        """The map's revision that it contains."""
         ...
 
     @property
     def recipe(self) -> str:
-        """Id of the recipe whose vectors it holds."""
+        """Id of the description recipe of its vectors."""
         ...
 
     def __len__(self) -> int: ...
 
     def apply(self, changes: Changes) -> None:
-        """Catch up."""
+        """Bring the index to the revision of the changes."""
         ...
 
     def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
-        """The `count` nearest views of the selection by each channel, joined.
+        """The union of the `count` nearest views of the selection by each channel.
 
         Parameters
         ----------
         vectors : mapping of channel to float32 of shape (dimensions,)
         count : int
-            Of each channel.
+            Views per channel.
+        selection : Selection
         """
         ...
 
@@ -51,10 +52,10 @@ class MapReader(Protocol):
 
 
 class DescriptionReader(Protocol):
-    """Descriptions, in the parts that an index and a ranking read. What was deleted meanwhile is absent."""
+    """Descriptions, in the parts that an index and a ranking read. Deleted views are absent."""
 
     def since(self, name: str, revision: int) -> Changes:
-        """All that an index at `revision` needs to be up to date (0: everything)."""
+        """Changes to a map's searchable views since a revision (0: all views); raises NotFound."""
         ...
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
@@ -62,7 +63,7 @@ class DescriptionReader(Protocol):
         ...
 
     def cells(self, seqs: Sequence[int], recipe: str) -> dict[int, Int8s]:
-        """Cells in full, (rows, columns, dimensions)."""
+        """Cells at full resolution, int8 of shape (rows, columns, dimensions)."""
         ...
 
     def local_features(self, seqs: Sequence[int], recipe: str) -> dict[int, LocalFeatures]:

@@ -1,1 +1,1 @@
-"""The use-cases: enrol, query, and look after maps, views and jobs. Synchronous; ports in, records out."""
+"""The use-cases: enrol, query, manage maps, views and jobs. Synchronous; parts of the store in, records out."""

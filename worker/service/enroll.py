@@ -1,4 +1,4 @@
-"""Enrol an image: keep it, have it described, say what came of it."""
+"""Enrol an image: store it, have it described, report the outcome."""
 
 import time
 from collections.abc import Callable
@@ -15,13 +15,13 @@ from worker.service.settlements import Settlements
 
 @dataclass(frozen=True)
 class Accepted:
-    """An image that is durable.
+    """An image that is stored durably, described or not.
 
     Parameters
     ----------
     submitted : Submitted
     began : float
-        Reading of `time.perf_counter` when it came.
+        Reading of `time.perf_counter` when the call began.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -32,7 +32,7 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Enrolled:
-    """What came of an image.
+    """The outcome of an enrolment.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ class Enrolled:
     labels : tuple of str
         Label set of the view's map; empty while the view is not described.
     created : bool
-        False when these bytes were in the map already.
+        False when the same bytes were in the map already.
     revision : int
-        The map's, after this.
+        Of the map, after this enrolment.
     job_id : str or None
-        The job that describes it, while it is pending.
+        The job that describes the view, while the view is pending.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -64,17 +64,17 @@ class EnrollService:
     maps, enrolment, views, removals, queue
         Parts of the store.
     settlements : Settlements
-        Tells when a view is described.
+        Waits for a view to be described.
     decode : function
         Bytes to Image; raises BadImage.
     default_recipe : MapRecipe
-        Of maps that are made by their first enrolment.
+        Recipe of a map that its first enrolment creates.
     limit : int
-        Enrolments that may wait before more are refused.
+        Enrolments that may wait; more are refused with Busy.
     pace_s : function
-        Measured seconds per image.
+        Returns the measured seconds per image.
     wake : function
-        Called when there is something to describe.
+        Called when a description was queued.
     """
 
     def __init__(
@@ -98,12 +98,12 @@ class EnrollService:
         self._limit, self._pace_s, self._wake = limit, pace_s, wake
 
     def submit(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Accepted:
-        """Make an image durable and queue its description.
+        """Store an image durably and queue its description.
 
         Raises
         ------
         BadImage, Busy, Conflict, DiskFull
-            Nothing is left behind.
+            Nothing is stored.
         """
         began = time.perf_counter()
         image = self._decode(data)
@@ -118,14 +118,20 @@ class EnrollService:
         return Accepted(submitted, began, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
-        """What came of an accepted image; without `view` nobody waited for its description.
+        """The outcome of an accepted image.
+
+        Parameters
+        ----------
+        accepted : Accepted
+        view : ViewRecord, optional
+            The view after waiting for its description; None when the call does not wait.
 
         Raises
         ------
         NothingStatic
             The view is kept, `failed`.
         RevisitError
-            Describing it failed; a view that this call made is removed.
+            Describing the image failed; a view that this call created is removed.
         """
         submitted = accepted.submitted
         record = submitted.view if view is None else view
@@ -133,7 +139,7 @@ class EnrollService:
             code, detail = record.failure
             if code == NothingStatic.code:
                 raise NothingStatic(f"{detail} (kept as view {record.id}, which no search will return)")
-            if submitted.created:  # a view that an earlier call acknowledged stays, whatever becomes of this one
+            if submitted.created:  # a view that an earlier call acknowledged stays
                 self._removals.delete_view(record.id)
             raise RevisitError(detail)
         revision = submitted.revision
@@ -151,7 +157,7 @@ class EnrollService:
         )
 
     def enroll(self, data: bytes, map_name: str, attributes: ViewAttributes, *, patience_s: float) -> Enrolled:
-        """Submit an image, wait for its description, and say what came of it; raises as `submit` and `outcome`."""
+        """Submit an image, wait up to `patience_s` for its description; raises as `submit` and `outcome`."""
         accepted = self.submit(data, map_name, attributes)
         if accepted.submitted.job_id is None:
             return self.outcome(accepted)

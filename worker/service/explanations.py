@@ -1,4 +1,4 @@
-"""The latest explained queries, so that their explanation can be drawn when somebody wants to see it."""
+"""The latest explained queries, kept in memory so that their explanations can be drawn on demand."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What drawing an explanation takes.
+    """All that the explanation of a query is drawn from.
 
     Parameters
     ----------
     image : Image
-        The query's, made small; explanations are drawn at this size.
+        The query image, shrunk; explanations are drawn at this size.
     description : Description
-        Of the query.
+        Of the query image.
     results : RankedResults
     """
 
@@ -35,7 +35,7 @@ class Explained:
     results: RankedResults
 
     def view(self, view_id: str | None) -> ScoredView:
-        """The result that is this view, or the first one; raises NotFound."""
+        """The result for a view, or the first result when `view_id` is None; raises NotFound."""
         for scored in self.results.views:
             if view_id is None or scored.view.id == view_id:
                 return scored
@@ -50,15 +50,15 @@ class Explained:
 def draw_explanation(
     query: Image, view: Image, graph: ContextGraph, scored: RankedCandidate, labels: Sequence[str]
 ) -> bytes:
-    """Query and view side by side, as PNG: keypoints that agree, nodes that correspond, and what each term adds.
+    """Query and view side by side, as PNG: inlier keypoints, corresponding nodes, and the parts of the score.
 
     Parameters
     ----------
     query, view : Image
     graph : ContextGraph
-        Of the query.
+        Of the query image.
     scored : RankedCandidate
-        The evidence for the view.
+        Score, parts and evidence of the view.
     labels : sequence of str
         Label set of the recipe.
     """
@@ -78,11 +78,12 @@ def draw_explanation(
 
 
 class Explanations:
-    """Keeps the `most` latest explained queries.
+    """Keeps the latest explained queries.
 
     Parameters
     ----------
     most : int
+        Number of queries kept; the oldest is forgotten first.
     """
 
     def __init__(self, most: int) -> None:
@@ -90,13 +91,13 @@ class Explanations:
         self._kept: OrderedDict[str, Explained] = OrderedDict()
 
     def keep(self, query_id: str, explained: Explained) -> None:
-        """Remember one, and forget the oldest beyond the bound."""
+        """Keep an explained query, and forget the oldest ones beyond `most`."""
         self._kept[query_id] = explained
         while len(self._kept) > self._most:
             self._kept.popitem(last=False)
 
     def get(self, query_id: str) -> Explained:
-        """One of the latest; raises NotFound."""
+        """An explained query by its id; raises NotFound."""
         try:
             return self._kept[query_id]
         except KeyError:

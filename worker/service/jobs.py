@@ -29,5 +29,5 @@ class JobService:
         return self._jobs.list(map_name, kind=kind, state=state, cursor=cursor, limit=limit)
 
     def cancel(self, job_id: str) -> JobRecord:
-        """Cancel a job; raises NotFound, or Conflict when it is past that."""
+        """Cancel a job; raises NotFound, or Conflict when it can no longer be cancelled."""
         return self._jobs.cancel(job_id, datetime.now(UTC))

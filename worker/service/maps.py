@@ -1,4 +1,4 @@
-"""Maps: made, shown, changed, deleted; and the jobs that change all of their views."""
+"""Maps: created, shown, changed, deleted; and the jobs that describe all their views again."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from worker.service.ports import Jobs, Maps, Removals
 
 @dataclass(frozen=True)
 class MapState:
-    """A map, its size, and how the encoder understands its labels."""
+    """A map, its size, and how the running encoder understands its labels."""
 
     record: MapRecord
     counts: MapCounts
@@ -31,13 +31,13 @@ class MapService:
     maps, removals, jobs
         Parts of the store.
     encoder : Encoder
-        That is running.
+        The running encoder.
     describers : Describers
     catalogue : Catalogue
     preset : str
-        Of maps that are made without naming one.
+        Preset of maps that are created without naming one.
     wake : function
-        Called when there is something to describe.
+        Called when a job was queued.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class MapService:
         self._preset, self._wake = preset, wake
 
     def all(self) -> list[MapState]:
-        """All maps, by name."""
+        """All maps, sorted by name."""
         return [self._state(record) for record in self._maps.all()]
 
     def get(self, name: str) -> MapState:
@@ -65,7 +65,7 @@ class MapService:
         return self._state(self._maps.get(name))
 
     def put(self, name: str, wanted: Wanted) -> tuple[MapState, bool]:
-        """Make a map, or give an empty one another recipe; returns it and whether it is new.
+        """Create a map, or replace the recipe of an empty one; returns the map and whether it was created.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class MapService:
         return self._state(record), created
 
     def change_ranking(self, name: str, changes: Mapping[str, Any]) -> MapState:
-        """Change some numbers of a map's ranking; the next query is ranked by them, nothing is described anew.
+        """Change parameters of a map's ranking, effective from the next query; no view is described again.
 
         Raises
         ------
@@ -91,10 +91,10 @@ class MapService:
         return receipt
 
     def switch_recipe(self, name: str, wanted: Wanted) -> JobRecord:
-        """Describe a map's views by another recipe; the old one answers until the last view is done.
+        """Describe a map's views by another recipe; queries use the old recipe until the last view is described.
 
-        What `wanted` leaves out stays as the map has it, unless it names another preset or the map was made with
-        another encoder.
+        Fields that `wanted` leaves None keep the map's values, unless it names another preset or the map was created
+        with another encoder.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class MapService:
         return job
 
     def train_vocabulary(self, name: str) -> JobRecord:
-        """Train a vocabulary on a map's own views, then describe them by it; raises NotFound, Conflict."""
+        """Train a vocabulary on a map's views, then describe them with it; raises NotFound, Conflict."""
         job = self._jobs.queue_vocabulary(name, datetime.now(UTC))
         self._wake()
         return job

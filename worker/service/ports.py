@@ -1,4 +1,4 @@
-"""What the use-cases need of a store, part by part; each names only what is called here."""
+"""Ports of the use-cases to the store; each declares only the methods that the use-cases call."""
 
 import builtins
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ class Maps(Protocol):
     """Maps by name."""
 
     def all(self) -> list[MapRecord]:
-        """All maps, by name."""
+        """All maps, sorted by name."""
         ...
 
     def get(self, name: str) -> MapRecord:
@@ -39,7 +39,7 @@ class Maps(Protocol):
         ...
 
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
-        """Make a map, or give an empty one another recipe; raises Conflict when it has views and another recipe."""
+        """Create a map, or replace the recipe of an empty one; raises Conflict when it has views and another recipe."""
         ...
 
     def change_ranking(self, name: str, change: Callable[[MapRecipe], RankingConfig]) -> MapRecord:
@@ -48,17 +48,17 @@ class Maps(Protocol):
 
 
 class Enrolment(Protocol):
-    """Where images become durable."""
+    """Storing images."""
 
     def submit(
         self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: MapRecipe, now: datetime
     ) -> Submitted:
-        """Keep an image and queue its description; makes the map (with `recipe`) when there is none.
+        """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
 
         Raises
         ------
         Conflict
-            The same bytes are in the map with something else said about them.
+            The same bytes are in the map with other attributes.
         DiskFull
         """
         ...
@@ -89,7 +89,7 @@ class Views(Protocol):
         ...
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
-        """Replace what was said about a view in one transaction; raises NotFound, and what `change` raises."""
+        """Replace a view's attributes in one transaction; raises NotFound, and what `change` raises."""
         ...
 
     def image(self, view_id: str) -> bytes:
@@ -98,14 +98,14 @@ class Views(Protocol):
 
 
 class Removals(Protocol):
-    """Deletions, complete."""
+    """Deletions: rows, vectors and image files."""
 
     def delete_view(self, view_id: str) -> Removal:
         """Remove a view; raises NotFound."""
         ...
 
     def delete_views(self, name: str, filters: Filters) -> Removal:
-        """Remove all views of a map that fit; raises NotFound."""
+        """Remove all views of a map that the filters select; raises NotFound."""
         ...
 
     def delete_map(self, name: str) -> Removal:
@@ -114,21 +114,21 @@ class Removals(Protocol):
 
 
 class Listings(Protocol):
-    """Which views and places there are."""
+    """Selections of views, and places."""
 
     def select(self, name: str, filters: Filters) -> Selection:
-        """The views of a map that filters allow; raises NotFound."""
+        """The views of a map that the filters select; raises NotFound."""
         ...
 
     def places(
         self, name: str | None, cursor: str | None, limit: int
     ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
-        """A page of (map, place, views, mean position, last enrolment), by map and place."""
+        """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next."""
         ...
 
 
 class JobQueue(Protocol):
-    """How much waits to be described."""
+    """Length of the queue of descriptions."""
 
     def count_waiting(self, *, redescriptions: bool = False) -> int:
         """Enrolments not yet described; with `redescriptions` the views of a recipe switch too."""
@@ -155,11 +155,11 @@ class Jobs(Protocol):
         ...
 
     def cancel(self, job_id: str, now: datetime) -> JobRecord:
-        """Cancel a job; raises NotFound, or Conflict when it is past that."""
+        """Cancel a job; raises NotFound, or Conflict when it can no longer be cancelled."""
         ...
 
     def switch_recipe(self, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
-        """Begin to re-describe a map's views; raises NotFound, Conflict."""
+        """Begin to describe a map's views by another recipe; raises NotFound, Conflict."""
         ...
 
     def queue_vocabulary(self, name: str, now: datetime) -> JobRecord:

@@ -1,4 +1,4 @@
-"""Query a map: which of its views show the place of an image, and how sure that is."""
+"""Query a map: which of its views show the place of an image, with what confidence."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -27,14 +27,14 @@ from worker.service.ports import Listings, Maps, Views
 from worker.service.results import RankedResults, ScoredView
 
 ROUNDS = 5
-"""How often a search may start anew because a view it found was deleted meanwhile."""
+"""Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
 
 AT_LEAST = 2
-"""Views ranked at least: how sure the first is depends on how far it leads, however many are wanted."""
+"""Views ranked at least, whatever `top` is: the confidence of the first depends on its lead over the second."""
 
 
 class RecipeChanged(Exception):
-    """The map changed over to another recipe: the query must be described by that one."""
+    """The map's recipe changed while the query was described: it must be described by the new one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,13 @@ class QueryResult:
     id : str
         Of the query.
     image : Image
+        The decoded query image.
     description : Description
     results : RankedResults
-        As many as were wanted.
+        At most `top` views.
     decision : Decision
     explained : bool
-        Whether its explanation can be drawn.
+        Whether an explanation can be drawn.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -65,7 +66,7 @@ class QueryResult:
 
 
 class QueryService:
-    """The use-case `query`. The answer depends on the image, the map's revision and the request only.
+    """The use-case `query`. The answer depends only on the image, the request and the map's revision.
 
     Parameters
     ----------
@@ -77,13 +78,13 @@ class QueryService:
     decode : function
         Bytes to Image; raises BadImage.
     shrink : function
-        Image to one small enough to keep.
+        Image to a smaller one, which is kept for its explanation.
     calibration : function
-        Recipe to what makes confidences of its evidence.
+        Recipe to the calibration of its confidences.
     explanations : Explanations
         Where the latest explained queries are kept.
     product : Product
-        Multiplies dense cells; how changes the time it takes, not the answer.
+        Multiplies dense cells; the choice affects speed, not results.
     """
 
     def __init__(
@@ -125,12 +126,12 @@ class QueryService:
             The encoded image.
         map_name : str
         top : int
-            How many views at most.
+            Number of views returned at most.
         candidates : int, optional
-            How many of each channel are re-ranked; None takes the map's number, 0 ranks by histograms alone.
+            Candidates of each channel that are re-ranked; None takes the map's setting, 0 ranks by histograms alone.
         filters : Filters, optional
         explain : bool
-            Keep what drawing an explanation takes.
+            Keep the query, so that its explanation can be drawn.
 
         Raises
         ------
@@ -171,13 +172,13 @@ class QueryService:
         return self._describers.of(self._maps.get(map_name).description)
 
     def describe(self, image: Image, describer: Describer) -> Timed[Description]:
-        """Describe an image, before all enrolments that wait; raises NothingStatic, Busy."""
+        """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy."""
         return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
 
     def _describe_and_search(
         self, image: Image, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None
     ) -> tuple[Timed[Description], RankedResults]:
-        """Describe by the map's recipe and search; anew if the map changed over to another recipe in between."""
+        """Describe by the map's recipe and search; repeated when the map's recipe changes in between."""
         while True:
             described = self.describe(image, describer)
             try:
@@ -198,7 +199,7 @@ class QueryService:
         candidates: int | None = None,
         observe: cascade.Observe = lambda stage, evidence: None,
     ) -> RankedResults:
-        """The `top` best views of a map for a description by `recipe`.
+        """The `top` best views of a map for a description by `recipe`; `observe` is called after each stage.
 
         Raises
         ------
@@ -207,7 +208,7 @@ class QueryService:
         RecipeChanged
             The map's recipe is no longer `recipe`.
         Unavailable
-            Views are deleted faster than they can be ranked.
+            Views that were found were deleted before they could be ranked, `ROUNDS` times.
         """
         for _ in range(ROUNDS):
             watch = _Stopwatch(observe)
@@ -246,7 +247,7 @@ class QueryService:
 
 
 class _Stopwatch:
-    """Times the stages of a search: ``search`` ends with the histograms, ``rerank`` with the cells in full."""
+    """Times the stages of a search: ``search`` ends with the histograms, ``rerank`` with the full cells."""
 
     def __init__(self, observe: cascade.Observe) -> None:
         self._observe = observe

@@ -1,4 +1,4 @@
-"""Images of views: as enrolled, small, segmented, with their context graph, beside a query."""
+"""Images of views: as enrolled, as thumbnail, segmentation, context graph, or explanation of a match."""
 
 from collections.abc import Callable
 
@@ -13,11 +13,11 @@ from worker.service.explanations import Explanations
 from worker.service.ports import Maps, Views
 
 Draw = Callable[[Image, PixelField, Describer, MapRecord], bytes]
-"""Of an image, its field, and the map by whose recipe it is seen."""
+"""From an image, its pixel field, a describer and the map whose recipe that is, to PNG bytes."""
 
 
 class RenderingService:
-    """The use-cases that give images.
+    """The use-cases that return images.
 
     Parameters
     ----------
@@ -28,9 +28,9 @@ class RenderingService:
     decode : function
         Bytes to Image; raises BadImage.
     thumbnail : function
-        Bytes and longest side in pixels to a JPEG.
+        Bytes and longer side in pixels to the bytes of a JPEG.
     explanations : Explanations
-        Of the latest queries.
+        The latest explained queries.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class RenderingService:
         return self._thumbnail(self._views.image(view_id), longest)
 
     def segmentation(self, view_id: str, *, overlay: bool) -> bytes:
-        """The label map of a view as an indexed PNG, or blended over the photo; as fine as the segmenter sees it.
+        """The label map of a view as an indexed PNG, or blended over the photo; from the segmenter, where there is one.
 
         Raises
         ------
@@ -73,26 +73,26 @@ class RenderingService:
         return self.draw_graph(image, owner)
 
     def draw_overlay(self, image: Image, owner: MapRecord) -> bytes:
-        """Any image with its labels by a map's recipe blended over it, dynamic things grey, as PNG; raises Busy."""
+        """An image with its labels by a map's recipe blended over it, dynamic cells grey, as PNG; raises Busy."""
         return self._submit(image, owner, _overlay, segment=True)
 
     def draw_graph(self, image: Image, owner: MapRecord) -> bytes:
-        """Any image with its context graph by a map's recipe drawn over it, as PNG; raises Busy."""
+        """An image with its context graph by a map's recipe drawn over it, as PNG; raises Busy."""
         return self._submit(image, owner, _graph, segment=False)
 
     def explanation(self, query_id: str, view_id: str | None) -> bytes:
-        """Query and result side by side, with what agrees between them; raises NotFound."""
+        """Query and view side by side with their correspondences, as PNG; raises NotFound."""
         explained = self._explanations.get(query_id)
         scored = explained.view(view_id)
         return explained.draw(scored, self._decode(self._views.image(scored.view.id)))
 
     def version(self, view_id: str, kind: str) -> str:
-        """Text that changes whenever an image made of the view would; `kind` names the image and its options."""
+        """A version of an image made from a view, for an ETag; `kind` names the image and its options."""
         record = self._views.get(view_id)
         if kind.startswith(("image", "thumbnail")):
             return f"{record.image.sha256[:24]}-{kind}"
         owner = self._maps.get(record.map)
-        ranked = f"-{owner.ranking.id}" if kind.startswith("graph") else ""  # edges are as long as the ranking has them
+        ranked = f"-{owner.ranking.id}" if kind.startswith("graph") else ""  # the ranking limits the length of edges
         return f"{record.id}-{owner.description.id}{ranked}-{kind}"
 
     def _source(self, view_id: str) -> tuple[MapRecord, Image]:

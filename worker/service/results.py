@@ -1,4 +1,4 @@
-"""What a search gives: scored views, best first."""
+"""Results of a search: scored views, best first."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,22 +10,23 @@ from worker.method.cascade import RankedCandidate
 
 @dataclass(frozen=True, eq=False)
 class ScoredView(RankedCandidate):
-    """A ranked candidate, and the view that it is."""
+    """A ranked candidate with its view."""
 
     view: ViewRecord
 
 
 @dataclass(frozen=True, eq=False)
 class RankedResults:
-    """What a search found, best first, at one revision of the map and by one recipe.
+    """Results of a search at one revision of the map and by one recipe.
 
     Parameters
     ----------
     views : tuple of ScoredView
+        Best first.
     revision : int
     recipe : MapRecipe
     searched : int
-        How many views the search looked at.
+        Number of views searched.
     timing_ms : mapping of stage to milliseconds
         ``search``, ``rerank``, ``verify``.
     """

@@ -1,4 +1,4 @@
-"""When a view is described, or given up, whichever process does it."""
+"""Waiting until a view is settled (described or failed), by whichever process."""
 
 import threading
 import time
@@ -10,13 +10,13 @@ from schemas.records import ViewRecord
 from worker.service.ports import Views
 
 LOOK_AGAIN_S = 0.25
-"""A worker in another process cannot call back, so the store is looked at again this often."""
+"""Seconds between looks at the store: a worker in another process cannot notify this one."""
 
 Notify = Callable[[], None]
 
 
 class Settlements:
-    """Tells those who wait for a view as soon as the worker in this process has settled it.
+    """Wakes callers that wait for a view when the worker of this process has settled it.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Settlements:
         self._lock = threading.Lock()
 
     def notify(self, view_id: str) -> None:
-        """A view was settled; called in the worker's thread."""
+        """Wake the callers that wait for a view; called in the worker's thread."""
         with self._lock:
             waiting = list(self._waiting.get(view_id, ()))
         for call in waiting:
@@ -37,7 +37,7 @@ class Settlements:
 
     @contextmanager
     def subscribed(self, view_id: str, call: Notify) -> Iterator[None]:
-        """A block during which `call` is called, in the worker's thread, when the view is settled."""
+        """While the block runs, `call` is called in the worker's thread when the view is settled."""
         with self._lock:
             self._waiting[view_id].add(call)
         try:
@@ -49,11 +49,11 @@ class Settlements:
                     del self._waiting[view_id]
 
     def look(self, view_id: str) -> ViewRecord:
-        """The view as it is; raises NotFound."""
+        """The current state of a view; raises NotFound."""
         return self._views.get(view_id)
 
     def wait(self, view_id: str, patience_s: float) -> ViewRecord:
-        """The view once it is ready or failed, or as it is when patience runs out; raises NotFound."""
+        """The view once it is ready or failed, or as it is after `patience_s` seconds; raises NotFound."""
         event = threading.Event()
         until = time.monotonic() + patience_s
         with self.subscribed(view_id, event.set):

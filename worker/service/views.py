@@ -1,4 +1,4 @@
-"""Views: shown, listed, corrected, deleted; and the places they belong to."""
+"""Views: shown, listed, changed, deleted; and their places."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from worker.service.ports import Listings, Maps, Removals, Views
 
 @dataclass(frozen=True, eq=False)
 class LabelledView:
-    """A view and the label set of its map, which its label shares are about."""
+    """A view and the label set of its map, to which its label shares refer."""
 
     record: ViewRecord
     labels: tuple[str, ...]
@@ -42,7 +42,7 @@ class ViewService:
         cursor: str | None,
         limit: int,
     ) -> tuple[list[LabelledView], str | None]:
-        """A page of views in enrolment order, and the cursor of the next."""
+        """A page of views in enrolment order (or reverse), and the cursor of the next."""
         records, following = self._views.list(
             map_name, filters, state=state, newest_first=newest_first, cursor=cursor, limit=limit
         )
@@ -50,7 +50,7 @@ class ViewService:
         return [LabelledView(record, labels[record.map]) for record in records], following
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> LabelledView:
-        """Replace what was said about a view, in one transaction; raises NotFound, and what `change` raises."""
+        """Replace a view's attributes in one transaction; raises NotFound, and what `change` raises."""
         return self._labelled(self._views.change(view_id, change))
 
     def delete(self, view_id: str) -> Removal:
@@ -58,7 +58,7 @@ class ViewService:
         return self._removals.delete_view(view_id)
 
     def delete_matching(self, map_name: str, filters: Filters) -> Removal:
-        """Remove the views of a map that fit; raises NotFound."""
+        """Remove the views of a map that the filters select; raises NotFound."""
         return self._removals.delete_views(map_name, filters)
 
     def places(

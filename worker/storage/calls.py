@@ -1,4 +1,4 @@
-"""Repeated calls, and vocabularies: what is kept under a key."""
+"""Calls with an Idempotency-Key, and vocabularies."""
 
 import json
 from datetime import datetime, timedelta
@@ -15,10 +15,18 @@ KEPT = timedelta(hours=24)
 
 
 class Calls(Part):
-    """The promises of `schemas.ports.Store` about Idempotency-Keys."""
+    """Calls by Idempotency-Key, kept for a day after they began."""
 
     def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
-        """Claim an Idempotency-Key; see `Store.begin_call`."""
+        """Claim an Idempotency-Key; returns the stored answer when the call has finished, None when it is new.
+
+        Raises
+        ------
+        KeyReused
+            The key was used with another request.
+        Conflict
+            The first call with the key still runs.
+        """
         with self._database.writing() as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.begun_at <= now - KEPT))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
@@ -32,7 +40,7 @@ class Calls(Part):
         return Replay(row.status, json.loads(row.headers), row.body)
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:
-        """Remember the answer of a call."""
+        """Store the answer to a call."""
         with self._database.writing(in_turn=False) as connection:
             connection.execute(
                 sa.update(CALLS)
@@ -46,22 +54,22 @@ class Calls(Part):
             )
 
     def abandon(self, key: str) -> None:
-        """Forget a call that failed, so that it can be tried again."""
+        """Delete an unfinished call that failed, so that it can be tried again."""
         with self._database.writing(in_turn=False) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None)))
 
 
 class Vocabularies(Part):
-    """The promises of `schemas.ports.Store` about vocabularies."""
+    """Trained vocabularies by digest."""
 
     def keep(self, digest: str, tensors: bytes) -> None:
-        """Keep a map's own vocabulary; the same one twice is kept once."""
+        """Store safetensors bytes under their SHA-256; a second time does nothing."""
         with self._database.writing() as connection:
             if connection.scalar(sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == digest)) is None:
                 connection.execute(sa.insert(VOCABULARIES).values(digest=digest, tensors=bytes(tensors)))
 
     def get(self, digest: str) -> bytes:
-        """A kept vocabulary; raises NotFound."""
+        """The safetensors bytes of a vocabulary; raises NotFound."""
         with self._database.reading() as connection:
             tensors = connection.scalar(sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == digest))
         if tensors is None:

@@ -1,4 +1,4 @@
-"""Revisions: one clock for all maps, so that a map made anew is later than any index of its namesake."""
+"""Revisions: one clock for all maps, so that a new map is later than every index of a deleted one of its name."""
 
 import sqlalchemy as sa
 
@@ -10,12 +10,12 @@ _GIVE = sa.update(MAPS).where(MAPS.c.id == sa.bindparam("of")).values(revision=s
 
 
 def read(connection: sa.Connection) -> int:
-    """The last revision given out."""
+    """The last revision given to a map."""
     return int(connection.scalar(_LAST) or 0)
 
 
 def tick(connection: sa.Connection, map_id: int) -> int:
-    """Give a map its next revision, inside a transaction that is written in turn."""
+    """Give a map its next revision, inside a transaction that writes in turn."""
     connection.execute(_FORWARD)
     revision = read(connection)
     connection.execute(_GIVE, {"of": map_id, "given": revision})

@@ -1,4 +1,4 @@
-"""Transactions: the blocks in which everything is read and written."""
+"""Transactions: context managers for reading and writing."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,7 +20,7 @@ class Database:
     Raises
     ------
     SetupError
-        Not a database revisit can use.
+        The URL is not of a database that revisit can use.
     """
 
     def __init__(self, url: str) -> None:
@@ -28,7 +28,7 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A block whose reads all see the same moment."""
+        """A transaction whose reads all see the same snapshot."""
         with self.engine.connect() as connection:
             connection = dialect.for_reading(connection)
             with connection.begin():
@@ -36,12 +36,12 @@ class Database:
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[sa.Connection]:
-        """A block that is durable as a whole once left, or leaves nothing behind.
+        """A transaction that is committed durably at the end of the block, or rolled back when the block raises.
 
         Parameters
         ----------
         in_turn : bool
-            False for writes that may overtake each other: none that gives out a revision.
+            Whether to exclude other writers; False only for writes without a new revision.
 
         Raises
         ------
@@ -60,5 +60,5 @@ class Database:
             raise
 
     def close(self) -> None:
-        """Let go of all connections."""
+        """Close all connections."""
         self.engine.dispose()

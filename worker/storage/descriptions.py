@@ -1,4 +1,4 @@
-"""Descriptions: kept whole, read in the parts that an index and a ranking need."""
+"""Descriptions: written whole, read in the parts that an index and a ranking need."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -23,7 +23,7 @@ ROWS = 4096
 def keep_description(
     connection: sa.Connection, job: sa.Row[Any], recipe: DescriptionRecipe, description: Description, revision: int
 ) -> None:
-    """Keep what a job found out about its view, as of a revision."""
+    """Store the description of a job's view, as of a revision of the map."""
     key = {"seq": job.seq, "recipe": job.recipe}
     connection.execute(
         inserting(DESCRIPTIONS),
@@ -49,13 +49,13 @@ def keep_description(
 
 
 class Descriptions(Part):
-    """The promises of `schemas.ports.Store` about what an index and a ranking need."""
+    """Descriptions as `worker.search.ports.DescriptionReader` reads them."""
 
     def since(self, name: str, revision: int) -> Changes:
-        """All that an index at `revision` needs to be up to date; see `Store.since`."""
+        """Changes to a map's searchable views since a revision (0: all views); raises NotFound."""
         with self._database.reading() as connection:
             row = find_map(connection, name)
-            # Before the map changed over, its present descriptions were of no use to an index: it needs all of them.
+            # An index from before the last change of recipe has none of the present vectors: it needs all of them.
             known = int(revision) if revision >= row.anew else -1
             described = (
                 sa.select(DESCRIPTIONS.c.seq, VECTORS.c.body)
@@ -79,18 +79,18 @@ class Descriptions(Part):
         return Changes(row.revision, row.recipe, numbers, rows, np.array(gone, np.int64))
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
-        """Cells at half size, graphs and extents of these views; those deleted meanwhile are absent."""
+        """Cells at half size, graphs and extents by sequence number; deleted views are absent."""
         return {
             seq: packing.unpack_appearance(body, extent_of(width, height))
             for seq, body, width, height in self._rows(_appearances(), seqs, recipe)
         }
 
     def cells(self, seqs: Sequence[int], recipe: str) -> dict[int, Int8s]:
-        """Cells in full of these views; those deleted meanwhile are absent."""
+        """Cells at full resolution by sequence number; deleted views are absent."""
         return {seq: packing.unpack_cells(body) for seq, body in self._rows(_bodies(CELLS), seqs, recipe)}
 
     def local_features(self, seqs: Sequence[int], recipe: str) -> dict[int, LocalFeatures]:
-        """Keypoints of these views; those deleted meanwhile are absent."""
+        """Local features by sequence number; deleted views are absent."""
         return {seq: packing.unpack_keypoints(body) for seq, body in self._rows(_bodies(KEYPOINTS), seqs, recipe)}
 
     def _rows(self, reading: sa.Select[Any], seqs: Sequence[int], recipe: str) -> list[Any]:
@@ -104,7 +104,7 @@ class Descriptions(Part):
 
 @cache
 def _bodies(table: sa.Table) -> sa.Select[Any]:
-    """Bodies of views by a recipe; made once, since making it takes as long as the reading."""
+    """Selects bodies by views and recipe; cached, since building the statement takes as long as running it."""
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
     recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
     return sa.select(table.c.seq, table.c.body).where(table.c.seq.in_(seqs), table.c.recipe == recipe)
@@ -112,13 +112,13 @@ def _bodies(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _appearances() -> sa.Select[Any]:
-    """Their appearances, and their pictures' sizes."""
+    """Selects appearances and image sizes by views and recipe."""
     reading = _bodies(APPEARANCES).add_columns(VIEWS.c.width, VIEWS.c.height)
     return reading.join(VIEWS, VIEWS.c.seq == APPEARANCES.c.seq)
 
 
 def _in_order(seqs: Sequence64, vectors: Floats) -> tuple[Sequence64, Floats]:
-    """Both by ascending seq; a database would carry every vector through its sort."""
+    """Both sorted by seq; sorting in the database would move every vector."""
     if np.all(seqs[1:] > seqs[:-1]):
         return seqs, vectors
     order = np.argsort(seqs)

@@ -1,4 +1,4 @@
-"""All that differs between SQLite and PostgreSQL, besides the column types."""
+"""Differences between SQLite and PostgreSQL, except column types."""
 
 import errno
 from typing import Any
@@ -9,16 +9,16 @@ from sqlalchemy.pool import QueuePool
 from schemas.errors import SetupError
 
 BUSY_S = 60
-"""How long a writer of SQLite waits for its turn, in seconds."""
+"""Seconds that a writer of SQLite waits for its turn."""
 
 WRITERS = 0x7265766973697400
-"""Advisory lock of PostgreSQL that writers take one after the other ("revisit" in ASCII)."""
+"""Key of PostgreSQL's advisory lock that writers take in turn ("revisit" in ASCII)."""
 
 SQLITE_FULL = 13
 
 
 def make_engine(url: str) -> sa.Engine:
-    """An engine that is careful with what it was given.
+    """The engine of a database, set up for durable writes and consistent reads.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def make_engine(url: str) -> sa.Engine:
     Raises
     ------
     SetupError
-        Another database, or one in memory, which would be lost.
+        Neither PostgreSQL nor a file of SQLite, or PostgreSQL's driver is not installed.
     """
     try:
         parsed = sa.make_url(url)
@@ -49,18 +49,18 @@ def _postgresql(url: sa.URL) -> sa.Engine:
 
 
 def _sqlite(url: sa.URL) -> sa.Engine:
-    # A connection serves one thread at a time: each block takes one from the pool and gives it back at its end.
+    # Each transaction takes a connection from the pool, so that no two threads share one.
     engine = sa.create_engine(url, poolclass=QueuePool, max_overflow=-1, connect_args={"timeout": BUSY_S})
 
     @sa.event.listens_for(engine, "connect")
     def prepare(connection: Any, _: object) -> None:
-        connection.isolation_level = None  # or the driver would begin transactions when it thinks best
+        connection.isolation_level = None  # or the driver would begin transactions by itself
         for pragma in (
             "page_size=8192",  # of a new file: a description takes 8 pages to read instead of 16
             "journal_mode=WAL",
-            "synchronous=FULL",  # in WAL, NORMAL forgets acknowledged commits when the power goes
+            "synchronous=FULL",  # in WAL, NORMAL loses acknowledged commits in a power failure
             "foreign_keys=ON",
-            "secure_delete=ON",  # what was deleted cannot be read from the file
+            "secure_delete=ON",  # deleted content is overwritten in the file
             "journal_size_limit=67108864",  # bytes of the WAL file kept after a large change
             "cache_size=-16384",  # KiB
         ):
@@ -68,7 +68,7 @@ def _sqlite(url: sa.URL) -> sa.Engine:
 
     @sa.event.listens_for(engine, "begin")
     def begin(connection: sa.Connection) -> None:
-        # A transaction that has read cannot wait to become a writer: writers say so when they begin, and queue.
+        # A reading transaction cannot wait to become a writer, so writers lock at the beginning, and queue.
         writes = connection.get_execution_options().get("writes", False)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
@@ -76,31 +76,31 @@ def _sqlite(url: sa.URL) -> sa.Engine:
 
 
 def for_reading(connection: sa.Connection) -> sa.Connection:
-    """Make all that a block reads belong to one moment."""
+    """A connection whose transaction reads one snapshot."""
     if connection.dialect.name == "postgresql":
         return connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
     return connection
 
 
 def for_writing(connection: sa.Connection) -> sa.Connection:
-    """Make a block a writer from its beginning."""
-    if connection.dialect.name == "postgresql":  # whatever its default: each statement sees what `take_turn` waited for
+    """A connection whose transaction writes from its beginning."""
+    if connection.dialect.name == "postgresql":  # after `take_turn` each statement sees earlier commits
         return connection.execution_options(isolation_level="READ COMMITTED")
     return connection.execution_options(writes=True)
 
 
 def take_turn(connection: sa.Connection) -> None:
-    """Wait until no other transaction writes, as SQLite does anyway.
+    """Wait until no other transaction writes, as SQLite does by itself.
 
-    Without that, PostgreSQL would commit revisions out of order, and an index that asks for what came after its own
-    would miss some.
+    Otherwise PostgreSQL could commit revisions out of order, and an index that reads the changes since its own would
+    miss some.
     """
     if connection.dialect.name == "postgresql":
         connection.execute(sa.text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": WRITERS})
 
 
 def is_full(error: BaseException) -> bool:
-    """Whether the database or the disk under it has no room left."""
+    """Whether an error means that the disk or the database is full."""
     if isinstance(error, sa.exc.DBAPIError):
         code = getattr(error.orig, "sqlite_errorcode", 0) or 0
         return code & 0xFF == SQLITE_FULL or getattr(error.orig, "sqlstate", None) == "53100"
@@ -108,5 +108,5 @@ def is_full(error: BaseException) -> bool:
 
 
 def is_file(engine: sa.Engine) -> bool:
-    """Whether the database lives in the data folder rather than in a server."""
+    """Whether the database is a file rather than a server."""
     return engine.dialect.name == "sqlite"

@@ -1,4 +1,4 @@
-"""Enrolment: a picture and what was said about it, durable and queued."""
+"""Enrolment: stores an image and its attributes durably, and queues its description."""
 
 from datetime import datetime
 from functools import cache
@@ -30,7 +30,7 @@ from worker.storage.tables import METADATA_PAIRS, VIEWS
 
 
 def contradictions(kept: ViewAttributes, anew: ViewAttributes) -> list[str]:
-    """Names of the fields that are said anew and differ from what was said before."""
+    """Names of the fields that `anew` sets to other values than `kept`."""
     differing = []
     if anew.place is not None and anew.place != kept.place:
         differing.append("place")
@@ -48,7 +48,7 @@ def contradictions(kept: ViewAttributes, anew: ViewAttributes) -> list[str]:
 
 
 def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) -> None:
-    """Make a view known by its metadata, in place of what it was known by."""
+    """Replace the metadata pairs by which a view is found."""
     connection.execute(sa.delete(METADATA_PAIRS).where(METADATA_PAIRS.c.seq == seq))
     pairs = [{"pair": pair, "seq": seq} for pair in metadata_pairs(attributes.metadata)]
     if pairs:
@@ -57,17 +57,28 @@ def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) 
 
 @cache
 def _same_image() -> sa.Select[Any]:
-    """The view of a map that has a picture already."""
+    """Selects the view of a map with an image's SHA-256."""
     return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), VIEWS.c.sha256 == sa.bindparam("sha256"))
 
 
 class Enrolment(Part):
-    """The promise of `schemas.ports.Store` about enrolment."""
+    """See `worker.service.ports.Enrolment`."""
 
     def submit(
         self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: MapRecipe, now: datetime
     ) -> Submitted:
-        """Keep a picture and queue its description; see `Store.submit`."""
+        """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
+
+        For an image that the map has already the result is its view, which is queued again if it had failed.
+
+        Raises
+        ------
+        Conflict
+            The map has the image with other attributes.
+        DiskFull
+        ValueError
+            The SHA-256 in `facts` is not that of the image.
+        """
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:
             try:
                 row = find_map(connection, name)
@@ -109,11 +120,11 @@ class Enrolment(Part):
         differing = contradictions(attributes_of(view), attributes)
         if differing:
             raise Conflict(
-                f"this picture is in the map {row.name!r} already, as {view.id}, with another "
-                f"{', '.join(differing)}; PATCH /views/{view.id} changes what is said about it"
+                f"this image is in the map {row.name!r} already, as {view.id}, with another "
+                f"{', '.join(differing)}; PATCH /views/{view.id} changes its attributes"
             )
         job: str | None
-        if view.state == "failed":  # whoever sends it again wants it tried again
+        if view.state == "failed":  # sending it again means trying again
             job = self._queue(connection, row, view.seq, now)
             connection.execute(
                 sa.update(VIEWS)
@@ -126,7 +137,7 @@ class Enrolment(Part):
         return Submitted(view_record(view), job, created=False, revision=row.revision)
 
     def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, now: datetime) -> str:
-        """Have a view described by the map's recipe and, while it changes over, by the next one too."""
+        """Queue the description of a view by the map's recipe and, in a recipe switch, by the next; returns the job."""
         job = switching.unfinished_job(connection, seq, row.recipe)
         if job is None:
             [job] = switching.queue(connection, row.id, [seq], row.recipe, now, background=False)

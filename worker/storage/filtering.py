@@ -1,8 +1,8 @@
-"""Filters as SQL, exactly, with the indexes doing the coarse part.
+"""Filters as SQL conditions: a bounding box for the database's index, then the exact distance.
 
-Distances on the globe are compared without trigonometry, which SQLite may lack: views are kept as points of the unit
-sphere, and the great-circle distance d is within r exactly when the chord is within 2 sin(r / 2R). The square of half
-the chord is the haversine of d / R. A box around the point, for the index, then knows neither antimeridian nor poles.
+Distances on the globe are compared without trigonometry, which SQLite may lack: positions are stored as points on the
+unit sphere, and the great-circle distance d is at most r exactly when the chord is at most 2 sin(r / 2R). The square of
+half the chord is the haversine of d / R. A box around such a point has no special cases at antimeridian and poles.
 """
 
 import hashlib
@@ -22,29 +22,29 @@ from worker.storage.tables import METADATA_PAIRS, VIEWS
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of WGS 84, (2a + b) / 3."""
 
-Lifecycle = sa.ColumnElement[bool]
+Clause = sa.ColumnElement[bool]
 
 
 def metadata_pair(key: str, text: str) -> str:
-    """What the index knows a key and the text of its value by."""
+    """The stored form of a key and the text of its value: their SHA-256 (hex)."""
     return hashlib.sha256(as_json([key, text]).encode()).hexdigest()
 
 
 def metadata_pairs(metadata: Mapping[str, Any]) -> list[str]:
-    """The pairs of a view: each top-level key with the text of its value."""
+    """The stored pairs of a view: each top-level key with the text of its value."""
     return [metadata_pair(key, _text(value)) for key, value in metadata.items()]
 
 
 def _text(value: object) -> str:
-    """What a user types to find a value: text as it is, anything else as compact JSON with sorted keys."""
+    """The text that finds a value: a string as it is, anything else as compact JSON with sorted keys."""
     if isinstance(value, str):
         return value
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
-def allowing(filters: Filters) -> list[Lifecycle]:
-    """Conditions on `views` that only some views fulfil: all but the exclusions."""
-    conditions: list[Lifecycle] = []
+def allowing(filters: Filters) -> list[Clause]:
+    """Conditions on `views` of all filters but the exclusions; a view must fulfil all of them."""
+    conditions: list[Clause] = []
     if filters.near is not None:
         conditions += (_near_degrees if filters.geographic else _near_metres)(*map(float, filters.near))
     if filters.after is not None:
@@ -59,18 +59,18 @@ def allowing(filters: Filters) -> list[Lifecycle]:
     return conditions
 
 
-def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Lifecycle]:
-    """Conditions on `views`, each fulfilled by views that the filters leave out.
+def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Clause]:
+    """Conditions on `views` of the exclusions; a view that fulfils one of them is left out.
 
     Parameters
     ----------
     connection : Connection
     filters : Filters
     map_id : int or None
-        Map whose newest views `exclude_last` is about; None for the newest of all maps.
+        Map whose newest views `exclude_last` leaves out; None for the newest of all maps.
     """
-    conditions: list[Lifecycle] = []
-    scope: list[Lifecycle] = [] if map_id is None else [VIEWS.c.map_id == map_id]
+    conditions: list[Clause] = []
+    scope: list[Clause] = [] if map_id is None else [VIEWS.c.map_id == map_id]
     last = filters.exclude_last
     if isinstance(last, timedelta):
         newest = connection.scalar(sa.select(sa.func.max(VIEWS.c.enrolled_at, type_=UtcDateTime())).where(*scope))
@@ -85,16 +85,16 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
     return conditions
 
 
-def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Lifecycle]:
-    """Conditions on `views` that together are fulfilled by those that the filters are about."""
+def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Clause]:
+    """Conditions on `views` of all filters; a view must fulfil all of them."""
     return allowing(filters) + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
 
 
-def _near_metres(x: float, y: float, radius: float) -> list[Lifecycle]:
+def _near_metres(x: float, y: float, radius: float) -> list[Clause]:
     return _near((VIEWS.c.x, VIEWS.c.y), (x, y), radius, slack=1e-6)
 
 
-def _near_degrees(lat: float, lon: float, radius: float) -> list[Lifecycle]:
+def _near_degrees(lat: float, lon: float, radius: float) -> list[Clause]:
     half_angle = radius / (2 * EARTH_RADIUS_M)
     if half_angle >= math.pi / 2:  # the whole globe, and no rounding at the antipode
         return [VIEWS.c.globe_z.is_not(None)]
@@ -104,8 +104,8 @@ def _near_degrees(lat: float, lon: float, radius: float) -> list[Lifecycle]:
     return _near((VIEWS.c.globe_z, VIEWS.c.globe_x, VIEWS.c.globe_y), (z, x, y), chord, slack=1e-12)
 
 
-def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: float, slack: float) -> list[Lifecycle]:
-    """A box, a little too large so that rounding loses nothing, and then the distance itself."""
+def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: float, slack: float) -> list[Clause]:
+    """Conditions for a box, slightly enlarged against rounding, and for the exact distance."""
     reach = radius * (1 + 1e-9) + slack
     box = [column.between(at - reach, at + reach) for column, at in zip(columns, centre, strict=True)]
     squares = [(column - at) * (column - at) for column, at in zip(columns, centre, strict=True)]

@@ -1,11 +1,10 @@
-"""Enrolled pictures as files, named by what is in them.
+"""Enrolled images as files, named by the SHA-256 of their bytes.
 
-A file is durable before the row that needs it is committed, and goes after the last such row has gone. What a crash
-leaves in between is a file without a row, never a row without its file; `sweep` removes it.
+A file is durable before the row that needs it is committed, and is removed after the last such row. A crash in between
+leaves a file without a row, which `sweep` removes, never a row without its file.
 
-Files live in ``ab/cd/abcd...``, named by the SHA-256 of their bytes. The first folder has a lock: whoever writes a
-picture holds it until the row is committed, and whoever removes one asks for the rows under it, so that no picture is
-taken away between another's file and row.
+Files lie in ``ab/cd/abcd...``. Each first folder has a lock: a writer holds it until the row is committed, and a
+remover holds it while it reads the rows, so that no file is removed between its writing and its row.
 """
 
 import hashlib
@@ -23,11 +22,11 @@ from worker.storage.locks import held
 UNFINISHED = ".writing-"
 
 Owned = Callable[[list[str]], set[str]]
-"""Given digests, those that some view still needs."""
+"""From digests to those that some view still needs."""
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable."""
+    """Make the entries of a folder durable."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
@@ -36,14 +35,14 @@ def sync_folder(folder: Path) -> None:
 
 
 class Images:
-    """The folder of pictures.
+    """The folder of images.
 
     Parameters
     ----------
     folder : Path
-        Made when there is none.
+        Created when there is none.
     owned : function
-        Asks the database which digests views still need.
+        Reads from the database which digests views still need.
     """
 
     def __init__(self, folder: Path, owned: Owned) -> None:
@@ -53,18 +52,18 @@ class Images:
 
     @contextmanager
     def kept(self, digest: str, image: bytes) -> Iterator[None]:
-        """Keep a picture durably for a block that commits a row with its digest.
+        """Write an image durably, then run a block that commits a row with its digest.
 
-        When the block raises, the file goes again unless a view needs it.
+        When the block raises, the file is removed unless a view needs it.
 
         Raises
         ------
         ValueError
-            The digest is not that of the picture.
+            The digest is not that of the image.
         DiskFull
         """
         if hashlib.sha256(image).hexdigest() != digest:
-            raise ValueError(f"{digest} is not the SHA-256 of the picture")
+            raise ValueError(f"{digest} is not the SHA-256 of the image")
         with self._locked(digest[:2]):
             written = self._write(digest, image)
             try:
@@ -75,7 +74,7 @@ class Images:
                 raise
 
     def read(self, digest: str) -> bytes:
-        """The bytes of a picture.
+        """The bytes of an image.
 
         Raises
         ------
@@ -84,7 +83,7 @@ class Images:
         return self._path(digest).read_bytes()
 
     def discard(self, digests: Iterable[str]) -> int:
-        """Remove the pictures that no view needs any more, after their rows have gone; returns how many."""
+        """Remove images that no view needs, after their rows were deleted; returns how many."""
         removed = 0
         for first, group in groupby(sorted(set(digests)), key=lambda digest: digest[:2]):
             with self._locked(first):
@@ -92,10 +91,10 @@ class Images:
         return removed
 
     def sweep(self) -> int:
-        """Remove what a crash left: unfinished files and pictures without a view; returns how many."""
+        """Remove unfinished files and images without a view, which a crash left; returns how many."""
         removed = 0
         for folder in sorted(self._folder.glob("[0-9a-f][0-9a-f]")):
-            with self._locked(folder.name):  # whoever was writing here has finished, or has died
+            with self._locked(folder.name):  # whoever wrote here has finished or died
                 for unfinished in folder.glob(UNFINISHED + "*"):
                     unfinished.unlink()
                     removed += 1
@@ -111,11 +110,11 @@ class Images:
             yield
 
     def _write(self, digest: str, image: bytes) -> bool:
-        """Write a picture unless it is there; returns whether it was written."""
+        """Write an image unless its file exists; returns whether it was written."""
         path = self._path(digest)
-        # A file gets its name after its bytes are durable, so one of the right length is whole.
+        # A file is renamed after its bytes are durable, so one of the right length is complete.
         if path.is_file() and path.stat().st_size == len(image):
-            self._sync_name(path)  # whoever wrote it may have died before this
+            self._sync_name(path)  # its writer may have died before this
             return False
         unfinished = path.parent.parent / f"{UNFINISHED}{uuid.uuid4().hex}"
         try:
@@ -130,12 +129,12 @@ class Images:
             unfinished.unlink(missing_ok=True)
             path.unlink(missing_ok=True)
             if dialect.is_full(error):
-                raise DiskFull("the disk of the pictures is full; free some space or delete views") from error
+                raise DiskFull("the disk of the images is full; free some space or delete views") from error
             raise
         return True
 
     def _sync_name(self, path: Path) -> None:
-        """Make the name of a picture durable, and those of its folders, which may be new."""
+        """Make the entries of a file and of its folders, which may be new, durable."""
         for folder in (path.parent, path.parent.parent, self._folder):
             sync_folder(folder)
 

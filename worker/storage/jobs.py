@@ -1,4 +1,4 @@
-"""Describe jobs: claimed under a lease, finished once, given up after three attempts."""
+"""Describe jobs: claimed under a lease, finished once, failed after three attempts."""
 
 import secrets
 from datetime import datetime, timedelta
@@ -18,12 +18,12 @@ from worker.storage.tables import JOBS, MAPS, VIEWS
 ATTEMPTS = 3
 
 WORKER_DIED = (
-    f"a worker took this picture {ATTEMPTS} times and each time ended before the description was finished, most likely "
-    "for want of memory; see the worker's log, then enrol the picture again"
+    f"a worker took this image {ATTEMPTS} times and each time ended before the description was finished, most likely "
+    "for want of memory; see the worker's log, then enrol the image again"
 )
 
 
-# Statements that every enrolment runs are made once: making one takes longer than running it.
+# Statements that every enrolment runs are built once: building one takes longer than running it.
 _DESCRIBES = JOBS.c.kind == "describe"
 _IS_LEFT = _DESCRIBES & (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
 _ANY_WAITING = sa.select(JOBS.c.id).where(_DESCRIBES, JOBS.c.state == "waiting").limit(1)
@@ -46,14 +46,14 @@ _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 
 
 class Jobs(Part):
-    """The queue of images to be described."""
+    """The queue of describe jobs."""
 
     def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
-        """Take up to `count` of the oldest waiting jobs, or jobs whose lease has ended; never more than thrice.
+        """Claim up to `count` of the oldest jobs that wait or whose lease has ended; a job at most three times.
 
-        Enrolments, for which somebody may be waiting, go before the jobs of a recipe switch.
+        Enrolments, whose callers may be waiting, go before the jobs of a recipe switch.
         """
-        with self._database.reading() as connection:  # a worker that asks in vain keeps no writer waiting
+        with self._database.reading() as connection:  # with no job to claim, no writer has to wait
             waits = connection.execute(_ANY_WAITING).first()
             left = list(connection.execute(_LEFT, {"moment": now}))
         for row in left:
@@ -83,27 +83,27 @@ class Jobs(Part):
         ]
 
     def _bury(self, job_id: str, now: datetime) -> None:
-        """Give up a job whose workers have all died."""
+        """Fail a job whose workers have all died."""
         with self._database.writing() as connection:
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
-            # Its last worker may have been late rather than dead.
+            # Its last worker may have finished late rather than died.
             if job is not None and job.state == "running" and job.lease_until <= now:
                 self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
-        """Keep a description: the view is searchable from the returned revision on; raises LeaseLost."""
+        """Store a description and end its job; returns the revision from which it is searchable; raises LeaseLost."""
         with self._database.writing() as connection:
             job = self._held(connection, claim)
             current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
             if job.recipe == current:
                 revision = clock.tick(connection, job.map_id)
-            else:  # nobody sees it before the map changes over
+            else:  # not searchable before the recipe switch ends
                 revision = int(connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == job.map_id)) or 0)
             keep_description(connection, job, claim.recipe, description, revision)
             return self.settle(connection, job, "done", now) or revision
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
-        """Give a job up; the view stays, `failed`, with this reason; raises LeaseLost."""
+        """End a job as failed; its view stays, `failed`, with this reason; raises LeaseLost."""
         with self._database.writing() as connection:
             self.settle(connection, self._held(connection, claim), "failed", now, (code, detail))
 
@@ -125,7 +125,7 @@ class Jobs(Part):
         now: datetime,
         failure: tuple[str | None, str | None] = (None, None),
     ) -> int | None:
-        """End a job, and let its view and map know; returns the revision if the map changed over."""
+        """End a job and update its view; returns the map's revision if that finished a recipe switch."""
         code, detail = failure
         outcome = {"failure_code": code, "failure_detail": detail}
         ended = {"state": state, "token": None, "lease_until": None, "finished_at": now, **outcome}
@@ -137,7 +137,7 @@ class Jobs(Part):
         return switching.finish_if_done(connection, job.map_id, now)
 
     def release(self, claim: Claim) -> None:
-        """Put a job back unharmed; one that is no longer this worker's is left alone."""
+        """Put a job back without counting the attempt; does nothing when the lease is lost."""
         with self._database.writing(in_turn=False) as connection:
             connection.execute(
                 sa.update(JOBS)
@@ -146,12 +146,12 @@ class Jobs(Part):
             )
 
     def count_waiting(self, *, redescriptions: bool = False) -> int:
-        """Enrolments not yet described.
+        """Number of enrolments not yet described.
 
         Parameters
         ----------
         redescriptions : bool
-            Count the jobs of a recipe switch too. Enrolments go before them, so they delay none.
+            Also count the jobs of recipe switches, which do not delay enrolments.
         """
         with self._database.reading() as connection:
             return int(connection.scalar(_UNFINISHED if redescriptions else _ENROLMENTS) or 0)

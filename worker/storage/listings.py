@@ -1,4 +1,4 @@
-"""Selections for a search, and places."""
+"""Selections of views for a search, and places."""
 
 import math
 from collections.abc import Iterable
@@ -21,10 +21,10 @@ MEANS = ("x", "y", "z", "alt", "globe_x", "globe_y", "globe_z")
 
 
 class Listings(Part):
-    """The promises of `schemas.ports.Store` about which views there are."""
+    """See `worker.service.ports.Listings`."""
 
     def select(self, name: str, filters: Filters) -> Selection:
-        """The views of a map that filters allow; see `Store.select`."""
+        """The views of a map that filters select, as sequence numbers; raises NotFound."""
         with self._database.reading() as connection:
             map_id = find_map(connection, name).id
             seqs = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id)
@@ -39,7 +39,7 @@ class Listings(Part):
     def places(
         self, name: str | None, cursor: str | None, limit: int
     ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
-        """A page of places, by map and name; see `Store.places`."""
+        """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next."""
         means = [sa.func.avg(VIEWS.c[column]).label(column) for column in MEANS]
         page = (
             sa.select(
@@ -68,10 +68,10 @@ class Listings(Part):
 
 
 def _mean_position(row: sa.Row[Any]) -> Position:
-    """The middle of a place; in metres where views are given in both frames."""
+    """Mean position of a place; in metres where views have both frames."""
     if row.x is not None:
         return Position(x=row.x, y=row.y, z=row.z)
-    # The middle of points on the sphere, because the mean of 179 and -179 degrees is not 0.
+    # The mean of points on the sphere: that of 179 and -179 degrees is not 0.
     if row.globe_x is None or math.hypot(row.globe_x, row.globe_y, row.globe_z) < 1e-9:
         return Position()
     lat = math.degrees(math.atan2(row.globe_z, math.hypot(row.globe_x, row.globe_y)))

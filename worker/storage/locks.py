@@ -1,7 +1,6 @@
-"""Who may use a data folder at the same time.
+"""Locks on a data folder: one `serve` and any number of workers, or one `migrate` alone.
 
-One `serve`, any number of workers, and `migrate` only alone. The locks are `flock`s: the system lets go of them when
-their process ends, however it ends, so none is ever stale.
+The locks are `flock`s: the system releases them when their process ends, however it ends, so none is ever stale.
 """
 
 import fcntl
@@ -26,7 +25,7 @@ class FolderLock:
     Parameters
     ----------
     path : Path
-        Made when there is none. It stays: removing it would let two holders lock two files of one name.
+        Created when there is none, and never removed: two processes could then lock two files of the same name.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,7 +33,7 @@ class FolderLock:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
 
     def acquire(self, *, shared: bool = False, wait: bool = False) -> bool:
-        """Take the lock, or change one that is held; False when another holds it and `wait` is off."""
+        """Take the lock, or change its mode; False when another process holds it and `wait` is False."""
         try:
             fcntl.flock(self._file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
@@ -42,19 +41,19 @@ class FolderLock:
         return True
 
     def release(self) -> None:
-        """Let go; a second time does nothing."""
+        """Release the lock; a second time does nothing."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
 
     def sign(self, now: datetime) -> None:
-        """Say in the file who holds it, for `holder`."""
+        """Write the holder (process, host, time) to the file, for `holder`."""
         os.ftruncate(self._file, 0)
         text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": now.isoformat(" ", "seconds")})
         os.pwrite(self._file, text.encode(), 0)
 
     def holder(self) -> str:
-        """Who signed last, in words."""
+        """The last holder that signed, as text for messages."""
         try:
             signed = json.loads(os.pread(self._file, 4096, 0))
             return f"process {signed['pid']} on {signed['host']} since {signed['since']}"
@@ -64,7 +63,7 @@ class FolderLock:
 
 @contextmanager
 def held(path: Path) -> Iterator[None]:
-    """Hold a lock for the length of a block, after waiting for it."""
+    """Wait for a lock and hold it during a block."""
     lock = FolderLock(path)
     try:
         lock.acquire(wait=True)
@@ -74,12 +73,12 @@ def held(path: Path) -> Iterator[None]:
 
 
 def lock_for_serving(data: Path, now: datetime) -> FolderLock:
-    """Become the one service of a data folder, until the lock is released.
+    """Take the lock of the one service of a data folder.
 
     Raises
     ------
     SetupError
-        Says which process serves the folder already.
+        Another process serves the folder; the text names it.
     """
     lock = FolderLock(data / SERVE)
     if not lock.acquire():
@@ -87,7 +86,7 @@ def lock_for_serving(data: Path, now: datetime) -> FolderLock:
         lock.release()
         raise SetupError(
             f"{data} is served already by {holder}; stop that service, or give this one another folder "
-            "with REVISIT_DATA (more processes may help to describe pictures: ./revisit worker)"
+            "with REVISIT_DATA (more processes may help to describe images: ./revisit worker)"
         )
     lock.sign(now)
     return lock

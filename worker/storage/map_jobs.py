@@ -1,7 +1,7 @@
-"""Jobs of whole maps, and what all jobs have in common: shown, listed, cancelled.
+"""Jobs of maps; and all jobs: shown, listed, cancelled.
 
 A job of the kind ``recipe`` runs until the last of the map's views is described. One of the kind ``vocabulary`` is
-claimed under a lease and trained by a worker first, and then runs on as one of the kind ``recipe``.
+first claimed by a worker, which trains the vocabulary, and then runs like one of the kind ``recipe``.
 """
 
 import json
@@ -33,16 +33,16 @@ class MapJobs(Jobs):
     # recipe
 
     def switch_recipe(self, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
-        """Begin to re-describe a map's views by another recipe.
+        """Begin to describe a map's views by another recipe.
 
-        Searches go on with the old recipe until the last view is described by the new one; then the map changes over
-        in one transaction. Descriptions that the new recipe already has (a way back) are used again.
+        Searches use the old recipe until the last view is described by the new one; then the map switches in one
+        transaction. Descriptions by the new recipe that are still stored are used again.
 
         Raises
         ------
         NotFound
         Conflict
-            A change of the map is under way already.
+            Another job of the map has not finished.
         """
         with self._database.writing() as connection:
             row = find_map(connection, name)
@@ -66,7 +66,7 @@ class MapJobs(Jobs):
             return _record(connection, job_id)
 
     def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
-        """Take the oldest job of a map that waits for a worker, or whose lease has ended; never more than thrice."""
+        """Claim the oldest job of a map that waits or whose lease has ended; a job at most three times."""
         waits = (JOBS.c.kind == "vocabulary") & (JOBS.c.recipe.is_(None))
         left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
         mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
@@ -89,14 +89,14 @@ class MapJobs(Jobs):
             return MapClaim(job.id, job.kind, token, str(name))
 
     def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta, now: datetime) -> None:
-        """Say how far a claimed job is, and renew its lease; raises LeaseLost, also when it was cancelled."""
+        """Report the progress of a claimed job and renew its lease; raises LeaseLost, also when it was cancelled."""
         with self._database.writing(in_turn=False) as connection:
             job = _held(connection, claim)
             values = {"progress_done": progress.done, "progress_total": progress.total, "lease_until": now + lease}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
 
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
-        """Have the map's views described by the trained vocabulary, as the same job; raises LeaseLost."""
+        """Begin to describe the map's views with the trained vocabulary, as the same job; raises LeaseLost."""
         with self._database.writing() as connection:
             job = _held(connection, claim)
             row = connection.execute(sa.select(MAPS).where(MAPS.c.id == job.map_id)).one()
@@ -108,12 +108,12 @@ class MapJobs(Jobs):
             switching.begin(connection, row, kept, row.ranking, job.id, now)
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """Give a claimed job up, with this reason; raises LeaseLost."""
+        """End a claimed job as failed, with this reason; raises LeaseLost."""
         with self._database.writing() as connection:
             _end(connection, _held(connection, claim).number, "failed", now, (code, detail))
 
     def release_map_job(self, claim: MapClaim) -> None:
-        """Put a claimed job back unharmed; one that is no longer this worker's is left alone."""
+        """Put a claimed job back without counting the attempt; does nothing when the lease is lost."""
         with self._database.writing(in_turn=False) as connection:
             connection.execute(
                 sa.update(JOBS)
@@ -160,7 +160,7 @@ class MapJobs(Jobs):
         ------
         NotFound
         Conflict
-            It is past that.
+            The job can no longer be cancelled.
         """
         with self._database.writing() as connection:
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
@@ -180,7 +180,7 @@ class MapJobs(Jobs):
 
 
 def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
-    """Raise Conflict when a job of this map has not finished."""
+    """Raise Conflict when another job of this map has not finished."""
     other = sa.select(JOBS.c.id, JOBS.c.kind).where(
         JOBS.c.map_id == row.id, JOBS.c.kind != "describe", JOBS.c.state.in_(UNFINISHED)
     )
@@ -209,7 +209,7 @@ def _end(connection: sa.Connection, number: int, state: JobState, now: datetime,
 
 @cache
 def _job_rows() -> sa.Select[Any]:
-    """Jobs with the names of their map and view."""
+    """Selects jobs with the name of their map and the id of their view."""
     named = sa.and_(MAPS.c.id == JOBS.c.map_id, MAPS.c.name.is_not(None))
     return (
         sa.select(JOBS, MAPS.c.name.label("map"), VIEWS.c.id.label("view_id"))
@@ -243,7 +243,7 @@ def _of_row(connection: sa.Connection, row: sa.Row[Any]) -> JobRecord:
 
 
 def _progress(connection: sa.Connection, row: sa.Row[Any]) -> JobProgress | None:
-    """Training tells how far it is; describing is counted in the jobs that were queued for it."""
+    """Progress of a job of a map: reported by training, counted over the describe jobs for a recipe."""
     if row.kind == "describe":
         return None
     if row.recipe is None or row.state != "running":

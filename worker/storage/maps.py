@@ -1,4 +1,4 @@
-"""Maps: made, counted, given another recipe."""
+"""Maps: created, counted, given another recipe."""
 
 from collections.abc import Callable
 from datetime import datetime
@@ -17,7 +17,7 @@ STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
 
 
 def make_map(connection: sa.Connection, name: str, recipe: MapRecipe, now: datetime) -> None:
-    """Add an empty map, inside a transaction that is written in turn."""
+    """Add an empty map, inside a transaction that writes in turn."""
     born = clock.read(connection)
     connection.execute(
         sa.insert(MAPS).values(
@@ -35,7 +35,7 @@ class Maps(Part):
     """Maps by name."""
 
     def all(self) -> list[MapRecord]:
-        """All maps, by name."""
+        """All maps, sorted by name."""
         with self._database.reading() as connection:
             recipes = {
                 row.id: DescriptionRecipe.model_validate_json(row.body)
@@ -69,7 +69,7 @@ class Maps(Part):
             *(sa.func.min(VIEWS.c[axis]).label(f"lowest_{axis}") for axis in axes),
             *(sa.func.max(VIEWS.c[axis]).label(f"highest_{axis}") for axis in axes),
         )
-        # Apart from the rest: an index answers it without a look at the views.
+        # A query of its own: an index answers it without reading views.
         distinct = sa.select(sa.func.count(sa.distinct(VIEWS.c.place)))
         with self._database.reading() as connection:
             own = VIEWS.c.map_id == find_map(connection, name).id
@@ -84,7 +84,7 @@ class Maps(Part):
         )
 
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
-        """Make a map, or give an empty one another recipe; returns it and whether it is new.
+        """Create a map, or replace the recipe of an empty one; returns the map and whether it was created.
 
         Raises
         ------
@@ -106,15 +106,15 @@ class Maps(Part):
             return map_record(connection, find_map(connection, name)), row is None
 
     def change_ranking(self, name: str, change: Callable[[MapRecipe], RankingConfig]) -> MapRecord:
-        """Replace a map's ranking by what `change` makes of its recipe, in one transaction; raises NotFound.
+        """Replace a map's ranking by `change` of its recipe, in one transaction; raises NotFound.
 
-        What `change` raises leaves the map as it was.
+        When `change` raises, the map stays as it was.
         """
         with self._database.writing() as connection:
             row = find_map(connection, name)
             ranking = change(map_record(connection, row).recipe).model_dump_json()
             if ranking != row.ranking:
                 switching.set_ranking(connection, row.id, ranking)
-            if row.next_ranking is not None:  # the change outlasts a recipe switch that is under way
+            if row.next_ranking is not None:  # a running recipe switch must not undo the change
                 connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
             return map_record(connection, find_map(connection, name))

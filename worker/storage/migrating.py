@@ -1,4 +1,4 @@
-"""Bring a database to the tables that this version of revisit knows."""
+"""Migrates a database to the tables of this version."""
 
 from functools import cache
 from pathlib import Path
@@ -35,7 +35,7 @@ def newest() -> str:
 
 
 def current(connection: sa.Connection) -> str | None:
-    """The revision of a database's tables; None when it has none yet."""
+    """The revision of a database's tables; None without tables."""
     return MigrationContext.configure(connection).get_current_revision()
 
 
@@ -57,12 +57,12 @@ def is_current(connection: sa.Connection) -> bool:
 
 
 def migrate(url: str, data: Path) -> str:
-    """Bring a database up to date, alone with its data folder; returns the revision of its tables.
+    """Migrate a database while no other process uses its data folder; returns the revision of its tables.
 
     Raises
     ------
     SetupError
-        Others use the folder, or the database is newer than this version.
+        Other processes use the folder, or the database is newer than this version.
     """
     database = Database(url)
     try:
@@ -73,14 +73,14 @@ def migrate(url: str, data: Path) -> str:
 
 
 def enter(database: Database, data: Path, *, may_migrate: bool) -> FolderLock:
-    """Take a share in a data folder, migrating its database first when needed.
+    """Take the shared lock of a data folder, after migrating its database when needed.
 
     Parameters
     ----------
     database : Database
     data : Path
     may_migrate : bool
-        Whether to bring tables up to date that exist; missing ones are always made.
+        Whether to migrate existing tables; an empty database always gets its tables.
 
     Returns
     -------
@@ -90,11 +90,11 @@ def enter(database: Database, data: Path, *, may_migrate: bool) -> FolderLock:
     Raises
     ------
     SetupError
-        See `migrate`; or the tables are old and must not be touched.
+        As `migrate`; or the tables are older and `may_migrate` is False.
     """
     share = FolderLock(data / USE)
     try:
-        with held(data / MIGRATE):  # who comes second finds everything done
+        with held(data / MIGRATE):  # a second process finds the tables migrated
             with database.reading() as connection:
                 ready = is_current(connection)
                 empty = current(connection) is None
@@ -118,11 +118,11 @@ def _upgrade(database: Database, data: Path, share: FolderLock, *, allowed: bool
             f"the database of {data} must be migrated, but other processes use it; stop all services and workers first"
         )
     config = _config()
-    with database.writing() as connection:  # all or nothing: both databases can take back changes of tables
+    with database.writing() as connection:  # all or nothing: both databases roll back changes of tables
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
 
 
 def migrates_by_itself(database: Database) -> bool:
-    """Whether a start may bring old tables up to date: a file, yes; a server that others share, no."""
+    """Whether opening a store may migrate: a SQLite file, yes; a PostgreSQL server, no."""
     return dialect.is_file(database.engine)

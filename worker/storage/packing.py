@@ -1,4 +1,4 @@
-"""Descriptions as bytes: arrays side by side, which are read without a copy."""
+"""Descriptions as bytes: concatenated arrays, read without a copy."""
 
 from functools import cache
 from math import prod
@@ -26,17 +26,17 @@ KEYPOINTS: Layout = ((FLOAT, 2), (BYTE, 2))
 
 
 def pack_floats(values: Floats) -> bytes:
-    """Bytes of float32, little-endian."""
+    """Float32, little-endian, as bytes."""
     return np.ascontiguousarray(values, FLOAT).tobytes()
 
 
 def unpack_floats(body: bytes | bytearray) -> Floats:
-    """The float32 of `pack_floats`, without a copy."""
+    """Inverse of `pack_floats`, without a copy."""
     return np.frombuffer(body, FLOAT)
 
 
 def pack_vectors(description: Description, recipe: DescriptionRecipe) -> bytes:
-    """The vectors of a description side by side, in the order of the recipe's channels.
+    """The histogram vectors of a description, concatenated in the order of the recipe's channels.
 
     Raises
     ------
@@ -56,35 +56,35 @@ def pack_appearance(appearance: Appearance) -> bytes:
 
 
 def unpack_appearance(body: bytes, extent: tuple[float, float]) -> Appearance:
-    """The appearance of `pack_appearance`; its extent is the view's."""
+    """Inverse of `pack_appearance`; `extent` is that of the view's image."""
     positions, embeddings, shares, labels, coarse = _unpack(APPEARANCE, body)
     return Appearance(coarse, ContextGraph(labels, positions, embeddings, shares), extent)
 
 
 def pack_cells(cells: Int8s) -> bytes:
-    """Cells in full."""
+    """Cells at full resolution."""
     return _pack(CELLS, cells)
 
 
 def unpack_cells(body: bytes) -> Int8s:
-    """The cells of `pack_cells`."""
+    """Inverse of `pack_cells`."""
     [cells] = _unpack(CELLS, body)
     return cells
 
 
 def pack_keypoints(features: LocalFeatures) -> bytes:
-    """Keypoints."""
+    """Local features."""
     return _pack(KEYPOINTS, features.positions, features.descriptors)
 
 
 def unpack_keypoints(body: bytes) -> LocalFeatures:
-    """The keypoints of `pack_keypoints`."""
+    """Inverse of `pack_keypoints`."""
     positions, descriptors = _unpack(KEYPOINTS, body)
     return LocalFeatures(positions, descriptors)
 
 
 def _pack(layout: Layout, *arrays: npt.NDArray[Any]) -> bytes:
-    """The shapes of all arrays as uint32, little-endian, and then the arrays."""
+    """The shapes of all arrays as uint32, little-endian, then the arrays."""
     for (dtype, dimensions), array in zip(layout, arrays, strict=True):
         if array.ndim != dimensions or not np.can_cast(array.dtype, dtype, "equiv"):
             raise ValueError(f"{dimensions} dimensions of {dtype} are kept here, not {array.shape} of {array.dtype}")
@@ -94,7 +94,7 @@ def _pack(layout: Layout, *arrays: npt.NDArray[Any]) -> bytes:
 
 
 def _unpack(layout: Layout, body: bytes) -> list[npt.NDArray[Any]]:
-    """The arrays of `_pack`, views of `body`."""
+    """Inverse of `_pack`; the arrays are views of `body`."""
     header = _header(layout)
     sizes = header.unpack_from(body)
     offset, first = header.size, 0
@@ -109,5 +109,5 @@ def _unpack(layout: Layout, body: bytes) -> list[npt.NDArray[Any]]:
 
 @cache
 def _header(layout: Layout) -> Struct:
-    """Of the sizes of all arrays."""
+    """Format of the shapes of all arrays."""
     return Struct(f"<{sum(dimensions for _, dimensions in layout)}I")

@@ -1,4 +1,4 @@
-"""Cursors: opaque names of the place where a page ended."""
+"""Cursors: opaque text that says where a page of a listing ended."""
 
 import base64
 import json
@@ -7,23 +7,25 @@ from schemas.errors import InvalidParameters
 
 
 def cursor_after(order: str, *last: str | int) -> str:
-    """A cursor for the page after a row, known by what the rows are sorted by.
+    """The cursor of the page after a row.
 
     Parameters
     ----------
     order : str
-        Name of the order; the cursor is good for no other.
+        Name of the listing's order; the cursor is valid for no other.
+    last : str or int
+        Sort key of the row.
     """
     return base64.urlsafe_b64encode(json.dumps([order, *last]).encode()).decode().rstrip("=")
 
 
 def read_cursor(order: str, cursor: str, *kinds: type[str] | type[int]) -> list[str | int]:
-    """What `cursor_after` was given.
+    """The sort key in a cursor from `cursor_after`, of the types `kinds`.
 
     Raises
     ------
     InvalidParameters
-        The cursor is of another order, or none of ours.
+        The cursor is of another order, or invalid.
     """
     try:
         padded = cursor + "=" * (-len(cursor) % 4)

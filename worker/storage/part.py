@@ -1,11 +1,11 @@
-"""What the parts of the store have in common."""
+"""Base of the parts of the store."""
 
 from worker.storage.database import Database
 from worker.storage.image_files import Images
 
 
 class Part:
-    """A part of the store: some of its promises, kept with one database and one folder of pictures.
+    """A part of the store: one group of its methods, over the shared database and folder of images.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Descriptions and recipes that no map uses any more are removed, a portion at a time."""
+"""Removes descriptions, recipes and vocabularies that no map uses, a portion at a time."""
 
 import sqlalchemy as sa
 
@@ -6,7 +6,7 @@ from worker.storage.part import Part
 from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, RECIPES, VIEWS, VOCABULARIES
 
 PORTION = 200
-"""Descriptions removed in one transaction, so that no other writer waits long."""
+"""Descriptions removed in one transaction; more would keep other writers waiting."""
 
 _STALE = (
     sa.select(DESCRIPTIONS.c.seq, DESCRIPTIONS.c.recipe)
@@ -21,10 +21,10 @@ _STALE = (
 
 
 class Pruning(Part):
-    """What a change of recipe leaves behind. A map keeps its present, its next and its previous descriptions."""
+    """Removes what recipe switches leave. A map keeps descriptions by its present, next and previous recipe."""
 
     def prune(self) -> int:
-        """Remove one portion of what is not used; returns how many descriptions went, 0 when all is clean."""
+        """Remove one portion of unused descriptions; returns how many, 0 when none is left."""
         with self._database.reading() as connection:
             if connection.execute(_STALE.limit(1)).first() is None:
                 return 0
@@ -41,7 +41,7 @@ class Pruning(Part):
 
     @staticmethod
     def _forget_recipes(connection: sa.Connection) -> None:
-        """Forget recipes that neither a map nor a description nor a job names, and vocabularies that no recipe does."""
+        """Delete recipes without map, description or job, and vocabularies without recipe."""
         used = sa.union(
             sa.select(MAPS.c.recipe),
             sa.select(MAPS.c.next_recipe).where(MAPS.c.next_recipe.is_not(None)),

@@ -1,4 +1,4 @@
-"""Deletion: complete, and in portions, so that a large one does not keep every other writer waiting."""
+"""Deletion: complete, and in portions, so that other writers do not wait for a large one."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -24,20 +24,20 @@ class _Gone(NamedTuple):
 
 
 class Removals(Part):
-    """The promises of `schemas.ports.Store` about deletion."""
+    """See `worker.service.ports.Removals`."""
 
     def delete_view(self, view_id: str) -> Removal:
         """Remove a view completely; raises NotFound."""
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
         gone = self._remove(row.map_id, [row.seq])
-        if gone.views == 0:  # another call was quicker
+        if gone.views == 0:  # deleted by another call meanwhile
             with self._database.reading() as connection:
                 find_view(connection, view_id)
         return Removal(*gone)
 
     def delete_views(self, name: str, filters: Filters) -> Removal:
-        """Remove all views of a map that fit at the time of the call; raises NotFound."""
+        """Remove all views of a map that the filters select at the time of the call; raises NotFound."""
         with self._database.reading() as connection:
             row = find_map(connection, name)
             fit = [VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id)]
@@ -50,18 +50,18 @@ class Removals(Part):
         )
 
     def delete_map(self, name: str) -> Removal:
-        """Remove a map, its views and their pictures; raises NotFound."""
+        """Remove a map, its views and their images; raises NotFound."""
         with self._database.writing() as connection:
             map_id = find_map(connection, name).id
-            # A map of this name that is made later begins after all that an index may know of this one.
+            # So that a later map of this name begins after every index of this one.
             clock.tick(connection, map_id)
-            # Without a name nobody finds it, from this moment on; the rest may take its time, or come after a crash.
+            # Without a name no call finds it; its views are deleted next, or by recovery after a crash.
             connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(name=None))
             connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
         return self._clear(map_id)
 
     def clear_deleted_maps(self) -> None:
-        """Finish deletions of maps that a crash cut short."""
+        """Finish deletions of maps that a crash interrupted."""
         with self._database.reading() as connection:
             left = list(connection.scalars(sa.select(MAPS.c.id).where(MAPS.c.name.is_(None))))
         for map_id in left:
@@ -82,7 +82,7 @@ class Removals(Part):
         return Removal(views, images, revision=None)
 
     def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
-        """Delete views of a map, and then the pictures that no view needs any more."""
+        """Delete views of a map, then the images that no view needs."""
         with self._database.writing() as connection:
             which = VIEWS.c.seq.in_(seqs)
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))

@@ -1,4 +1,4 @@
-"""From rows to records and back."""
+"""Conversion between rows and records."""
 
 import json
 import math
@@ -17,29 +17,29 @@ from worker.storage.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
 
 COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
 
-# Statements that every enrolment runs are made once: making one takes longer than running it.
+# Statements that every enrolment runs are built once: building one takes longer than running it.
 _MAP_NAMED = sa.select(MAPS).where(MAPS.c.name == sa.bindparam("of"))
 _RECIPE = sa.select(RECIPES.c.body).where(RECIPES.c.id == sa.bindparam("of"))
 
 BATCH = 500
-"""Values in one IN list."""
+"""Most values in one IN list."""
 
 
 def batches(values: Iterable[Any]) -> Iterator[list[Any]]:
-    """Values in portions that fit an IN list."""
+    """Values in lists of at most `BATCH`."""
     everything = list(values)
     for start in range(0, len(everything), BATCH):
         yield everything[start : start + BATCH]
 
 
 def as_json(value: object) -> str:
-    """Canonical JSON: equal values give equal text, in ASCII, which every database takes."""
+    """Canonical JSON in ASCII: equal values give equal text."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
 
 @cache
 def inserting(table: sa.Table) -> sa.Insert:
-    """The statement that inserts into a table the columns it is given."""
+    """The INSERT statement of a table, cached."""
     return sa.insert(table)
 
 
@@ -55,14 +55,14 @@ def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
 
 
 def keep_recipe(connection: sa.Connection, recipe: DescriptionRecipe) -> str:
-    """Make sure that a recipe is kept; returns its id."""
+    """Store a recipe unless it is stored; returns its id."""
     if connection.scalar(_RECIPE, {"of": recipe.id}) is None:
         connection.execute(sa.insert(RECIPES).values(id=recipe.id, body=recipe.model_dump_json()))
     return recipe.id
 
 
 def find_recipe(connection: sa.Connection, recipe: str) -> DescriptionRecipe:
-    """A kept recipe by its id."""
+    """A stored recipe by its id."""
     return _recipe_of(str(connection.scalar(_RECIPE, {"of": recipe})))
 
 
@@ -72,7 +72,7 @@ def _recipe_of(body: str) -> DescriptionRecipe:
 
 
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
-    """A map's row with its recipe."""
+    """A map from its row."""
     recipe = find_recipe(connection, row.recipe)
     return MapRecord(row.name, row.revision, recipe, ranking_of(row.ranking), row.created_at)
 
@@ -88,8 +88,8 @@ def ranking_of(body: str) -> RankingConfig:
 
 @cache
 def view_rows() -> sa.Select[Any]:
-    """Views with their map's name and their description by the map's recipe, ready for `view_record`."""
-    # A map without a name is being deleted: its views are no longer there for anybody.
+    """Selects views with their map's name and their description by the map's recipe, for `view_record`."""
+    # A map without a name is being deleted: its views are no longer shown.
     named = sa.and_(MAPS.c.id == VIEWS.c.map_id, MAPS.c.name.is_not(None))
     described = sa.and_(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == MAPS.c.recipe)
     return sa.select(
@@ -133,7 +133,7 @@ def find_view(connection: sa.Connection, view_id: str) -> sa.Row[Any]:
 
 @cache
 def views_of() -> sa.Select[Any]:
-    """`view_rows` of the sequence numbers given as ``seqs``."""
+    """`view_rows` for the sequence numbers in the parameter ``seqs``."""
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
     return view_rows().where(VIEWS.c.seq.in_(seqs))
 
@@ -143,18 +143,18 @@ def _view_of_id() -> sa.Select[Any]:
     return view_rows().where(VIEWS.c.id == sa.bindparam("of"))
 
 
-# what was said about a view
+# attributes of a view
 
 
 def attributes_of(row: sa.Row[Any]) -> ViewAttributes:
-    """What the user said, from the row of a view."""
+    """Attributes from the row of a view."""
     position = Position(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
     return ViewAttributes(row.place, position, row.captured_at, json.loads(row.metadata))
 
 
 def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:
-    """What the user said, as columns of `views`."""
-    # A numpy number would be stored as bytes by SQLite, without a word.
+    """Attributes as columns of `views`."""
+    # SQLite would store a numpy number as bytes, without an error.
     columns: dict[str, Any] = {
         name: None if (value := getattr(attributes.position, name)) is None else float(value) for name in COORDINATES
     }
@@ -168,6 +168,6 @@ def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:
 
 
 def unit_vector(lat: float, lon: float) -> tuple[float, float, float]:
-    """Degrees as a point (x, y, z) of the unit sphere: without a seam at 180 degrees and without poles."""
+    """Degrees as a point (x, y, z) on the unit sphere, which has no seam at 180 degrees and no poles."""
     phi, theta = math.radians(lat), math.radians(lon)
     return math.cos(phi) * math.cos(theta), math.cos(phi) * math.sin(theta), math.sin(phi)

@@ -1,4 +1,4 @@
-"""The store: one database, SQLite or PostgreSQL, and a folder of pictures."""
+"""The store: one database, SQLite or PostgreSQL, and a folder of images."""
 
 import os
 from datetime import datetime
@@ -25,18 +25,18 @@ from worker.storage.views import Views
 
 
 class SqlStore:
-    """Maps, views, descriptions, jobs, vocabularies and calls: the truth. What a method has returned from is durable.
+    """Maps, views, descriptions, jobs, vocabularies and calls. When a method returns, its changes are durable.
 
-    Composed of parts, each a module beside this one; who uses a part names what it needs in a Protocol of its own.
+    Composed of parts, each in a module of this package; users of a part declare the methods they call in a Protocol.
 
     Parameters
     ----------
     database : Database
-        With the tables that this version needs.
+        Migrated to the tables of this version.
     data : Path
-        Folder whose ``pictures`` hold the originals.
+        Data folder; its folder ``pictures`` holds the enrolled images.
     share : FolderLock
-        Keeps others from migrating the database; let go of by `close`.
+        Shared lock that keeps migrations out; released by `close`.
     """
 
     def __init__(self, database: Database, data: Path, share: FolderLock) -> None:
@@ -56,7 +56,7 @@ class SqlStore:
         self.pruning = Pruning(database, images)
 
     def _owned(self, digests: list[str]) -> set[str]:
-        """Those of these pictures that views need."""
+        """The digests among `digests` that views need."""
         found: set[str] = set()
         with self._database.reading() as connection:
             for portion in batches(digests):
@@ -64,10 +64,9 @@ class SqlStore:
         return found
 
     def recover(self, now: datetime) -> None:
-        """After a crash: forget half-made calls and picture files that no view owns, finish deletions.
+        """Clean up after a crash: delete unfinished calls and image files without a view, finish deletions.
 
-        For the one `serve` of a data folder, before it takes its first call: a call that runs elsewhere would be
-        forgotten too.
+        Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
         """
         with self._database.writing(in_turn=False) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now))
@@ -88,7 +87,7 @@ class SqlStore:
         return "ok"
 
     def close(self) -> None:
-        """Let go of files and connections; a second time does nothing."""
+        """Close connections and release the data folder; a second time does nothing."""
         self._database.close()
         self._share.release()
 
@@ -96,15 +95,15 @@ class SqlStore:
 def open_store(url: str, data: Path) -> SqlStore:
     """Open the store of a data folder.
 
-    A SQLite file is brought up to date first, when no other process uses the folder; a PostgreSQL database only when
-    it is empty (`./revisit migrate` does it otherwise, when the operator wants it).
+    A SQLite file is migrated first, if no other process uses the folder; a PostgreSQL database only when it is empty
+    (otherwise the operator runs `./revisit migrate`).
 
     Parameters
     ----------
     url : str
         SQLAlchemy URL of the database.
     data : Path
-        Data folder, made when there is none.
+        Data folder, created when there is none.
 
     Raises
     ------
@@ -113,7 +112,7 @@ def open_store(url: str, data: Path) -> SqlStore:
     """
     database = Database(url)
     try:
-        # First, so that no lock is held when it fails.
+        # First, so that no lock is held if it fails.
         (data / "pictures").mkdir(parents=True, exist_ok=True)
         share = enter(database, data, may_migrate=migrates_by_itself(database))
         return SqlStore(database, data, share)

@@ -1,7 +1,7 @@
-"""From one recipe of a map to another, without a moment in which answers mix the two.
+"""Recipe switches: a map changes from one recipe to another without answers that mix the two.
 
-While ``maps.next_recipe`` is set, each view gets a description by it beside the one in use. When no job for it is left
-the map changes over, in the transaction that settled the last one.
+While ``maps.next_recipe`` is set, each view gets a description by it beside the one in use. When no job for it is left,
+the map changes over to it, in the transaction that settled the last job.
 """
 
 from datetime import datetime
@@ -20,7 +20,7 @@ UNFINISHED = ("waiting", "running")
 _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
     JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
 )
-_CHANGING = (  # most maps are not: one look tells
+_CHANGING = (  # no row for most maps
     sa.select(MAPS.c.recipe, MAPS.c.next_recipe, MAPS.c.next_ranking, JOBS.c.number)
     .join(JOBS, (JOBS.c.map_id == MAPS.c.id) & (JOBS.c.kind != "describe") & (JOBS.c.state == "running"))
     .where(MAPS.c.id == sa.bindparam("of"), JOBS.c.recipe.is_not(None))
@@ -51,31 +51,31 @@ def queue(
 
 
 def unfinished_job(connection: sa.Connection, seq: int, recipe: str) -> str | None:
-    """Id of the job that is to describe a view by a recipe, if there is one."""
+    """Id of the unfinished job that describes a view by a recipe, or None."""
     job: str | None = connection.scalar(_UNFINISHED_JOB, {"of": seq, "by": recipe})
     return job
 
 
 def is_described(recipe: str) -> sa.ColumnElement[bool]:
-    """Whether a view has a description by a recipe."""
+    """SQL condition that a view has a description by a recipe."""
     return sa.exists().where(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == recipe)
 
 
 def begin(
     connection: sa.Connection, row: sa.Row[Any], recipe: str, ranking: str, job: str | None, now: datetime
 ) -> int:
-    """Begin to change a map over; returns how many views must be described first.
+    """Begin a recipe switch; returns how many views must be described first.
 
     Parameters
     ----------
     row
-        Of the map.
+        Row of the map.
     recipe : str
-        Id of a kept description recipe.
+        Id of a stored description recipe.
     ranking : str
-        JSON of the ranking that begins with it.
+        JSON of the ranking config used from the change on.
     job : str or None
-        Id of the job of the map that goes on until the change; None makes one of the kind ``recipe``.
+        Id of the job of the map that runs until the change; None queues one of the kind ``recipe``.
     """
     if job is None:
         job = str(uuid7())
@@ -85,7 +85,7 @@ def begin(
     lacking = [VIEWS.c.map_id == row.id, ~is_described(recipe), ~under_way]
     seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*lacking).order_by(VIEWS.c.seq)))
     queue(connection, row.id, seqs, recipe, now, background=True)
-    if recipe == row.recipe:  # nothing to change over to: only what failed is tried again
+    if recipe == row.recipe:  # the recipe stays: only failed views are described again
         settle(connection, row.id, recipe)
         if ranking != row.ranking:
             set_ranking(connection, row.id, ranking)
@@ -97,17 +97,17 @@ def begin(
 
 
 def set_ranking(connection: sa.Connection, map_id: int, ranking: str) -> None:
-    """Give a map another ranking: queries notice, so it is a revision."""
+    """Replace a map's ranking; a new revision, since it changes answers."""
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(ranking=ranking))
     clock.tick(connection, map_id)
 
 
 def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int | None:
-    """Change a map over when no view is left to be described; returns the revision if that happened."""
+    """End a recipe switch when no view is left to describe; returns the map's revision if it ended."""
     row = connection.execute(_CHANGING, {"of": map_id}).one_or_none()
     if row is None:
         return None
-    if row.next_recipe is None:  # views that had failed are tried again by the recipe that the map has
+    if row.next_recipe is None:  # failed views are described again by the same recipe
         again = sa.select(JOBS.c.number).where(
             JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == row.recipe, JOBS.c.background,
             JOBS.c.number > row.number, JOBS.c.state.in_(UNFINISHED),
@@ -125,7 +125,7 @@ def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int
 
 
 def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: str, now: datetime) -> int:
-    """Give a map the recipe whose descriptions are there; returns the map's new revision."""
+    """Set a map's recipe and ranking, after its views were described; returns the new revision."""
     revision = clock.tick(connection, map_id)
     present = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == map_id))
     after = {"recipe": recipe, "ranking": ranking, "next_recipe": None, "next_ranking": None, "anew": revision}
@@ -136,7 +136,7 @@ def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: st
 
 
 def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> None:
-    """End the jobs of a map that were to bring it to a recipe."""
+    """End the jobs of a map that switch it to a recipe."""
     own = JOBS.c.map_id == map_id, JOBS.c.kind != "describe", JOBS.c.recipe == recipe, JOBS.c.state == "running"
     for number in list(connection.scalars(sa.select(JOBS.c.number).where(*own))):
         done, total = described(connection, map_id, recipe, number)
@@ -149,7 +149,7 @@ def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime)
 
 
 def described(connection: sa.Connection, map_id: int, recipe: str, since: int) -> tuple[int, int]:
-    """How many of the views that were queued for a recipe after a job are settled, and how many there are."""
+    """(Settled, all) describe jobs of a map by a recipe that were queued after the job with number `since`."""
     queued = sa.select(sa.func.count(sa.case((JOBS.c.state.not_in(UNFINISHED), 1))), sa.func.count()).where(
         JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == recipe, JOBS.c.number > since
     )
@@ -158,7 +158,7 @@ def described(connection: sa.Connection, map_id: int, recipe: str, since: int) -
 
 
 def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> None:
-    """Let a map keep its recipe: nothing more is described by the one it was to get."""
+    """Stop a recipe switch: cancel its describe jobs; the map keeps its recipe."""
     connection.execute(
         sa.update(JOBS)
         .where(JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == recipe)
@@ -169,7 +169,7 @@ def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> 
 
 
 def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
-    """Give each view of a map the state that it has under a recipe: ready, pending, or failed as its last job did."""
+    """Set the state of each view of a map by a recipe: ready, pending, or failed with the reason of its last job."""
     own = sa.update(VIEWS).where(VIEWS.c.map_id == map_id)
     connection.execute(own.where(is_described(recipe)).values(state="ready", failure_code=None, failure_detail=None))
     last = (
@@ -193,6 +193,6 @@ def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
 
 
 def settled(connection: sa.Connection, seq: int, recipe: str) -> bool:
-    """Whether a view has a description by a recipe, or a job for it."""
+    """Whether a view has a description by a recipe, or an unfinished job for one."""
     described = sa.select(DESCRIPTIONS.c.seq).where(DESCRIPTIONS.c.seq == seq, DESCRIPTIONS.c.recipe == recipe)
     return connection.execute(described).first() is not None or unfinished_job(connection, seq, recipe) is not None

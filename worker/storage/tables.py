@@ -1,17 +1,17 @@
-"""The tables, as SQLAlchemy Core sees them; `migrations` makes exactly these.
+"""The tables, in SQLAlchemy Core; `migrations` creates exactly these.
 
 ::
 
-    clock                      the last revision given out
-    recipes                    what decided a description, by id
+    clock                      the last revision
+    recipes                    description recipes by id
     maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints
                                     ├───── metadata_pairs
                                     └───── jobs
                                ── tombstones
-    vocabularies    calls      on their own
+    vocabularies    calls      without references
 
-What hangs on a row goes with it (ON DELETE CASCADE), so that a deletion is complete. The wide columns of a description
-have tables of their own: each is read alone, and a row that spills over is slow to read past.
+Dependent rows are deleted with their row (ON DELETE CASCADE). The wide columns of a description have tables of their
+own, since each is read alone and rows with overflow pages are slow to scan.
 """
 
 import sqlalchemy as sa
@@ -41,11 +41,11 @@ MAPS = sa.Table(
     sa.Column("name", ordered_text(), unique=True),  # NULL while it is being deleted
     sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id"), nullable=False),
     sa.Column("ranking", sa.Text, nullable=False, server_default="{}"),  # JSON
-    sa.Column("next_recipe", sa.Text, sa.ForeignKey("recipes.id")),  # while its views are described anew
+    sa.Column("next_recipe", sa.Text, sa.ForeignKey("recipes.id")),  # during a recipe switch
     sa.Column("next_ranking", sa.Text),  # JSON, with next_recipe
-    sa.Column("previous_recipe", sa.Text),  # whose descriptions are kept, for a way back
+    sa.Column("previous_recipe", sa.Text),  # its descriptions are kept, for switching back
     sa.Column("revision", sa.BigInteger, nullable=False),
-    sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision needs everything
+    sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision is rebuilt
     sa.Column("created_at", UtcDateTime, nullable=False),
     sqlite_autoincrement=True,
 )
@@ -53,7 +53,7 @@ MAPS = sa.Table(
 VIEWS = sa.Table(
     "views",
     METADATA,
-    sa.Column("seq", big_key(), primary_key=True),  # never given out twice: indexes know views by it
+    sa.Column("seq", big_key(), primary_key=True),  # never used twice: the id in indexes
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("map_id", sa.BigInteger, sa.ForeignKey("maps.id", ondelete="CASCADE"), nullable=False),
     sa.Column("place", ordered_text()),
@@ -64,7 +64,7 @@ VIEWS = sa.Table(
     sa.Column("lon", sa.Double),
     sa.Column("alt", sa.Double),  # metres
     sa.Column("heading", sa.Double),  # degrees
-    sa.Column("globe_x", sa.Double),  # lat and lon as a point of the unit sphere: see filtering.py
+    sa.Column("globe_x", sa.Double),  # lat and lon as a point on the unit sphere: see filtering.py
     sa.Column("globe_y", sa.Double),
     sa.Column("globe_z", sa.Double),
     sa.Column("captured_at", UtcDateTime),
@@ -75,7 +75,7 @@ VIEWS = sa.Table(
     sa.Column("height", sa.Integer, nullable=False),
     sa.Column("byte_count", sa.BigInteger, nullable=False),
     sa.Column("format", sa.Text, nullable=False),
-    sa.Column("state", sa.Text, nullable=False),  # pending, ready or failed, under the map's recipe
+    sa.Column("state", sa.Text, nullable=False),  # pending, ready or failed, by the map's recipe
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
     sa.UniqueConstraint("map_id", "sha256", name="views_once_per_map"),
@@ -92,7 +92,7 @@ VIEWS = sa.Table(
 METADATA_PAIRS = sa.Table(
     "metadata_pairs",
     METADATA,
-    sa.Column("pair", sa.Text, primary_key=True),  # SHA-256 of key and value: values may exceed what an index holds
+    sa.Column("pair", sa.Text, primary_key=True),  # SHA-256 of key and value: values may be too long for an index
     sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE"), primary_key=True),
     sa.Index("metadata_pairs_by_view", "seq"),
 )
@@ -125,27 +125,27 @@ def _part_of_a_description(name: str) -> sa.Table:
     )
 
 
-VECTORS = _part_of_a_description("vectors")  # float32, little-endian, channels side by side
-APPEARANCES = _part_of_a_description("appearances")  # see packing.py, as the following
+VECTORS = _part_of_a_description("vectors")  # float32, little-endian, channels concatenated
+APPEARANCES = _part_of_a_description("appearances")  # this and the following: see packing.py
 CELLS = _part_of_a_description("cells")
 KEYPOINTS = _part_of_a_description("keypoints")
 
 JOBS = sa.Table(
     "jobs",
     METADATA,
-    sa.Column("number", big_key(), primary_key=True),  # in the order they were queued
+    sa.Column("number", big_key(), primary_key=True),  # in queueing order
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("kind", sa.Text, nullable=False),  # describe (a view), recipe or vocabulary (a map)
     sa.Column("map_id", sa.BigInteger, nullable=False),
-    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE")),  # NULL: the job is a map's
-    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL: not known yet
-    sa.Column("background", sa.Boolean, nullable=False),  # describes anew; enrolments go first
+    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE")),  # NULL for a job of a map
+    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL before training has ended
+    sa.Column("background", sa.Boolean, nullable=False),  # of a recipe switch; enrolments go first
     sa.Column("state", sa.Text, nullable=False),
     sa.Column("attempts", sa.Integer, nullable=False),
     sa.Column("worker", sa.Text),
     sa.Column("token", sa.Text),
     sa.Column("lease_until", UtcDateTime),
-    sa.Column("progress_done", sa.Integer),  # of a vocabulary's training; describing is counted
+    sa.Column("progress_done", sa.Integer),  # of training; describing is counted in jobs
     sa.Column("progress_total", sa.Integer),
     sa.Column("result", sa.Text),  # JSON
     sa.Column("created_at", UtcDateTime, nullable=False),

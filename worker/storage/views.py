@@ -1,4 +1,4 @@
-"""Views: shown, listed, corrected."""
+"""Views: shown, listed, changed."""
 
 from collections.abc import Callable, Sequence
 
@@ -25,7 +25,7 @@ from worker.storage.tables import VIEWS
 
 
 class Views(Part):
-    """The promises of `schemas.ports.Store` about views."""
+    """See `worker.service.ports.Views`."""
 
     def get(self, view_id: str) -> ViewRecord:
         """One view; raises NotFound."""
@@ -33,7 +33,7 @@ class Views(Part):
             return view_record(find_view(connection, view_id))
 
     def at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
-        """Views by sequence number; those deleted meanwhile are absent."""
+        """Views by sequence number; deleted ones are absent."""
         found: dict[int, ViewRecord] = {}
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
@@ -51,7 +51,12 @@ class Views(Part):
         cursor: str | None = None,
         limit: int = 50,
     ) -> "tuple[list[ViewRecord], str | None]":
-        """A page of views in enrolment order, and the cursor of the next; see `Store.views`."""
+        """A page of views in enrolment order (or reverse), and the cursor of the next.
+
+        Raises
+        ------
+        NotFound, InvalidParameters
+        """
         order = "newest" if newest_first else "oldest"
         page = view_rows().order_by(VIEWS.c.seq.desc() if newest_first else VIEWS.c.seq).limit(limit + 1)
         if cursor is not None:
@@ -69,9 +74,9 @@ class Views(Part):
         return [view_record(row) for row in rows[:limit]], following
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
-        """Replace what was said about a view by what `change` makes of it, in one transaction; raises NotFound.
+        """Replace a view's attributes by `change` of them, in one transaction; raises NotFound.
 
-        What `change` raises leaves the view as it was.
+        When `change` raises, the view stays as it was.
         """
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
@@ -84,11 +89,11 @@ class Views(Part):
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
-        """The enrolled picture, byte for byte; raises NotFound."""
+        """The enrolled bytes; raises NotFound."""
         with self._database.reading() as connection:
             digest = find_view(connection, view_id).sha256
         try:
             return self._images.read(digest)
         except FileNotFoundError:  # deleted between row and file
-            hint = "the view was deleted, or its file was removed by hand: then enrol the picture again"
-            raise NotFound("picture of view", view_id, hint) from None
+            hint = "the view was deleted, or its file was removed by hand: then enrol the image again"
+            raise NotFound("image of view", view_id, hint) from None

@@ -1,7 +1,7 @@
-"""Cells in full have a table of their own: re-ranking reads those at half size of all candidates.
+"""Cells at full resolution get a table of their own: re-ranking reads only those at half size of all candidates.
 
-Descriptions of the tables before cannot be read any more, nor the recipes they were made by. No release had them, so a
-map of that time is refused rather than changed.
+Descriptions and recipes of earlier tables cannot be read any more. No release had them, so a database with maps is
+refused rather than converted.
 """
 
 import sqlalchemy as sa
@@ -19,7 +19,7 @@ def upgrade() -> None:
     if maps:
         raise SetupError(
             f"the database holds {maps} map(s) of a build before the first release, whose descriptions this version "
-            "cannot read; keep that build for them, or start with a new data folder and enrol the pictures again "
+            "cannot read; keep that build for them, or start with a new data folder and enrol the images again "
             "(they are in its folder `pictures`)"
         )
     op.execute("DELETE FROM recipes")

@@ -1,7 +1,7 @@
-"""A map's recipe becomes a description recipe and a ranking; jobs of whole maps are kept beside those of views.
+"""A map's recipe becomes a description recipe and a ranking config; the table of jobs also holds jobs of maps.
 
-What was stored of views stays as it is. Only the names of recipes change, since a recipe is named by a hash of its
-content: descriptions move to the new name, and the numbers that only rank move to the map.
+Stored descriptions stay as they are. Only the ids of recipes change, since they are hashes of their content: rows of
+descriptions get the new id, and ranking parameters move to the map.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ TERMS = {"close": "dense_full"}
 
 
 def upgrade() -> None:
-    """Add columns and the new table of jobs, then convert every recipe."""
+    """Add columns, replace the table of jobs, and convert all recipes."""
     op.add_column("maps", sa.Column("ranking", sa.Text, nullable=False, server_default="{}"))
     op.add_column("maps", sa.Column("next_ranking", sa.Text))
     op.add_column("maps", sa.Column("previous_recipe", sa.Text))
@@ -54,7 +54,7 @@ def upgrade() -> None:
 
 
 def _move(connection: sa.Connection, old: str, new: str) -> None:
-    """Give descriptions by one recipe another's name; of two that become one the first is kept."""
+    """Move descriptions from one recipe id to another; where a view has both, the first is kept."""
     columns = "seq, map_id, revision, descriptor_count, static_share, nodes, label_shares"
     connection.execute(
         sa.text(
@@ -76,7 +76,7 @@ def _move(connection: sa.Connection, old: str, new: str) -> None:
 
 
 def _new_jobs() -> None:
-    """The table of jobs anew: jobs of maps have no view, and no recipe before they know it."""
+    """Replace the table of jobs: a job of a map has no view, and no recipe before training has ended."""
     op.rename_table("jobs", "jobs_before")
     for index in ("jobs_in_order", "jobs_by_recipe", "jobs_by_view"):
         op.drop_index(index, "jobs_before")
@@ -110,7 +110,7 @@ def _new_jobs() -> None:
     op.execute(f"INSERT INTO jobs (kind, {kept}) SELECT 'describe', {kept} FROM jobs_before")
     op.drop_table("jobs_before")
     connection = op.get_bind()
-    if connection.dialect.name == "postgresql":  # where numbers go on after those that were copied
+    if connection.dialect.name == "postgresql":  # numbers continue after the copied ones
         op.execute(
             "SELECT setval(pg_get_serial_sequence('jobs', 'number'), "
             "(SELECT coalesce(max(number), 0) + 1 FROM jobs), false)"
@@ -120,11 +120,11 @@ def _new_jobs() -> None:
     op.create_index("jobs_by_view", "jobs", ["seq", "recipe"])
 
 
-# What a recipe was, and the two halves that it becomes. Frozen: later versions of the schema do not change this.
+# Conversion of recipes. Frozen: later versions of the schema do not change it.
 
 
 def halves(recipe: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Description recipe and ranking of a recipe of before, with every field that they had when they began."""
+    """Description recipe and ranking config of an earlier recipe, with the fields of this revision."""
     parameters = recipe["parameters"]
     dense, verification = parameters["dense"], parameters["verification"]
     channels = {
@@ -172,7 +172,7 @@ def _ranking(preset: str, parameters: dict[str, Any]) -> dict[str, Any]:
     for term, weight in given.items():
         kind, _, channel = term.partition(".")
         name = TERMS.get(kind, kind)
-        counted = max(0.0, float(weight))  # a weight below 0 was accepted before, and meant nothing sensible
+        counted = max(0.0, float(weight))  # negative weights were accepted, without a meaning
         if name == "histogram" and LAYERS.get(channel, channel) in {LAYERS.get(c, c) for c in parameters["channels"]}:
             histogram[LAYERS.get(channel, channel)] = counted
         elif name in weights:
