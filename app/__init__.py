@@ -1,3 +1,3 @@
-"""How revisit is spoken to: HTTP, the command line, the client."""
+"""How revisit is used: HTTP, the command line, the console."""
 
-import worker  # noqa: F401  # before anything imports numpy
+import worker  # noqa: F401  # sets up the process before numpy is imported

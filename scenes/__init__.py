@@ -1,4 +1,4 @@
-"""Drawn places, for the demo and the tests: photos of others cannot be shipped, and drawn ones have exact labels.
+"""Drawn places for the demo, the tests and training: free of others' rights, and with exact labels.
 
 scene("square").at("dusk").behind("bus").seen_from(dx=1.0, turn=5).pixels
 """

@@ -1,4 +1,4 @@
-"""The picture being drawn: colours, labels and a depth for every pixel, so that order does not matter."""
+"""The image being drawn: colour, label and depth of every pixel, so that drawing order does not matter."""
 
 import math
 from collections.abc import Callable
@@ -16,7 +16,7 @@ SpriteLight = Callable[[Sprite, Pixels], Pixels]
 
 
 class Canvas:
-    """Colours (uint8 RGB), labels and inverse depths (1/m, 0 is the sky) of one picture."""
+    """Colours (uint8 RGB), labels and `closeness` (inverse depth, 1/m, 0 is the sky) of one image."""
 
     def __init__(self, camera: Camera, background: Pixels, label: int) -> None:
         self.camera = camera
@@ -26,10 +26,10 @@ class Canvas:
         self.closeness: npt.NDArray[np.float32] = np.zeros((height, width), np.float32)
 
     def draw(self, surface: Surface, light: SurfaceLight) -> None:
-        """Draw a surface; `light` is given its texture (and glow) at the size that the picture needs."""
+        """Draw a surface; `light` gets its texture (and glow) at the size that the image needs."""
         camera = self.camera
         if surface.texture.shape[2] == 3 and surface.normal @ (camera.position - surface.origin) <= 0:
-            return  # the far side of something solid
+            return  # the back of an opaque surface
         corners = _corners(surface)
         seen = camera.seen(corners)
         outline = _clip(seen)
@@ -96,7 +96,7 @@ class Canvas:
         how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         texture = cv2.resize(sprite.texture, (width, height), interpolation=how)
         texture = light(sprite, texture[top - low[1] : bottom - low[1], left - low[0] : right - low[0]])
-        # Smaller leaves than pixels: their average cover, compared with a lower bar, keeps far crowns from thinning.
+        # Leaves smaller than pixels average to partial alpha: a threshold below 128 keeps far crowns from thinning.
         mask = np.where(texture[..., 3] >= 100, 255, 0).astype(np.uint8)
         closeness = np.full(mask.shape, 1 / depth, np.float32)
         self._put(window, mask, closeness, texture[..., :3], sprite.label)
@@ -130,9 +130,9 @@ class Canvas:
         on_image: Vector,
         window: tuple[int, int, int, int],
     ) -> tuple[int, int] | None:
-        """(width, height) of the texture that is no finer than the picture shows it, along each of its axes.
+        """(width, height) of the texture at the resolution of the image, so that far bricks do not alias.
 
-        None when the texture is right as it is. So bricks far away do not flicker.
+        None when the texture needs no shrinking.
         """
         left, top, right, bottom = window
         middle = np.clip(on_image.mean(axis=0), (left, top), (right, bottom)) - (left, top)

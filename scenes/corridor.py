@@ -1,4 +1,4 @@
-"""Corridors: floor, ceiling with lamps, walls with doors, windows, notice boards and pictures."""
+"""Corridors: floor, ceiling with lamps, walls with doors, windows, notice boards and paintings."""
 
 import cv2
 import numpy as np
@@ -57,7 +57,7 @@ def corridor(rng: np.random.Generator) -> Place:
 def _put_wall(
     place: Place, texture: Pixels, labels: Pixels, glow: Pixels, sign: int, half: float, height: float, length: float
 ) -> None:
-    """Hang a wall in pieces of about 3 m, so that each is drawn as finely as its distance asks."""
+    """Add a wall in pieces of about 3 m, each drawn at the resolution that its distance needs."""
     total = length - BEHIND
     pieces = max(1, round(total / 3))
     columns = texture.shape[1]
@@ -138,7 +138,7 @@ def _end(
 
 
 def _area(texture: Pixels, x: float, width: float, top: float, bottom: float) -> tuple[slice, slice]:
-    """Rows and columns of a rectangle whose edges are metres from the wall's left end and above the floor."""
+    """Rows and columns of a rectangle, in metres: `x`, `width` from the wall's left end, the others above the floor."""
     rows, columns = texture.shape[:2]
     left, right = round(x * PER_METRE), min(columns, round((x + width) * PER_METRE))
     return slice(max(0, rows - round(top * PER_METRE)), rows - round(bottom * PER_METRE)), slice(left, right)
@@ -282,7 +282,7 @@ def _ceiling(place: Place, rng: np.random.Generator, half: float, height: float,
 
 
 def _furnish(place: Place, rng: np.random.Generator, half: float, length: float, accent: Colour) -> None:
-    """Cupboards, chairs along the walls."""
+    """Cupboards and benches along the walls."""
     for _ in range(int(rng.integers(1, 5))):
         sign = int(rng.choice([-1, 1]))
         y = float(rng.uniform(3.0, max(4, length - 3)))

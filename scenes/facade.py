@@ -23,7 +23,7 @@ SHOPS: tuple[Colour, ...] = ((150, 32, 34), (24, 70, 110), (30, 92, 62), (196, 1
 
 @dataclass(frozen=True)
 class Style:
-    """How a house looks; drawn once from a place's generator."""
+    """Appearance of a house; sizes in metres, colours RGB."""
 
     material: str
     wall: Colour
@@ -42,7 +42,7 @@ class Style:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Style":
-        """A style at random."""
+        """A random style."""
         material = str(rng.choice(["plaster", "plaster", "brick", "brick", "panels", "boards"]))
         colours = BRICKS if material == "brick" else WALLS
         width = float(rng.uniform(0.9, 1.5)) if material != "panels" else float(rng.uniform(1.4, 2.2))
@@ -79,7 +79,7 @@ def bare_wall(rng: np.random.Generator, style: Style, width: float, height: floa
 
 
 def front(rng: np.random.Generator, style: Style, width: float, height: float) -> tuple[Pixels, Pixels]:
-    """A front of `width` x `height` metres and what shines in it at night, both RGB of the same shape."""
+    """Texture of a front of `width` x `height` metres and its glow at night, both RGB of the same shape."""
     wall = bare_wall(rng, style, width, height)
     glow = np.zeros_like(wall)
     storeys = max(1, int(height / style.storey))
@@ -153,7 +153,7 @@ def _lamp_light(rng: np.random.Generator, shape: tuple[int, ...]) -> Pixels:
 
 
 def _opening(wall: Pixels, area: tuple[int, int, int, int], inside: Pixels) -> None:
-    """Set something back into the wall: the reveal's upper and left edges lie in shadow."""
+    """Recess `inside` into the wall: shadows along the upper and left edges."""
     x0, y0, x1, y1 = area
     wall[y0:y1, x0:x1] = inside
     wall[y0 : y0 + 4, x0:x1] = (wall[y0 : y0 + 4, x0:x1] * 0.45).astype(np.uint8)

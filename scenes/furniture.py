@@ -1,4 +1,4 @@
-"""What stands in streets and parks: lamp posts, signs, fences, benches, bollards, bins."""
+"""Furniture of streets and parks: lamp posts, signs, fences, benches, bollards, bins."""
 
 import math
 
@@ -28,7 +28,7 @@ def bar(x: float, y: float, z0: float, z1: float, thickness: float, texture: Pix
 def lamp_post(
     place: Place, x: float, y: float, height: float, towards: float, colour: Colour, *, style: int = 0
 ) -> None:
-    """A street lamp; its arm reaches `towards` (metres along x), or it carries a globe (style 1)."""
+    """A street lamp with an arm that reaches `towards` metres along x (style 0), or with a globe (style 1)."""
     texture = metal(colour)
     parts = bar(0, 0, 0, height, 0.13, texture) + bar(0, 0, 0, 0.7, 0.24, texture)
     glass = np.full((8, 8, 3), 224, np.uint8)
@@ -77,7 +77,7 @@ def sign_face(rng: np.random.Generator, kind: int) -> Pixels:
 
 
 def sign(place: Place, rng: np.random.Generator, x: float, y: float, *, faces: int = 1) -> None:
-    """A post with one or two traffic signs that look along -y."""
+    """A post with one or two traffic signs that face -y."""
     texture = metal((150, 152, 154))
     place.surfaces += bar(x, y, 0, 2.5 + 0.65 * faces, 0.07, texture)
     for i in range(faces):
@@ -131,7 +131,7 @@ def fence(
         texture[-rows // 4 : -rows // 4 + 4, :, 3] = 255
     piece = 6.0
     pieces = max(1, round(length / piece))
-    for i in range(pieces):  # short pieces, so that each is drawn as finely as its distance asks
+    for i in range(pieces):  # short pieces, each drawn at the resolution that its distance needs
         a, b = i / pieces, (i + 1) / pieces
         cut = np.ascontiguousarray(texture[:, round(a * columns) : round(b * columns)])
         origin = vector(x0 + a * (x1 - x0), y0 + a * (y1 - y0), height)

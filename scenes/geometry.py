@@ -1,4 +1,4 @@
-"""What a scene is made of, and the pinhole camera that looks at it.
+"""Elements of a scene, and the pinhole camera.
 
 World coordinates are metres: x to the right, y ahead, z up; the ground is z = 0.
 """
@@ -33,13 +33,13 @@ class Surface:
         The texture's upper left corner.
     across, down : float64 of shape (3,)
         From that corner along the texture's first row and first column, in full length.
-        ``down x across`` points to the side that is seen, and lit.
+        ``down x across`` points to the visible, lit side.
     texture : uint8 of shape (height, width, 3 or 4)
         RGB of the material in white light; a fourth channel below 128 cuts holes.
     label : int or uint8 of shape (height, width)
-        One for all, or one per texel.
+        One label for the surface, or one per texel.
     glow : uint8 of shape (height, width, 3) or None
-        Light the surface gives itself when lamps are lit.
+        RGB emitted when lamps are lit.
     """
 
     origin: Vector
@@ -51,7 +51,7 @@ class Surface:
 
     @functools.cached_property
     def normal(self) -> Vector:
-        """Unit vector towards the side that is seen."""
+        """Unit vector of the visible side."""
         n = np.cross(self.down, self.across)
         return np.asarray(n / max(float(np.linalg.norm(n)), 1e-9))
 
@@ -68,7 +68,7 @@ class Sprite:
     texture : uint8 of shape (rows, columns, 4)
         RGBA.
     brightness : float
-        How much of the light reaches it: the inside of a crown is darker than its top.
+        Factor on the light that reaches it: the inside of a crown is darker than its top.
     """
 
     centre: Vector
@@ -81,7 +81,7 @@ class Sprite:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A point light: position, colour as RGB 0..1, and the distance in metres at which it has lost half its power."""
+    """A point light: position in metres, colour as RGB factors, and the metres at which half its power is left."""
 
     position: tuple[float, float, float]
     colour: tuple[float, float, float] = (1.0, 0.82, 0.55)
@@ -90,18 +90,18 @@ class Lamp:
 
 @dataclass
 class Place:
-    """Everything that stays where it is.
+    """The fixed part of a scene.
 
     Parameters
     ----------
     shadows : list of float64 arrays of shape (n, 3)
-        Footprints (x, y) and height of what throws shadows on the ground.
+        Footprint (x, y) and height, in metres, of each object that casts a shadow on the ground.
     ground : tuple of (x0, x1, y0, y1)
-        Extent of the ground's map in metres.
+        Extent of the ground texture in metres.
     start : Viewpoint
-        Where the picture "of the place" is taken.
+        The place's own viewpoint, to which others are relative.
     stands : mapping of thing to (x, y, heading in degrees)
-        Where a thing stops when it comes into the picture.
+        Where a passing thing stands, in metres and degrees.
     """
 
     start: "Viewpoint"
@@ -118,7 +118,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Where the camera is, relative to the place's own: metres to the right, ahead, up; degrees to the right, up."""
+    """Camera pose relative to the place's own: metres to the right, ahead, up; degrees to the right, up."""
 
     dx: float = 0.0
     ahead: float = 0.0
@@ -127,7 +127,7 @@ class Viewpoint:
     tilt: float = 0.0
 
     def then(self, other: "Viewpoint") -> "Viewpoint":
-        """This viewpoint, and from there the other (offsets along this one's directions)."""
+        """Compose: `other` is relative to this viewpoint's directions."""
         c, s = math.cos(math.radians(self.turn)), math.sin(math.radians(self.turn))
         return Viewpoint(
             self.dx + c * other.dx + s * other.ahead,
@@ -160,7 +160,7 @@ class Camera:
 
     @classmethod
     def at(cls, viewpoint: Viewpoint, size: tuple[int, int]) -> "Camera":
-        """A camera at eye height; the wider side spans the field of view."""
+        """A camera at eye height; the longer side of the image spans `FIELD_OF_VIEW`."""
         turn, tilt = math.radians(viewpoint.turn), math.radians(viewpoint.tilt)
         forward = vector(math.sin(turn) * math.cos(tilt), math.cos(turn) * math.cos(tilt), math.sin(tilt))
         right = vector(math.cos(turn), -math.sin(turn), 0.0)
@@ -176,7 +176,7 @@ class Camera:
         return np.array([[self.focal, 0, width / 2 - 0.5], [0, self.focal, height / 2 - 0.5], [0, 0, 1.0]])
 
     def seen(self, points: Sequence[Vector] | Vector) -> Vector:
-        """World points in camera coordinates (right, down, depth)."""
+        """World points (..., 3) in camera coordinates (right, down, depth), in metres."""
         return np.asarray((np.asarray(points) - self.position) @ self.rotation.T)
 
 
@@ -189,7 +189,7 @@ def box(
     *,
     top: Pixels | None = None,
 ) -> list[Surface]:
-    """An upright box with the same texture on its four sides, and a lid."""
+    """An upright box: `texture` on its four sides, `top` (default: `texture`) on lid and bottom."""
     (x0, x1), (y0, y1), (z0, z1) = x, y, z
     down = vector(0, 0, z0 - z1)
     sides = [
@@ -205,7 +205,7 @@ def box(
 
 
 def standing(surfaces: Sequence[Surface], x: float, y: float, heading: float) -> list[Surface]:
-    """Surfaces made around the origin, moved to a spot and turned clockwise by `heading` degrees."""
+    """Surfaces turned clockwise by `heading` degrees about the origin, then moved to (x, y)."""
     c, s = math.cos(math.radians(heading)), math.sin(math.radians(heading))
     rotate = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
     offset = vector(x, y, 0)

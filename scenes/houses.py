@@ -1,4 +1,4 @@
-"""Houses in space: a front with its style, side walls, a roof, sometimes chimneys and a porch."""
+"""Houses: a front, side walls, a roof, sometimes chimneys."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def house(
 ) -> None:
     """Build a house whose front begins at `corner` (its left end, seen from outside) and runs `along` (unit x, y).
 
-    The front looks to the right of `along`'s left, that is towards ``(along[1], -along[0])``.
+    The front faces ``(along[1], -along[0])``. Sizes in metres.
     """
     style = Style.drawn(rng)
     ax, ay = along
@@ -46,7 +46,7 @@ def house(
 
 
 def _roof(place: Place, rng: np.random.Generator, left: Vector, across: Vector, back: Vector, height: float) -> None:
-    """A pitched roof with eaves along the front, a gable towards it, or a flat one with a parapet."""
+    """A pitched roof with its eaves along the front, one with its gable in front, or a flat roof with a parapet."""
     kind = rng.random()
     up = vector(0, 0, height)
     width, depth = float(np.linalg.norm(across)), float(np.linalg.norm(back))
@@ -85,7 +85,7 @@ def _roof(place: Place, rng: np.random.Generator, left: Vector, across: Vector, 
 
 
 def _gable(wall: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """The wall cut to a triangle, apex up, as RGBA."""
+    """The wall cut to a triangle with its apex up, RGBA."""
     rows, columns = wall.shape[:2]
     t = (np.arange(rows) + 0.5)[:, None] / rows
     s = np.abs((np.arange(columns) + 0.5)[None, :] / columns - 0.5) * 2

@@ -1,4 +1,4 @@
-"""Light: what the sun, the sky and lamps do to materials; the sky itself; the camera's own traces."""
+"""Light of sun, sky and lamps on materials; the sky; bloom, vignetting and grain of the camera."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ Colour3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Daylight:
-    """One condition of light. Colours are factors (1 leaves a material as it is) or, for the sky, RGB 0..255."""
+    """One lighting. Colours are factors (1 leaves a material as it is) or, for the sky, RGB 0..255."""
 
     ambient: Colour3
     sun: Colour3
@@ -47,7 +47,7 @@ CONDITIONS = {
         horizon=(44, 40, 50), clouds=(34, 32, 42), cloudiness=0.4, haze=0.004, lamps=1.0, grain=7.0, shadow=0.0,
     ),
 }  # fmt: skip
-"""Conditions by name. Indoors the same names mean: lamps and daylight, a dull day, evening, few lamps."""
+"""Lighting outdoors, by name."""
 
 INDOORS = {
     "noon": (1.0, (0.62, 0.63, 0.64)),
@@ -55,10 +55,11 @@ INDOORS = {
     "dusk": (0.8, (0.46, 0.41, 0.36)),
     "night": (0.3, (0.24, 0.22, 0.21)),
 }
+"""Lighting indoors, by the same names: (power of the lamps, ambient light)."""
 
 
 class Light:
-    """A condition in one place: gives surfaces and sprites their light."""
+    """Lights the surfaces and sprites of one place under the lighting `name`."""
 
     def __init__(self, name: str, place: Place) -> None:
         self.day = CONDITIONS[name]
@@ -72,9 +73,9 @@ class Light:
         self.to_sun = direction / np.linalg.norm(direction)
 
     def on(self, surface: Surface, texture: Pixels, glow: Pixels | None) -> Pixels:
-        """The surface's texture (at whatever size) in this light, with its holes."""
+        """The surface's texture, of any size, in this light; alpha is kept."""
         facing = max(0.0, float(surface.normal @ self.to_sun))
-        # A little of the sky's share depends on how much sky a surface sees.
+        # Surfaces that face the sky get more of the ambient light.
         openness = 0.82 + 0.18 * (0.5 + 0.5 * float(surface.normal[2]))
         factor = np.array(self.ambient) * openness + np.array(self.sun) * facing
         colours = texture[..., :3].astype(np.float32) * factor.astype(np.float32)
@@ -88,7 +89,7 @@ class Light:
         return shaded if texture.shape[2] == 3 else np.dstack([shaded, texture[..., 3]])
 
     def on_sprite(self, sprite: Sprite, texture: Pixels) -> Pixels:
-        """The cut-out's texture in this light."""
+        """The sprite's texture in this light."""
         factor = np.array(self.ambient) + 0.75 * np.array(self.sun)
         if self.power > 0:
             factor = factor + self.power * self._at(sprite.centre[None, :], None)[0] * 0.8
@@ -97,7 +98,7 @@ class Light:
         return np.asarray(cv2.LUT(texture, both[None]), np.uint8)
 
     def _at(self, points: npt.NDArray[np.float64], normal: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float64]:
-        """What lamps add at points, float64 (n, 3)."""
+        """Light of the lamps at points (n, 3), as RGB factors, float64 (n, 3)."""
         total = np.zeros((len(points), 3))
         for lamp in self.lamps:
             to_lamp = np.array(lamp.position) - points
@@ -120,7 +121,7 @@ class Light:
         return np.asarray(grown, np.float32)
 
     def shadow_map(self, place: Place, size: tuple[int, int]) -> npt.NDArray[np.float32] | None:
-        """Factor on the ground's texture (height, width): shadows of what stands on it, and dimmer feet of walls."""
+        """Factor on the ground texture (height, width): cast shadows, and contact shadows at the feet of walls."""
         if place.ground is None:
             return None
         x0, x1, y0, y1 = place.ground
@@ -142,7 +143,7 @@ class Light:
 
 
 def sky(camera: Camera, day: Daylight, rng: np.random.Generator) -> Pixels:
-    """Gradient, clouds and, at night, stars, as this camera sees them."""
+    """Gradient, clouds and, at night, stars in this camera's view; RGB (height, width, 3)."""
     width, height = camera.size
     small = (max(2, width // 4), max(2, height // 4))
     x, y = np.meshgrid(np.arange(small[0]) * 4 - width / 2 + 2, np.arange(small[1]) * 4 - height / 2 + 2)
@@ -151,7 +152,7 @@ def sky(camera: Camera, day: Daylight, rng: np.random.Generator) -> Pixels:
     rise = np.clip(rays[..., 2], 0, 1)
     share = (np.clip(rise / 0.75, 0, 1) ** 0.6)[..., None]
     colours = (1 - share) * np.array(day.horizon) + share * np.array(day.zenith)
-    # Clouds lie on a plane far above: they shrink towards the horizon as real ones do.
+    # Clouds lie on a plane far above, so they shrink towards the horizon.
     size = 512
     field = materials.noise(rng, (size, size), 110, 6)
     distance = 1 / np.clip(rise + 0.07, 0.07, None)
@@ -171,7 +172,7 @@ def sky(camera: Camera, day: Daylight, rng: np.random.Generator) -> Pixels:
 
 
 def hazed(colours: Pixels, closeness: npt.NDArray[np.float32], day: Daylight) -> Pixels:
-    """Distant things take on the colour of the horizon."""
+    """Blend distant pixels with the colour of the horizon; `closeness` is 1/depth in 1/m."""
     depth = 1 / np.maximum(closeness, 1e-3)
     share = np.where(closeness > 0, 1 - np.exp(-day.haze * np.maximum(depth - 4, 0)), 0).astype(np.float32)[..., None]
     mixed = colours * (1 - share) + np.array(day.horizon, np.float32) * share
@@ -179,7 +180,7 @@ def hazed(colours: Pixels, closeness: npt.NDArray[np.float32], day: Daylight) ->
 
 
 def developed(colours: Pixels, day: Daylight, rng: np.random.Generator, *, bright: float = 1.0) -> Pixels:
-    """What a camera adds: bloom around lamps, darker corners, grain."""
+    """Add the camera's effects: bloom around lamps, vignetting, grain."""
     height, width = colours.shape[:2]
     image = colours.astype(np.float32) * bright
     if day.lamps > 0:

@@ -11,14 +11,14 @@ Field = npt.NDArray[np.float32]
 
 
 def noise(rng: np.random.Generator, size: tuple[int, int], cells: float, octaves: int = 4) -> Field:
-    """Smooth noise of mean 0 and deviation 1 over (height, width); `cells`: texels of its coarsest lump."""
+    """Smooth noise of mean 0 and deviation 1 over (height, width); `cells`: texels of its coarsest octave."""
     height, width = size
     total = np.zeros((height, width), np.float32)
     for octave in range(octaves):
         step = max(cells / 2**octave, 1.0)
         shape = (int(height / step) + 3, int(width / step) + 3)
         lumps = rng.standard_normal(shape, np.float32)
-        how = cv2.INTER_LINEAR if octave else cv2.INTER_CUBIC  # edges of the coarsest lumps would show
+        how = cv2.INTER_LINEAR if octave else cv2.INTER_CUBIC  # linear would show the edges of the coarsest cells
         grown = cv2.resize(lumps, (int(shape[1] * step), int(shape[0] * step)), interpolation=how)
         if grown.shape[0] < height or grown.shape[1] < width:
             grown = cv2.resize(lumps, (width, height), interpolation=how)
@@ -28,12 +28,12 @@ def noise(rng: np.random.Generator, size: tuple[int, int], cells: float, octaves
 
 
 def bounded(values: npt.NDArray[np.floating]) -> Pixels:
-    """Values as eight bits; what is too bright or too dark is clipped."""
+    """Values as uint8, clipped to 0..255."""
     return np.asarray(np.clip(values, 0, 255), np.uint8)
 
 
 def tinted(colour: Colour, light: Field) -> Pixels:
-    """A colour times a brightness (1 is the colour itself) per texel."""
+    """A colour times a brightness per texel (1: the colour itself)."""
     # OpenCV multiplies, rounds and bounds in one pass; numpy would go over these large arrays four times.
     channels = [cv2.multiply(light, float(part), dtype=cv2.CV_8U) for part in colour]
     return np.asarray(cv2.merge(channels), np.uint8)

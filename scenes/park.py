@@ -16,7 +16,7 @@ BEHIND, LENGTH, HALF = -6.0, 64.0, 34.0
 
 
 def park(rng: np.random.Generator) -> Place:
-    """A park seen from its path."""
+    """A random park seen from its path."""
     place = Place(start=Viewpoint(turn=float(rng.uniform(-8, 8)), tilt=float(rng.uniform(0, 3))))
     nursery = Nursery(rng, kinds=4)
     bend, width = float(rng.uniform(-9, 9)), float(rng.uniform(1.6, 3.4))
@@ -90,7 +90,7 @@ def _pavilion(place: Place, rng: np.random.Generator, x: float, y: float) -> Non
 def _ground(
     place: Place, rng: np.random.Generator, middle: Callable[[float], float], width: float
 ) -> tuple[float, float, float] | None:
-    """Draw the map of lawn, path and pond; return the pond's place and radius, if there is one."""
+    """Draw the ground texture of lawn, path and pond; returns the pond's (x, y, radius) in metres, if there is one."""
     place.ground = (-HALF, HALF, BEHIND, LENGTH)
     rows, columns = round((LENGTH - BEHIND) * PER_METRE), round(2 * HALF * PER_METRE)
     lawn = ((104, 122, 70), (116, 124, 76), (92, 110, 66), (132, 128, 84))[rng.integers(4)]

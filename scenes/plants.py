@@ -1,4 +1,4 @@
-"""Trees, bushes and hedges: stems as cut-outs, crowns as clumps of leaves placed in space, for a true parallax."""
+"""Trees and bushes: stems and clumps of leaves as sprites placed in space, so that parallax is right."""
 
 import cv2
 import numpy as np
@@ -44,14 +44,14 @@ def stem(rng: np.random.Generator, colour: Colour = (92, 76, 60)) -> Pixels:
             cv2.line(mask, (int(x), int(y)), (int(x2), int(y2)), 255, max(1, int(thick)), cv2.LINE_AA)
             x, y, angle, thick = x2, y2, angle + float(rng.normal(0, 0.22)), thick * 0.82
     texture[..., 3] = mask
-    # Bark's light ran across the whole width; put it across the stem instead.
+    # `materials.bark` shades the whole width; shade the stem instead.
     shade = 0.6 + 0.45 * np.sin(np.clip((np.arange(columns) - 44) / 40, 0, 1) * np.pi)
     texture[..., :3] = np.clip(texture[..., :3] * shade[None, :, None], 0, 255).astype(np.uint8)
     return texture
 
 
 class Nursery:
-    """The kinds of trees of one place: a few clumps and a stem each, used by all trees of that kind."""
+    """The kinds of trees of one place; all trees of a kind share its clumps and stem."""
 
     def __init__(self, rng: np.random.Generator, kinds: int = 2) -> None:
         self._kinds = []
@@ -64,7 +64,7 @@ class Nursery:
     def tree(
         self, place: Place, rng: np.random.Generator, x: float, y: float, height: float, *, clumps: int = 46
     ) -> None:
-        """Plant a tree."""
+        """Add a tree at (x, y), metres."""
         needles, leaves, wood = self._kinds[rng.integers(len(self._kinds))]
         crown_from = 0.16 * height if needles else float(rng.uniform(0.26, 0.36)) * height
         reach = (0.2 if needles else float(rng.uniform(0.26, 0.34))) * height
@@ -80,14 +80,14 @@ class Nursery:
             centre = vector(
                 x + share * wide * np.cos(angle), y + share * wide * np.sin(angle), middle + up * half * 0.86
             )
-            # Towards the top and the left a clump gets more of the sky; the crown's heart is dark.
+            # Clumps towards the top and the left get more light than those inside the crown.
             brightness = 0.72 + 0.26 * up - 0.1 * np.cos(angle) + float(rng.normal(0, 0.05))
             texture = leaves[rng.integers(len(leaves))]
             place.sprites.append(Sprite(centre, size, size, texture, TREE, float(np.clip(brightness, 0.4, 1.15))))
         place.shadows.append(_disc(x, y, reach, height))
 
     def bush(self, place: Place, rng: np.random.Generator, x: float, y: float, size: float) -> None:
-        """Plant a bush."""
+        """Add a bush at (x, y), metres."""
         _, leaves, _ = self._kinds[rng.integers(len(self._kinds))]
         for _ in range(9):
             dx, dy, dz = rng.normal(0, 0.3, 3) * size
@@ -106,6 +106,6 @@ class Nursery:
 
 
 def _disc(x: float, y: float, radius: float, height: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Footprint of something round, with the height its shadow is thrown from."""
+    """Footprint of a round object, with the height from which its shadow is cast."""
     angle = np.linspace(0, 2 * np.pi, 14, endpoint=False)
     return np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle), np.full(14, height * 0.75)], axis=1)

@@ -1,4 +1,4 @@
-"""A place that can be looked at from here and from there, by day and by night, with a bus in front or without."""
+"""Drawn places: seen from any viewpoint, in any lighting, with passing things in front or without."""
 
 import functools
 import hashlib
@@ -18,42 +18,42 @@ from scenes.street import street
 from scenes.words import DYNAMIC, label
 
 Kind = Literal["street", "park", "corridor"]
-Lifecycle = Literal["noon", "overcast", "dusk", "night"]
+Lighting = Literal["noon", "overcast", "dusk", "night"]
 
 KINDS = {"street": street, "park": park, "corridor": corridor}
 FINER = 2
-"""Pictures are drawn this much finer and reduced, so that edges are smooth."""
+"""Images are drawn this many times larger and then reduced, which smooths edges."""
 
-_TELLING = {"park": "park", "garden": "park", "meadow": "park", "corridor": "corridor", "hall": "corridor"}
+_KIND_BY_WORD = {"park": "park", "garden": "park", "meadow": "park", "corridor": "corridor", "hall": "corridor"}
 
 
 @functools.lru_cache(maxsize=24)
 def _built(seed: int, kind: Kind) -> Place:
-    """Build a place; kept, because textures take longer to make than to look at."""
+    """Build a place; cached, because making textures takes longer than drawing an image."""
     return KINDS[kind](np.random.default_rng([seed, sorted(KINDS).index(kind)]))
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A place drawn from a seed, and how it is looked at.
+    """A place made from a seed, and how it is seen.
 
     Parameters
     ----------
     seed : int
-        Decides everything that stays: houses, trees, signs, where the camera stands.
+        Decides all that is fixed: houses, trees, signs, the place's own viewpoint.
     kind : {"street", "park", "corridor"}
     light : {"noon", "overcast", "dusk", "night"}
     viewpoint : Viewpoint
-        Relative to the place's own.
+        Relative to the place's own viewpoint.
     things : tuple of {"bus", "car", "person"}
-        What stands in front.
+        Passing things that stand in front.
     size : (int, int)
-        (width, height) of its pictures.
+        (width, height) of the image.
     """
 
     seed: int
     kind: Kind = "street"
-    light: Lifecycle = "noon"
+    light: Lighting = "noon"
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     things: tuple[str, ...] = ()
     size: tuple[int, int] = (640, 480)
@@ -63,44 +63,44 @@ class Scene:
         if unknown or self.kind not in KINDS:
             raise ValueError(f"no {sorted(unknown) or self.kind!r}; things are {DYNAMIC}, kinds {sorted(KINDS)}")
 
-    def at(self, light: Lifecycle) -> "Scene":
-        """The same in another light."""
+    def at(self, light: Lighting) -> "Scene":
+        """The same scene in another lighting."""
         return replace(self, light=light)
 
     def behind(self, *things: str) -> "Scene":
-        """The same with things in front."""
+        """The same scene with further things in front."""
         return replace(self, things=self.things + things)
 
     def seen_from(
         self, dx: float = 0.0, ahead: float = 0.0, up: float = 0.0, turn: float = 0.0, tilt: float = 0.0
     ) -> "Scene":
-        """The same from another spot: metres to the right, ahead and up, degrees to the right and up."""
+        """The same scene from another viewpoint: metres to the right, ahead and up, degrees to the right and up."""
         return replace(self, viewpoint=self.viewpoint.then(Viewpoint(dx, ahead, up, turn, tilt)))
 
     def sized(self, width: int, height: int) -> "Scene":
-        """The same in pictures of another size."""
+        """The same scene with images of another size, in pixels."""
         return replace(self, size=(width, height))
 
     @property
     def pixels(self) -> Pixels:
-        """The picture, uint8 RGB (height, width, 3)."""
+        """The image, uint8 RGB (height, width, 3)."""
         return self.render()[0]
 
     def render(
         self,
         viewpoint: Viewpoint | None = None,
-        light: Lifecycle | None = None,
+        light: Lighting | None = None,
         things: tuple[str, ...] | None = None,
         size: tuple[int, int] | None = None,
     ) -> tuple[Pixels, Pixels]:
-        """Draw the picture and its labels.
+        """Draw the image and its labels; arguments replace the fields of the scene.
 
         Returns
         -------
         pixels : uint8 of shape (height, width, 3)
             RGB.
         labels : uint8 of shape (height, width)
-            Index into `LABELS` of what is seen at each pixel.
+            Index into `scenes.LABELS` for each pixel.
         """
         varied = replace(
             self,
@@ -113,7 +113,7 @@ class Scene:
 
     def _drawn(self) -> tuple[Pixels, Pixels]:
         place = _built(self.seed, self.kind)
-        # Clouds, grain and the paint of vehicles are another one's each time: they must not tell the place.
+        # Clouds, grain and the paint of vehicles are random per image: they must not identify the place.
         moment = np.random.default_rng(_digest(repr(self)))
         fine = (self.size[0] * FINER, self.size[1] * FINER)
         camera = Camera.at(place.start.then(self.viewpoint), fine)
@@ -149,12 +149,12 @@ class Scene:
 
 
 def scene(name: str, kind: Kind | None = None) -> Scene:
-    """The place of that name: the same name is always the same place.
+    """The place of a name: the same name is always the same place.
 
-    The kind follows from words such as "park" or "corridor" in the name, and is a street otherwise.
+    Without `kind`, words such as "park" or "corridor" in the name decide it; other names are streets.
     """
-    told = next((k for word, k in _TELLING.items() if word in name.lower()), "street")
-    return Scene(_digest(name), kind or told)  # type: ignore[arg-type]
+    named = next((k for word, k in _KIND_BY_WORD.items() if word in name.lower()), "street")
+    return Scene(_digest(name), kind or named)  # type: ignore[arg-type]
 
 
 def _digest(text: str) -> int:
@@ -162,7 +162,7 @@ def _digest(text: str) -> int:
 
 
 def _ground(place: Place, light: Light) -> list[Surface]:
-    """The ground's map with its shadows, in strips that are drawn as finely as their distance asks."""
+    """The ground with its shadows, in strips that are each drawn at the resolution their distance needs."""
     if place.ground is None or place.ground_texture is None or place.ground_labels is None:
         return []
     x0, x1, y0, y1 = place.ground

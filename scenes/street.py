@@ -16,7 +16,7 @@ BEHIND, LENGTH = -6.0, 78.0
 
 
 def street(rng: np.random.Generator) -> Place:
-    """A street that runs away from the camera, and may end at a house."""
+    """A random street that runs away from the camera and may end at a row of houses."""
     road = float(rng.uniform(3.0, 5.0))  # half its width
     pavements = [float(rng.uniform(2.0, 4.4)) for _ in range(2)]
     place = Place(
@@ -72,7 +72,7 @@ def _closing_row(place: Place, rng: np.random.Generator, end: float) -> None:
 
 
 def _green_side(place: Place, rng: np.random.Generator, nursery: Nursery, edge: float, sign: int) -> None:
-    """No houses here: a fence, a lawn and trees, houses far behind."""
+    """A side without houses at the street: a fence, a lawn, trees, and houses far behind."""
     furniture.fence(place, rng, (edge + sign * 0.3, BEHIND), (edge + sign * 0.3, 60), float(rng.uniform(1.0, 1.7)))
     for _ in range(11):
         x = edge + sign * float(rng.uniform(2.5, 16))
@@ -127,7 +127,7 @@ def _ground(
     open_side: int | None,
     end: float | None,
 ) -> None:
-    """Draw the map of the ground, seen from above: row 0 is the far end."""
+    """Draw the ground texture, seen from above: row 0 is the far end."""
     half = 30.0
     place.ground = (-half, half, BEHIND, LENGTH)
     rows, columns = round((LENGTH - BEHIND) * PER_METRE), round(2 * half * PER_METRE)

@@ -1,4 +1,4 @@
-"""What comes and goes: a bus, a car, a person."""
+"""Passing things, which do not belong to a place: a bus, a car, a person."""
 
 import cv2
 import numpy as np
@@ -108,7 +108,7 @@ def car(rng: np.random.Generator, x: float, y: float, heading: float) -> list[Su
 
 
 def person(rng: np.random.Generator, x: float, y: float) -> Sprite:
-    """Somebody walking, seen from the side, 1.75 m tall."""
+    """A walking person seen from the side, 1.75 m tall."""
     texture = np.zeros((280, 140, 4), np.uint8)
     coat = (*PAINTS[rng.integers(len(PAINTS))], 255)
     trousers = (*((40, 44, 60), (70, 60, 50), (30, 30, 32))[rng.integers(3)], 255)

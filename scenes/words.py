@@ -1,4 +1,4 @@
-"""The words that a drawn scene's labels stand for."""
+"""Labels of drawn scenes."""
 
 LABELS = (
     "sky",
@@ -23,12 +23,12 @@ LABELS = (
     "car",
     "person",
 )
-"""Word i is the meaning of label i in what `Scene.render` returns."""
+"""Label i is the value i in the labels that `Scene.render` returns."""
 
 DYNAMIC = ("bus", "car", "person")
-"""Words for what may stand in front of a place and does not belong to it."""
+"""Dynamic labels: passing things, which do not belong to a place."""
 
 
-def label(word: str) -> int:
-    """Index of a word; raises ValueError for a word that no scene uses."""
-    return LABELS.index(word)
+def label(name: str) -> int:
+    """Index of a label in `LABELS`; raises ValueError for an unknown one."""
+    return LABELS.index(name)

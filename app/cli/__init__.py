@@ -1,1 +1,1 @@
-"""The verbs of ``./revisit``: one module per group, each with `add(verbs)` for its arguments and functions that run."""
+"""The commands of ``./revisit``: one module per group; its `add(verbs)` declares arguments and the function to run."""

@@ -1,4 +1,4 @@
-"""``python -m app.cli``: what the launcher runs."""
+"""``python -m app.cli``: the command line; the launcher ``./revisit`` runs it."""
 
 import argparse
 import importlib
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
 
 GROUPS = ("serve", "demo", "enroll", "query", "browse", "recipes", "health", "care", "study", "weights")
-"""Modules with commands. They import what is slow only when they run: `--help` answers at once."""
+"""Modules with commands. Slow imports happen when a command runs, so that `--help` answers at once."""
 
 EPILOG = """\
-Commands that ask a service take its address from REVISIT_URL. Settings are environment variables REVISIT_*:
+Commands that call a service take its address from REVISIT_URL. Settings are environment variables REVISIT_*:
 docs/settings.md lists them. Exit codes: 0 done, 1 failed, 2 wrong use.
 """
 
@@ -20,7 +20,7 @@ def parser() -> argparse.ArgumentParser:
     """All commands with their arguments."""
     whole = argparse.ArgumentParser(
         prog="revisit",
-        description="Have I been here before, and where is here? Enrol photos of places, ask where a photo was taken.",
+        description="Have I been here before, and where is here? Enrol photos of places; query with photos.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _test(arguments: argparse.Namespace) -> int:
-    # In a checkout the launcher answers `test` itself, with the tools it needs; a container has neither.
+    # In a checkout the launcher handles `test` itself; a container has neither launcher nor tests.
     raise Failure("tests run from a checkout: `./revisit test`", WRONG_USE)
 
 
@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         say("revisit: interrupted")
         return 130
     except BrokenPipeError:
-        # The reader of our output (`| head`) has gone; nothing is wrong, and nothing can be said any more.
+        # The reader of the output (`| head`) has gone, which is no failure.
         sys.stderr.close()
         return DONE
     except Exception as error:
@@ -64,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _foreseen(error: Exception) -> str | None:
-    """What to say about an error that needs no traceback; None for a mistake of ours."""
+    """The message for an expected error; None for one that needs a traceback."""
     if isinstance(error, ModuleNotFoundError) and error.name is not None:
         if error.name.partition(".")[0] in ("lab", "scenes", "training"):
             return "this installation holds the service alone; run this command in a checkout of the repository"

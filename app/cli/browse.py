@@ -1,4 +1,4 @@
-"""``revisit maps | views | places``: look at what is enrolled."""
+"""``revisit maps | views | places``: list, show and delete maps and views, list places."""
 
 import argparse
 from pathlib import Path
@@ -69,7 +69,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
             (label.index, label.label, label.dynamic, label.colour, ", ".join(label.mapped_to))
             for label in maps[0].labels
         ]
-        show("\n" + table(("index", "label", "moves", "colour", "stands for"), labels))
+        show("\n" + table(("index", "label", "dynamic", "colour", "mapped to"), labels))
     return DONE
 
 
@@ -97,7 +97,7 @@ def run_views(arguments: argparse.Namespace) -> int:
                 path.write_bytes(png if png is not None else getattr(revisit, kind)(arguments.id))
                 say(f"{kind}: {path}")
         if arguments.id is not None:
-            # A view has too many parts for a table; JSON shows them all and people can read it.
+            # A view has too many fields for a table.
             show_json(revisit.view(arguments.id).model_dump(mode="json"))
             return DONE
         views = list(

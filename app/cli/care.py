@@ -1,4 +1,4 @@
-"""``revisit migrate | doctor``: look after an installation and its data folder."""
+"""``revisit migrate | doctor``: migrate the database; check an installation, its data and its service."""
 
 import argparse
 import os
@@ -32,17 +32,19 @@ def add(verbs: Verbs) -> None:
     doctor = verbs.add_parser(
         "doctor",
         help="versions, limits, the state of the data, and whether every enrolled image finds itself",
-        description="Look at this installation and, when a service is running, at what it knows: every enrolled "
-        "image has to find itself. Exit code 1 when something is wrong.",
+        description="Check this installation and, when a service is running, query with enrolled images: each has to "
+        "find itself. Exit code 1 when something is wrong.",
     )
     doctor.add_argument("--data", type=Path)
-    doctor.add_argument("--all", action="store_true", help=f"ask with every enrolled image, not with {SAMPLE} of a map")
+    doctor.add_argument(
+        "--all", action="store_true", help=f"query with all enrolled images, not with {SAMPLE} of a map"
+    )
     speaks(doctor)
     doctor.set_defaults(run=run_doctor)
 
 
 def run_migrate(arguments: argparse.Namespace) -> int:
-    """Migrate."""
+    """Bring the database to the newest schema."""
     settings = settings_of(arguments, "data")
     from worker.storage.migrating import migrate
 
@@ -52,7 +54,7 @@ def run_migrate(arguments: argparse.Namespace) -> int:
 
 
 def run_doctor(arguments: argparse.Namespace) -> int:
-    """Examine; 1 when something is wrong."""
+    """Check everything and print a report; returns 1 when something is wrong."""
     settings = settings_of(arguments, "data")
     findings: list[str] = []
     report: dict[str, Any] = {
@@ -81,7 +83,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that matters."""
+    """Versions of revisit, Python and the libraries; ``missing`` for one that is not installed."""
     from app.version import VERSION
 
     found = {"revisit": VERSION, "python": platform.python_version()}
@@ -94,17 +96,17 @@ def versions() -> dict[str, str]:
 
 
 def torch_flavour() -> str:
-    """Which build of torch is installed; found without importing it, which takes seconds."""
+    """Which build of torch is installed; read from package metadata, since importing torch takes seconds."""
     local = versions().get("torch", "").partition("+")[2]
     if local:
         return f"{local} build"
-    # Wheels without a local version: for CUDA when its packages are there.
+    # A wheel without a local version is a CUDA build when NVIDIA's packages are installed.
     cuda = any((d.name or "").startswith("nvidia-") for d in distributions())
     return "CUDA build" if cuda else "cpu build"
 
 
 def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
-    """The data folder, without disturbing a service that uses it."""
+    """Check the data folder, read only, so that a running service is not disturbed; appends to `findings`."""
     folder = settings.data
     if not folder.is_dir():
         return {"folder": str(folder.resolve()), "state": "not there yet; `./revisit serve` makes it"}
@@ -132,7 +134,7 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
 
 
 def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, Any]:
-    """What the running service says of itself, and whether enrolled images find themselves."""
+    """Check the running service: readiness, and whether enrolled images find themselves; appends to `findings`."""
     from revisit_client import ClientError, Revisit, Unreachable
 
     with Revisit(arguments.url, patience=10) as revisit:
@@ -162,7 +164,7 @@ def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, An
 
 
 def _audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[str, Any]:
-    """Ask with enrolled images: each has to be its own best match, or tie with one that looks the same."""
+    """Query with enrolled images: each has to be its own best match, or tie with it within 1e-6."""
     views = list(revisit.views(name, state="ready"))
     answers = views if every or len(views) <= SAMPLE else random.Random(0).sample(views, SAMPLE)
     lost = []
@@ -192,5 +194,5 @@ def _tell(report: dict[str, Any]) -> None:
         counts = ", ".join(f"{count} {state}" for state, count in facts["views"].items())
         show(f"  map {name:20} {counts}; {facts['found']} of {facts['asked']} images find themselves")
     show("findings")
-    for finding in report["findings"] or ["none: all is well"]:
+    for finding in report["findings"] or ["none"]:
         show(f"  {finding}")

@@ -1,4 +1,4 @@
-"""How the command line talks: tables, progress, failures with a next step, exit codes."""
+"""Output of the command line: tables, progress, failures with a next step, exit codes."""
 
 import argparse
 import json
@@ -9,11 +9,11 @@ from itertools import count
 from typing import Any, NoReturn, TypeAlias
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
-"""Exit codes: as asked, tried and failed, asked wrongly."""
+"""Exit codes: done, failed, wrong arguments."""
 
 
 class Failure(Exception):
-    """A command did not do what it was asked; the text says why and what to do next."""
+    """A command failed; the text says why and what to do next, `code` is the exit code."""
 
     def __init__(self, text: str, code: int = FAILED) -> None:
         super().__init__(text)
@@ -21,27 +21,27 @@ class Failure(Exception):
 
 
 def wrong_use(text: str) -> NoReturn:
-    """Refuse arguments that cannot be used."""
+    """Raise Failure for arguments that cannot be used."""
     raise Failure(text, WRONG_USE)
 
 
 def say(text: str) -> None:
-    """A line for people, beside the output: on stderr, so that a pipe gets results only."""
+    """Print a message on stderr, so that a pipe gets results only."""
     print(text, file=sys.stderr, flush=True)
 
 
 def show(text: str) -> None:
-    """A line of output."""
+    """Print a result on stdout."""
     print(text, flush=True)
 
 
 def show_json(value: Any) -> None:
-    """Output for machines."""
+    """Print a result on stdout as JSON."""
     print(json.dumps(value, indent=2, ensure_ascii=False, default=str), flush=True)
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Columns as wide as they need to be; numbers to the right."""
+    """A text table; columns of numbers are aligned to the right, None is shown as -."""
     texts = [[_cell(value) for value in row] for row in rows]
     widths = [max([len(head), *(len(row[i]) for row in texts)]) for i, head in enumerate(heads)]
     numeric = [_is_numeric([row[i] for row in rows]) for i in range(len(heads))]
@@ -54,8 +54,8 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def _is_numeric(column: Sequence[object]) -> bool:
-    told = [value for value in column if value is not None]
-    return bool(told) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in told)
+    given = [value for value in column if value is not None]
+    return bool(given) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given)
 
 
 def _cell(value: object) -> str:
@@ -67,7 +67,7 @@ def _cell(value: object) -> str:
 
 
 def size(count: float) -> str:
-    """Bytes for people: 1.2 MB."""
+    """A number of bytes with a decimal unit: 1.2 MB."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 1000:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
@@ -77,23 +77,23 @@ def size(count: float) -> str:
 
 @contextmanager
 def progress_bar(total: int, what: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """How far a long command is, on stderr: a bar on a terminal, elsewhere a line for each tenth.
+    """Show progress on stderr: a bar on a terminal, elsewhere a line for each tenth.
 
     Parameters
     ----------
     total : int
-        How many there are to do.
+        Number of items.
     what : str
-        Of what.
+        Name of the items, such as "images enrolled".
     quiet : bool
         Show nothing.
 
     Yields
     ------
     function of str
-        To be called when one more is done, with what it was; from any thread, one at a time.
+        To call when an item is done, with its name; from any thread, one call at a time.
     """
-    # Before set-up the command line has to be able to tell its help.
+    # Imported late: `--help` has to work before rich is installed.
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -101,7 +101,7 @@ def progress_bar(total: int, what: str, *, quiet: bool = False) -> Iterator[Call
     note = TextColumn("{task.fields[note]}", markup=False)
     console = Console(stderr=True)
     lines = not quiet and not console.is_terminal
-    # Standard output is left as it is: results may be piped somewhere.
+    # Standard output is not redirected: results may be piped.
     with Progress(*columns, note, console=console, redirect_stdout=False, disable=quiet or lines) as bars:
         task, numbers = bars.add_task(what, total=total, note=""), count(1)
 
@@ -115,10 +115,10 @@ def progress_bar(total: int, what: str, *, quiet: bool = False) -> Iterator[Call
 
 
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""What commands are added to; argparse has no public name for it."""
+"""The collection that commands are added to; argparse has no public name for it."""
 
 
 def speaks(parser: argparse.ArgumentParser) -> None:
-    """Arguments of all commands that ask a running service."""
+    """Add the arguments of all commands that call a running service."""
     parser.add_argument("--url", help="address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")

@@ -1,4 +1,4 @@
-"""``revisit demo``: a service, places enrolled over HTTP, the same places queried, and what came of it."""
+"""``revisit demo``: starts a service, enrols places, queries with other images of them, prints the results."""
 
 import argparse
 import shlex
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from app.cli.demo_images import Material, QueryRecord
 
 MOST = 0.75
-"""Share of known places that have to be recognised for the demo to count as passed."""
+"""Share of known places that must be recognised for the exit code 0."""
 
 
 def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
         "demo",
-        help="see it work: enrol places, ask with other images of them",
-        description="Start a service in a temporary folder, enrol images of places, ask with other images of the "
-        "same places, and say who was recognised. Without --photos the places are drawn.",
+        help="see it work: enrol places, query with other images of them",
+        description="Start a service in a temporary folder, enrol images of places, query with other images of the "
+        "same places, and show which were recognised. Without --photos the places are drawn.",
     )
     parser.add_argument("--photos", type=Path, metavar="DIR", help="use the photos of this folder")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where images go (default: a temporary folder)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for images (default: a temporary folder)")
     parser.add_argument("--keep", action="store_true", help="leave the service running until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")
     parser.set_defaults(run=run)
@@ -40,25 +40,25 @@ def add(verbs: Verbs) -> None:
 
 @dataclass(frozen=True)
 class Result:
-    """A query and what came of it."""
+    """A query and its answer."""
 
     query: "QueryRecord"
     answer: "QueryAnswer"
 
     @property
     def first(self) -> str | None:
-        """The place that was answered; None when the service did not know."""
+        """The place of the best match; None without one, or with the verdict no_match."""
         matches = self.answer.matches
         return matches[0].view.place if matches and self.answer.status != "no_match" else None
 
     @property
     def is_right(self) -> bool | None:
-        """None when nobody knows."""
+        """Whether `first` is the right place; None when the right place is not known."""
         return self.first == self.query.place if self.query.known else None
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Show it; 1 when too few places were recognised."""
+    """Run the demo; returns 1 when fewer than `MOST` of the known places were recognised."""
     from revisit_client import Revisit
 
     photos = None if arguments.photos is None else _photos(arguments.photos)
@@ -109,15 +109,15 @@ def _drawn(output: Path) -> "Material":
 def _own(photos: Sequence[Path], output: Path) -> "Material":
     material = demo_images.of_folder(photos, output, lambda _: None)
     say(
-        f"{len(material.enrolments)} of your {len(photos)} photos are enrolled, each as a place of its own. Asked are\n"
-        "altered copies of some (cropped, turned, darker), which have to find their original, and the photos that\n"
-        "were held back: whether the place that they find is the same one, judge by the images."
+        f"{len(material.enrolments)} of your {len(photos)} photos are enrolled, each as a place of its own. Queries\n"
+        "are altered copies of some (cropped, turned, darker), which have to find their original, and the photos that\n"
+        "were held back: judge by the images whether the place they find is the same."
     )
     return material
 
 
 def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
-    """Enrol all; returns the curl call of the first."""
+    """Enrol all images; returns the curl call of the first."""
     begun = time.monotonic()
     with progress_bar(len(material.enrolments), "images enrolled") as step:
         for enrolment in material.enrolments:
@@ -133,7 +133,7 @@ def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
 
 
 def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
-    """Send every query, and keep the images that show why it was answered so."""
+    """Send every query and save the images that explain the answers; returns the results and a curl call."""
     folder = output / "answers"
     folder.mkdir(exist_ok=True)
     results = []
@@ -169,22 +169,22 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
                 mark,
             )
         )
-    heads = ("query", "what is different", "most alike", "score", "confidence", "verdict", "right")
+    heads = ("query", "what is different", "best match", "score", "confidence", "verdict", "right")
     show("\n" + table(heads, rows))
     show("\nthe calls it made:")
     for call in calls:
         show(f"  {call}")
     show(f"\nimages: {output}")
-    show("  answers/*-why.png     query and match side by side, with what agrees")
-    show("  answers/*-labels.png  what each part of the match was taken for")
-    show("  answers/*-graph.png   its context graph")
+    show("  answers/*-why.png     query and match side by side, with correspondences")
+    show("  answers/*-labels.png  segmentation of the match")
+    show("  answers/*-graph.png   context graph of the match")
 
 
 def _confidence_line(unsure: int) -> str:
-    """How to read the verdicts."""
+    """A sentence on how many of the right answers were `ambiguous`."""
     if not unsure:
         return "the right one came first, and the service was sure"
-    return f"the right one came first, in {unsure} cases with the verdict that it might be another"
+    return f"the right one came first, in {unsure} cases with the verdict ambiguous"
 
 
 def _facts(result: Result) -> dict[str, object]:

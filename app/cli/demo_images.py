@@ -15,7 +15,7 @@ PLACES = (
     "rose garden", "castle park", "river meadow", "east corridor", "west corridor",
 )  # fmt: skip
 UNKNOWN_PLACES = ("foreign street", "unknown park")
-"""Places that are queried and were never enrolled."""
+"""Unknown places: queried, but never enrolled."""
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ class Enrolment:
 
 @dataclass(frozen=True)
 class QueryRecord:
-    """An image to ask with.
+    """A query image.
 
     Parameters
     ----------
     place : str or None
-        The right answer; None when the place was never enrolled, or nobody knows.
+        The right answer; None when the place was never enrolled, or is not known.
     change : str
-        How it differs from what was enrolled.
+        How the image differs from the enrolled ones.
     known : bool
-        Whether `place` being None means "never enrolled"; otherwise the answer is only shown.
+        Whether the right answer is known; otherwise the answer is only shown.
     """
 
     path: Path
@@ -48,7 +48,7 @@ class QueryRecord:
 
 @dataclass(frozen=True)
 class Material:
-    """What to enrol and what to ask."""
+    """Images to enrol, and queries."""
 
     enrolments: Sequence[Enrolment]
     queries: Sequence[QueryRecord]
@@ -58,14 +58,16 @@ Step = Callable[[str], None]
 
 
 def drawn(folder: Path, step: Step) -> Material:
-    """Draw every place as it is enrolled (from two spots) and as it is queried (elsewhere, later, obstructed)."""
+    """Draw every place as enrolled (from two positions) and as queried (moved, other light, occluded) into `folder`."""
     from scenes import scene
 
     enrolments, queries = [], []
     for i, name in enumerate(PLACES):
         place = scene(name)
-        for number, look in enumerate((place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1):
-            enrolments.append(Enrolment(_saved(look, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
+        for number, enrolled in enumerate(
+            (place, place.at("overcast").seen_from(dx=-0.6, ahead=1.5, turn=-4)), start=1
+        ):
+            enrolments.append(Enrolment(_saved(enrolled, folder / "enrolled" / f"{_file(name)}-{number}.jpg"), name))
         change, changed = _change(i, place)
         queries.append(QueryRecord(_saved(changed, folder / "queries" / f"{_file(name)}.jpg"), name, change))
         step(name)
@@ -77,7 +79,7 @@ def drawn(folder: Path, step: Step) -> Material:
 
 
 def _change(number: int, place: "Scene") -> "tuple[str, Scene]":
-    """A place as it is queried, and how that differs from how it was enrolled; each of six ways in turn."""
+    """(Description of the change, changed scene) of a query; six kinds of change in turn."""
     thing = "person" if place.kind == "corridor" else ("bus", "car")[number // 6 % 2]  # no vehicles indoors
     ways = (
         ("1 m aside, turned, dusk", place.seen_from(dx=1.0, turn=6).at("dusk")),
@@ -105,8 +107,8 @@ def _saved(scene: "Scene", path: Path) -> Path:
 def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
     """The user's photos: nearly all are enrolled, each as a place of its own.
 
-    Asked are altered copies (cropped, turned, darker) of some of them, whose answers are known, and the photos that
-    were held back, whose answers only the user can judge.
+    Queries are altered copies (cropped, turned, darker) of some of them, whose answers are known, and photos that are
+    not enrolled, whose answers only the user can judge.
     """
     held_back = photos[4::8][:4] if len(photos) >= 6 else []
     enrolments = [Enrolment(path, path.stem) for path in photos if path not in held_back]
@@ -134,7 +136,7 @@ def _opened(path: Path) -> "PilImage.Image":
 
 
 def _cropped(pil_image: "PilImage.Image", share: float, across: float, down: float) -> "PilImage.Image":
-    """A part of the image: `share` of each side, at a position from 0 (left, top) to 1."""
+    """Crop to `share` of each side; `across` and `down` place the crop, 0 (left, top) to 1."""
     width, height = round(pil_image.width * share), round(pil_image.height * share)
     left, top = round((pil_image.width - width) * across), round((pil_image.height - height) * down)
     return pil_image.crop((left, top, left + width, top + height))
@@ -147,7 +149,7 @@ def _darker(pil_image: "PilImage.Image", factor: float) -> "PilImage.Image":
 
 
 def _turned(pil_image: "PilImage.Image", degrees: float) -> "PilImage.Image":
-    """Turned, and cropped so that no empty corner shows."""
+    """Turn, then crop the empty corners."""
     from PIL.Image import Resampling
 
     return _cropped(pil_image.rotate(degrees, resample=Resampling.BILINEAR), 0.85, 0.5, 0.5)
@@ -162,5 +164,5 @@ _ALTERATIONS: "Sequence[tuple[str, Callable[[PilImage.Image], PilImage.Image]]]"
 
 
 def names(material: Material) -> Iterator[str]:
-    """Places enrolled, each once."""
+    """Names of the enrolled places, each once."""
     yield from dict.fromkeys(enrolment.place for enrolment in material.enrolments)

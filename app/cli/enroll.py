@@ -1,4 +1,4 @@
-"""``revisit enroll``: enrol images, folders of them, with what is known of each; goes on where it was stopped."""
+"""``revisit enroll``: enrol images and folders with their attributes; a repeated command continues."""
 
 import argparse
 import queue
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Summary:
-    """What became of the images."""
+    """Results of all images."""
 
     enrolled: int = 0
     already_there: int = 0
@@ -30,11 +30,11 @@ def add(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "enroll",
         help="enrol images or folders of images",
-        description="Enrol images. What is in the map already is left as it is: run the same again to go on.",
+        description="Enrol images; those in the map already stay as they are. Repeat the command to continue.",
     )
     parser.add_argument("paths", nargs="+", metavar="PATH", help="image, folder (with all inside) or glob")
     parser.add_argument("--map", help="map to enrol into (default: default)")
-    parser.add_argument("--place", help="your name for the spot that all these images show")
+    parser.add_argument("--place", help="your name for the place that all these images show")
     parser.add_argument(
         "--place-from-folder", action="store_true", help="take the name of each image's folder as its place"
     )
@@ -48,7 +48,7 @@ def add(verbs: Verbs) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Enrol; 1 when some images were refused."""
+    """Enrol; returns 1 when some images were refused."""
     from revisit_client import Revisit
 
     if not 1 <= arguments.parallel <= 64:
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]:
-    """Each image with what is said about it: the CSV over EXIF, both over what is said of all."""
+    """Each image with its attributes: the CSV wins over EXIF, both over the options for all images."""
     positions = None if arguments.positions is None else images.Positions(arguments.positions)
     work, unlisted = [], 0
     for path in images.found(arguments.paths):
@@ -93,7 +93,7 @@ def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]
 
 
 def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], parallel: int) -> Summary:
-    """Send images, several at once: the service describes together what arrives together."""
+    """Send images, `parallel` at once, so that the service can batch them."""
     from revisit_client import ClientError, RevisitProblem
 
     waiting: queue.SimpleQueue[tuple[Path, images.Known]] = queue.SimpleQueue()

@@ -1,4 +1,4 @@
-"""``revisit healthcheck | version | openapi``: how the service is, and what it is."""
+"""``revisit healthcheck | version | openapi``: readiness, versions and API of a service."""
 
 import argparse
 import os
@@ -11,8 +11,8 @@ def add(verbs: Verbs) -> None:
     check = verbs.add_parser("healthcheck", help="exit 0 when the service is ready, 1 when not")
     speaks(check)
     check.set_defaults(run=run_healthcheck)
-    version = verbs.add_parser("version", help="what is installed here; with --service, what is running")
-    version.add_argument("--service", action="store_true", help="ask the running service")
+    version = verbs.add_parser("version", help="the installed version; with --service, that of the running service")
+    version.add_argument("--service", action="store_true", help="query the running service")
     speaks(version)
     version.set_defaults(run=run_version)
     openapi = verbs.add_parser("openapi", help="the OpenAPI document of the running service")
@@ -21,7 +21,7 @@ def add(verbs: Verbs) -> None:
 
 
 def run_healthcheck(arguments: argparse.Namespace) -> int:
-    """Ask `/readyz`; from inside a container the service is on this machine, on the port it was told."""
+    """Call `/readyz`, by default on this machine at REVISIT_PORT, as a container's health check needs."""
     from revisit_client import Revisit
 
     url = arguments.url or os.environ.get("REVISIT_URL") or f"http://127.0.0.1:{os.environ.get('REVISIT_PORT', '8000')}"

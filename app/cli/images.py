@@ -1,4 +1,4 @@
-"""Which images are meant, and what is known about them: folders, globs, CSV files of positions, EXIF."""
+"""Finds images (files, folders, globs) and their attributes (CSV files of positions, EXIF)."""
 
 import csv
 import glob
@@ -15,16 +15,16 @@ NUMBERS = ("x", "y", "z", "lat", "lon", "alt", "heading")
 TEXTS = ("place", "captured_at")
 
 Known = dict[str, Any]
-"""Arguments of `Revisit.enroll` that are known of one image."""
+"""Arguments of `Revisit.enroll` for one image."""
 
 
 def found(paths: Sequence[str]) -> list[Path]:
-    """Images that paths, folders (with all inside) and globs mean, each once, by name within each argument.
+    """Images that files, folders (with all inside) and globs name, each once; sorted within each argument.
 
     Raises
     ------
     Failure
-        Something named does not exist, or holds no image.
+        A path does not exist, or holds no image.
     """
     images: dict[Path, None] = {}
     for text in paths:
@@ -32,7 +32,7 @@ def found(paths: Sequence[str]) -> list[Path]:
         if path.is_dir():
             inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
         elif path.exists():
-            inside = [path]  # named outright: the service judges by content
+            inside = [path]  # a named file: the service judges it by content
         else:
             inside = sorted(Path(p) for p in glob.glob(text, recursive=True) if Path(p).is_file())
             if not inside and not glob.has_magic(text):
@@ -44,9 +44,10 @@ def found(paths: Sequence[str]) -> list[Path]:
 
 
 class Positions:
-    """A CSV file of what is known: a column `file`, and x,y[,z] or lat,lon[,alt], heading, place, captured_at.
+    """A CSV file of attributes: columns `file`, x,y[,z] or lat,lon[,alt], heading, place, captured_at.
 
-    A row belongs to the images whose path ends with its `file`.
+    A row belongs to the images whose path ends with its `file`. Positions in metres or degrees (WGS 84), heading in
+    degrees clockwise from north. Raises Failure when the file cannot be used.
     """
 
     def __init__(self, path: Path) -> None:
@@ -81,9 +82,9 @@ class Positions:
         return known
 
     def of(self, image: Path) -> Known | None:
-        """What is known of an image; None when no row is about it."""
+        """The attributes of an image; None without a row."""
         parts = image.resolve().as_posix().split("/")
-        for begin in range(len(parts)):  # the longest ending first: the most particular row
+        for begin in range(len(parts)):  # the longest ending first: the most specific row
             name = "/".join(parts[begin:])
             if name in self._rows:
                 self._used.add(name)
@@ -91,12 +92,12 @@ class Positions:
         return None
 
     def unused(self) -> list[str]:
-        """Files of rows that no image was found for."""
+        """`file` of the rows that `of` has not returned."""
         return sorted(self._rows.keys() - self._used)
 
 
 def from_exif(path: Path) -> Known:
-    """Position, heading and time that the camera wrote into an image; empty when it wrote none."""
+    """Position, heading and time of an image's EXIF; empty without them."""
     from PIL import ExifTags, UnidentifiedImageError
     from PIL import Image as PilImage
 
@@ -104,12 +105,12 @@ def from_exif(path: Path) -> Known:
         with PilImage.open(path) as pil_image:
             exif = pil_image.getexif()
     except (UnidentifiedImageError, OSError):
-        return {}  # the service will say what is wrong with it
+        return {}  # the service says what is wrong with the file
     gps = exif.get_ifd(ExifTags.IFD.GPSInfo)
     known: Known = {}
     latitude = _degrees(gps.get(2), gps.get(1), "S")
     longitude = _degrees(gps.get(4), gps.get(3), "W")
-    # Cameras without a fix write 0, 0: a point in the sea that nobody photographs by accident.
+    # Cameras without a GPS fix write 0, 0, which is a point in the sea.
     if latitude is not None and longitude is not None and (latitude, longitude) != (0.0, 0.0):
         known |= {"lat": latitude, "lon": longitude}
         if (height := _number(gps.get(6))) is not None:
@@ -131,7 +132,7 @@ def _number(value: Any) -> float | None:
 
 
 def _degrees(value: Any, reference: Any, negative: str) -> float | None:
-    """Degrees, minutes, seconds as a number."""
+    """(degrees, minutes, seconds) as degrees; negative when `reference` begins with `negative`."""
     if not isinstance(value, Iterable):
         return None
     parts = [_number(part) for part in value]
@@ -142,7 +143,7 @@ def _degrees(value: Any, reference: Any, negative: str) -> float | None:
 
 
 def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
-    """When: the satellites' time, which is UTC, or the camera's clock if it says in which zone it runs."""
+    """Time of capture: the GPS time (UTC), or the camera's clock when EXIF has its zone."""
     clock, zone = exif.get(0x9003), exif.get(0x9011)
     try:
         if gps.get(29) and gps.get(7):

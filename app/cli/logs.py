@@ -1,4 +1,4 @@
-"""Log lines: text for people, JSON for machines. Events with fields, never image bytes."""
+"""Log lines as text or JSON: events with fields, never image bytes."""
 
 import json
 import logging
@@ -10,7 +10,7 @@ _USUAL = frozenset(vars(logging.LogRecord("", 0, "", 0, "", (), None))) | {"mess
 
 
 class JsonLines(logging.Formatter):
-    """One JSON object a line, with whatever fields an event carries."""
+    """One JSON object a line, with all fields of an event."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The record as JSON."""
@@ -27,7 +27,7 @@ class JsonLines(logging.Formatter):
 
 
 class TextLines(logging.Formatter):
-    """A line for people; of the fields it shows how long something took."""
+    """A line of text; of an event's fields, only `ms` is shown."""
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)-7s %(message)s", "%Y-%m-%d %H:%M:%S")
@@ -40,19 +40,19 @@ class TextLines(logging.Formatter):
 
 
 class _NoSetupTraceback(logging.Filter):
-    """Keeps uvicorn from printing a traceback for a start that is refused: the command line says the reason itself."""
+    """Drops uvicorn's traceback of a SetupError at start-up: the command line prints the reason."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         return "SetupError" not in record.getMessage() and "Application startup failed" not in record.getMessage()
 
 
 def configure(form: Literal["text", "json"]) -> None:
-    """Send every logger's lines to stderr in one form."""
+    """Send the lines of all loggers to stderr, as text or JSON."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     for talkative in ("alembic", "faiss", "httpx"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
-    # Of starting and stopping the command line tells itself.
+    # The command line itself reports starting and stopping.
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     logging.getLogger("uvicorn.error").addFilter(_NoSetupTraceback())

@@ -1,4 +1,4 @@
-"""``revisit query``: ask where an image was taken."""
+"""``revisit query``: recognise the place of an image."""
 
 import argparse
 from pathlib import Path
@@ -18,22 +18,22 @@ VERDICTS = {
 
 def add(verbs: Verbs) -> None:
     """Declare the command."""
-    parser = verbs.add_parser("query", help="ask where an image was taken")
+    parser = verbs.add_parser("query", help="find where an image was taken")
     parser.add_argument("image", type=Path, metavar="IMAGE")
     parser.add_argument("--map", help="map to search (default: default)")
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
-    parser.add_argument("--candidates", type=int, metavar="N", help="how many of each channel are re-ranked")
+    parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--place", help="search the views of this place only")
     parser.add_argument("--near", metavar="X,Y,RADIUS", help="search views near this point only, in metres")
     parser.add_argument("--geo", action="store_true", help="--near is LAT,LON,RADIUS")
-    parser.add_argument("--exclude-last", metavar="N|30s", help="not the newest N views, or seconds")
-    parser.add_argument("--explain", type=Path, metavar="PNG", help="draw why into this file")
+    parser.add_argument("--exclude-last", metavar="N|30s", help="leave out the newest N views, or seconds")
+    parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     speaks(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Ask; the exit code does not tell a known place from an unknown one: both are answers."""
+    """Query; returns 0 whether the place is known or not."""
     from revisit_client import Revisit
 
     with Revisit(arguments.url) as revisit:
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         if arguments.explain is not None and answer.matches:
             arguments.explain.write_bytes(revisit.explanation(answer.query.id))
-            say(f"why: {arguments.explain}")
+            say(f"explanation: {arguments.explain}")
     if arguments.json:
         show_json(answer.model_dump(mode="json"))
     else:
@@ -67,7 +67,7 @@ def _near(text: str) -> tuple[float, float, float]:
 
 
 def told(answer: "QueryAnswer") -> str:
-    """The answer for people."""
+    """The answer as text."""
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
     if answer.matches:
         heads = ("rank", "place", "score", "confidence", "inliers", "position", "view")
@@ -94,7 +94,7 @@ def _row(match: "Match") -> tuple[object, ...]:
 
 
 def position_text(position: "Position | None") -> str | None:
-    """A position for people."""
+    """A position as text; None without one."""
     if position is None:
         return None
     if position.lat is not None and position.lon is not None:

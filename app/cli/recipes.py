@@ -1,4 +1,4 @@
-"""``revisit vocabulary train | recipe``: describe a map's views by another recipe."""
+"""``revisit vocabulary train | recipe``: train a map's vocabulary; show or change its recipe and ranking."""
 
 import argparse
 import json
@@ -23,12 +23,12 @@ def add(verbs: Verbs) -> None:
     recipe = verbs.add_parser(
         "recipe",
         help="show a map's recipe, or change it",
-        description="Show a map's recipe and ranking. With --ranking alone the next query is ranked by it; with any "
-        "other option the views are described anew, and queries are answered by the old recipe until that is done.",
+        description="Show a map's recipe and ranking. --ranking alone takes effect at the next query; any other "
+        "option describes the views anew, and queries use the old recipe until that is done.",
     )
     recipe.add_argument("--map", default="default")
     recipe.add_argument("--preset", help="named set of parameters, such as default or paper")
-    recipe.add_argument("--labels", metavar="LABEL,...", help="what pixels are labelled with")
+    recipe.add_argument("--labels", metavar="LABEL,...", help="labels that cells are assigned to")
     recipe.add_argument("--dynamic", metavar="LABEL,...", help="labels of things that move; empty: none")
     recipe.add_argument("--parameters", metavar="JSON", help="description parameters that differ from the preset's")
     recipe.add_argument("--ranking", metavar="JSON", help="ranking parameters that differ from the preset's")
@@ -37,12 +37,12 @@ def add(verbs: Verbs) -> None:
 
 
 def _waits(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--no-wait", action="store_true", help="return once it has begun")
+    parser.add_argument("--no-wait", action="store_true", help="return once the job has started")
     speaks(parser)
 
 
 def run_vocabulary(arguments: argparse.Namespace) -> int:
-    """Train."""
+    """Train a vocabulary."""
     from revisit_client import Revisit
 
     with Revisit(arguments.url) as revisit:
@@ -50,7 +50,7 @@ def run_vocabulary(arguments: argparse.Namespace) -> int:
 
 
 def run_recipe(arguments: argparse.Namespace) -> int:
-    """Show the recipe, or switch to another."""
+    """Show a map's recipe and ranking, change the ranking, or switch the recipe."""
     from revisit_client import Revisit
 
     parameters = _object("--parameters", arguments.parameters)
@@ -74,7 +74,7 @@ def run_recipe(arguments: argparse.Namespace) -> int:
 
 
 def _object(option: str, text: str | None) -> dict[str, Any] | None:
-    """The JSON object that an option was given."""
+    """Parse the JSON object of an option; None when it is not given."""
     if text is None:
         return None
     try:
@@ -92,7 +92,7 @@ def _labels(text: str | None) -> list[str] | None:
 
 def _finished(revisit: "Revisit", job: "Job", arguments: argparse.Namespace) -> int:
     if not arguments.no_wait:
-        say(f"job {job.id} is at work; interrupting this does not stop it")
+        say(f"job {job.id} is running; interrupting this command does not stop it")
         job = revisit.wait_for_job(job.id, timeout=24 * 3600)
     if arguments.json:
         show_json(job.model_dump(mode="json"))

@@ -1,4 +1,4 @@
-"""``revisit serve | worker``: the service, and helpers that describe images beside it."""
+"""``revisit serve | worker``: run the service, or a further process that describes its images."""
 
 import argparse
 import ipaddress
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("revisit")
 
 GRACE_S = 20
-"""How long requests under way may take to finish when the service is told to stop."""
+"""Seconds that requests under way may take to finish when the service is stopped."""
 
 
 def add(verbs: Verbs) -> None:
@@ -61,7 +61,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":
-    """Settings from the environment and the named flags; a wrong one is wrong use."""
+    """Settings from the environment and the named options; raises Failure (exit code 2) for a wrong one."""
     from schemas.errors import SetupError
     from schemas.settings import read_settings
 
@@ -72,7 +72,7 @@ def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":
 
 
 def run_serve(arguments: argparse.Namespace) -> int:
-    """Serve until a signal."""
+    """Serve until SIGINT or SIGTERM."""
     settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
     _refuse_open(settings)
     logs.configure(settings.log)
@@ -84,7 +84,7 @@ def run_serve(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_open(settings: "Settings") -> None:
-    """Loopback only, unless the user says that everybody may call."""
+    """Raise Failure unless the host is a loopback address or `open` is set."""
     if _is_loopback(settings.host) or settings.open:
         return
     raise Failure(
@@ -103,7 +103,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _listen(settings: "Settings") -> socket.socket:
-    """Take the port before anything slow is done: a taken one is said at once, and in plain words."""
+    """Bind the port before anything slow, so that a taken port is reported at once."""
     listening: socket.socket | None = None
     try:
         family = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0][0]
@@ -134,7 +134,7 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
         timeout_graceful_shutdown=GRACE_S,
         lifespan="on",
     )
-    # uvicorn raises the signal that stopped it once more when it has finished; being stopped is no failure.
+    # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
     server = _server(config, runtime, _address(settings.host, listening.getsockname()[1]))
@@ -152,7 +152,7 @@ def _address(host: str, port: int) -> str:
 
 
 def _server(config: "uvicorn.Config", runtime: "Runtime", url: str) -> "uvicorn.Server":
-    """A uvicorn server that tells people where it is once it can be asked."""
+    """A uvicorn server that prints its address once it serves."""
     import uvicorn
 
     class Announcing(uvicorn.Server):
@@ -165,7 +165,7 @@ def _server(config: "uvicorn.Config", runtime: "Runtime", url: str) -> "uvicorn.
 
 
 def announce(runtime: "Runtime", url: str) -> None:
-    """Say what runs where."""
+    """Print the address, the encoder, the data folder and the number of views."""
     settings = runtime.settings
     maps = runtime.store.maps.all()
     counts = [runtime.store.maps.counts(record.name) for record in maps]
@@ -187,7 +187,7 @@ def announce(runtime: "Runtime", url: str) -> None:
 
 
 def run_worker(arguments: argparse.Namespace) -> int:
-    """Describe until a signal."""
+    """Describe images until SIGINT or SIGTERM."""
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
     logs.configure(settings.log)
     from worker.runtime import build
@@ -201,6 +201,6 @@ def run_worker(arguments: argparse.Namespace) -> int:
     try:
         stop.wait()
     finally:
-        runtime.stop()  # what is being encoded is finished, the rest goes back to the queue
+        runtime.stop()  # finishes the images being encoded; the others go back to the queue
     log.info("stopped")
     return DONE

@@ -1,4 +1,4 @@
-"""A service as a real process of its own, for as long as it is needed."""
+"""Runs a service as a process of its own for as long as a command needs it."""
 
 import os
 import re
@@ -21,13 +21,13 @@ STOPPING_S = 30
 
 @dataclass(frozen=True)
 class Service:
-    """A service that was started."""
+    """A started service: its process and the file of its output."""
 
     log: Path
     process: "subprocess.Popen[bytes]"
 
     def url(self) -> str:
-        """Where it is, once it can be asked; raises Failure with the end of its log when it cannot start."""
+        """Wait until the service serves, and return its URL; raises Failure with the end of its log."""
         deadline = time.monotonic() + STARTING_S
         while time.monotonic() < deadline:
             if match := _URL.search(self.log.read_text(errors="replace")):
@@ -43,7 +43,7 @@ class Service:
 
 @contextmanager
 def started(data: Path, log: Path) -> Iterator[Service]:
-    """Start `serve` on a free port, with its log in a file; stop it at the end."""
+    """Context manager: start `serve` on a free port, with its output in `log`; stop it at the end."""
     env = {name: value for name, value in os.environ.items() if name not in _OURS}
     path = os.pathsep.join(filter(None, (str(ROOT), str(ROOT / "client"), env.get("PYTHONPATH"))))
     env |= {"REVISIT_DATA": str(data), "PYTHONUNBUFFERED": "1", "PYTHONPATH": path}
@@ -53,7 +53,7 @@ def started(data: Path, log: Path) -> Iterator[Service]:
             env=env,
             stdout=output,
             stderr=subprocess.STDOUT,
-            start_new_session=True,  # Ctrl-C is for us; we stop the service ourselves
+            start_new_session=True,  # Ctrl-C must reach the command alone, which then stops the service
         )
     try:
         yield Service(log, process)

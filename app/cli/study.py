@@ -1,4 +1,4 @@
-"""``revisit evaluate | benchmark``: how well it recognises, and how fast. Their own arguments are their modules'."""
+"""``revisit evaluate | benchmark``: recognition and speed; `lab` parses their arguments."""
 
 import argparse
 from contextlib import AbstractContextManager
@@ -21,12 +21,12 @@ def add(verbs: Verbs) -> None:
     """Declare the commands; everything after them is passed on, `--help` too."""
     for name, text in PASSED_ON.items():
         parser = verbs.add_parser(name, help=text, add_help=False)
-        # What this parser does not know, which is everything, arrives as `rest`.
+        # This parser knows no arguments: all of them arrive as `rest`.
         parser.set_defaults(run={"evaluate": run_evaluate, "benchmark": run_benchmark}[name], rest=[])
 
 
 def run_evaluate(arguments: argparse.Namespace) -> int:
-    """Hand over, with a way to services behind a URL."""
+    """Run `lab.evaluate`, which may also evaluate a service behind a URL."""
     from lab import evaluate
     from lab.evaluation.remote import connect
 
@@ -34,7 +34,7 @@ def run_evaluate(arguments: argparse.Namespace) -> int:
 
 
 def run_benchmark(arguments: argparse.Namespace) -> int:
-    """Hand over, with a way to call a runtime over HTTP."""
+    """Run `lab.benchmarks`, with a way to call a runtime over HTTP."""
     from lab.benchmarks import __main__ as benchmarks
 
     return benchmarks.main(arguments.rest, over_http)

@@ -1,4 +1,4 @@
-"""``revisit weights check | convert``: look at weights files, and make safe ones of published checkpoints."""
+"""``revisit weights check | convert``: check weights files, convert published checkpoints to safetensors."""
 
 import argparse
 from dataclasses import asdict
@@ -15,7 +15,7 @@ def add(verbs: Verbs) -> None:
     """Declare the commands."""
     weights = verbs.add_parser("weights", help="check or convert a weights file")
     commands = weights.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    check = commands.add_parser("check", help="say what a weights file is; exit code 1 when it cannot be used")
+    check = commands.add_parser("check", help="show what a weights file holds; exit code 1 when it cannot be used")
     check.add_argument("file", type=Path)
     check.add_argument("--json", action="store_true", help="answer as JSON, for machines")
     check.set_defaults(run=run_check)
@@ -27,14 +27,14 @@ def add(verbs: Verbs) -> None:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Check."""
+    """Check a weights file; returns 1 when it cannot be used."""
     from worker.encoders import inspection
 
     return _told(inspection.check(arguments.file), arguments.json)
 
 
 def run_convert(arguments: argparse.Namespace) -> int:
-    """Convert."""
+    """Convert a checkpoint to safetensors; returns 1 when it cannot be used."""
     from worker.encoders import inspection
 
     return _told(inspection.convert(arguments.source, arguments.target), arguments.json)

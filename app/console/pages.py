@@ -1,4 +1,4 @@
-"""The pages for people: API documentation and the console. Plain HTML, complete in itself, nothing from elsewhere."""
+"""API documentation and the console as plain HTML that loads nothing from other hosts."""
 
 import json
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Any
 from schemas.wire import Maps
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self'"
-"""No scripts, and nothing from another host, whatever a map may be called."""
+"""Content-Security-Policy: no scripts and nothing from another host, whatever text a map's name contains."""
 
 Json = Mapping[str, Any]
 
@@ -35,7 +35,7 @@ def _page(title: str, body: str) -> str:
 
 
 def console(version: str, maps: Maps | None) -> str:
-    """The landing page: maps with their counts, and where to go."""
+    """The landing page: maps with their counts, and links; `maps` is None when they cannot be listed."""
     if maps is None:
         rows = '<p class="quiet">The maps cannot be listed at the moment; see <a href="/readyz">/readyz</a>.</p>'
     elif not maps.maps:
@@ -125,7 +125,7 @@ def _shape(name: str, schema: Json) -> str:
 
 
 def _type(schema: Json) -> str:
-    """A schema in a few words."""
+    """A JSON schema in a few words."""
     if "$ref" in schema:
         return str(schema["$ref"]).rsplit("/", 1)[-1]
     if branches := schema.get("anyOf"):

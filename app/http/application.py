@@ -1,4 +1,4 @@
-"""The application: middleware around routes around use-cases."""
+"""The FastAPI application: middleware, routes, and the use-cases that the routes call."""
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from worker.runtime import Runtime
 
 TAGS = [
-    {"name": "enrol and query", "description": "What revisit is for."},
-    {"name": "views", "description": "Enrolled images and what was said about them."},
-    {"name": "images", "description": "Views, drawn or as enrolled."},
+    {"name": "enrol and query", "description": "Keep images of places; recognise places in images."},
+    {"name": "views", "description": "Enrolled images and their attributes."},
+    {"name": "images", "description": "Images of views: as enrolled, small, and as drawings."},
     {"name": "maps", "description": "Named sets of views that are searched together."},
-    {"name": "jobs", "description": "Work in the background."},
-    {"name": "service", "description": "How the service is."},
+    {"name": "jobs", "description": "Work in the background: describing, recipes, vocabularies."},
+    {"name": "service", "description": "Health, metrics and version."},
 ]
 
 
 def create_app(runtime: "Runtime") -> FastAPI:
-    """The application around a runtime that was built and not yet started: both start and stop together."""
+    """The application of a runtime that is built but not started; they start and stop together."""
     return application(Service.of(runtime))
 
 
 def application(service: Service) -> FastAPI:
-    """An application that starts and stops the service with itself."""
+    """The application of a service; the service starts and stops with it."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -50,20 +50,21 @@ def application(service: Service) -> FastAPI:
         version=VERSION,
         lifespan=lifespan,
         openapi_tags=TAGS,
-        # FastAPI's pages load their scripts from elsewhere; ours are in app.console.pages.
+        # FastAPI's pages load scripts from other hosts; `app.console.pages` has pages of our own.
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
     )
     app.state.service = service
     app.state.metrics = metrics = Metrics()
-    for room in (enroll, query):
-        app.include_router(room.router)
-    for room in (views, images, maps, places, jobs, health):
-        app.include_router(room.router, dependencies=[once_each])
+    for group in (enroll, query):
+        app.include_router(group.router)
+    for group in (views, images, maps, places, jobs, health):
+        app.include_router(group.router, dependencies=[once_each])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
-    # Added last is outermost: every answer passes RequestContext, and a body is read once the gate and the limit agree.
+    # The middleware added last is outermost: RequestContext sees every answer, and no body is read before ReadinessGate
+    # and BodyLimit let the request through.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     app.add_middleware(RequestContext, metrics=metrics)

@@ -1,4 +1,4 @@
-"""Takes the body of a request apart: images and what is said of them, or JSON."""
+"""Parses the body of a request: images with their parameters, or JSON."""
 
 import asyncio
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ MOST_PARAMETERS = 200
 LONGEST_PARAMETER = 64 * 1024
 LARGEST_JSON = 256 * 1024
 
-_QUICK = 1_000_000  # bytes that are taken apart within a few milliseconds
+_QUICK = 1_000_000  # bytes that are parsed within a few milliseconds
 
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 
@@ -31,16 +31,16 @@ _REMEDY = "send the image as the multipart part `image`, or as the body with con
 
 @dataclass(frozen=True)
 class Sent:
-    """A request with images, taken apart.
+    """A parsed request with images.
 
     Parameters
     ----------
     images : sequence of (file name or None, bytes)
-        In the order of the body; never empty, and none of them is.
+        In the order of the body; at least one, none of 0 bytes.
     parameters : sequence of (name, value)
-        Of the URL, then of the body.
+        Those of the URL, then those of the body.
     errors : sequence of ParameterError
-        What is wrong with the parts themselves; to be listed with the other mistakes.
+        Mistakes in the multipart parts, to be reported together with those in the parameters' values.
     """
 
     images: Sequence[tuple[str | None, bytes]]
@@ -49,16 +49,18 @@ class Sent:
 
 
 async def take(request: Request) -> Sent:
-    """Images and parameters of a request.
+    """Parse a request with images, multipart (RFC 7578) or one image as the raw body.
 
     Raises
     ------
     BadBody
         ``no-picture`` or ``malformed-body``.
     BadImage
-        ``not-a-picture``: the content type is neither multipart nor an image's.
+        ``not-a-picture``: the content type is neither multipart/form-data nor an image type.
     BodyTooLarge
-        From `app.http.middleware.BodyLimit`, while the body is read.
+        Raised by `app.http.middleware.BodyLimit` while the body is read.
+    InvalidParameters
+        No part is named ``image``, and other parts cannot be used.
     """
     content_type = request.headers.get("content-type", "")
     body = await request.body()
@@ -68,7 +70,7 @@ async def take(request: Request) -> Sent:
         boundary = options.get(b"boundary", b"")
         if len(body) <= _QUICK:
             return _multipart(body, boundary, in_url)
-        # Milliseconds for a photo, but a body made of near-boundaries takes long: nobody else shall wait for it.
+        # Milliseconds for a photo, but a body made of near-boundaries takes long and must not block the event loop.
         return await asyncio.to_thread(_multipart, body, boundary, in_url)
     if not body:
         raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
@@ -79,19 +81,20 @@ async def take(request: Request) -> Sent:
 
 
 async def json_object(request: Request) -> dict[str, Any]:
-    """The body as a JSON object; {} when there is no body.
+    """The body as a JSON object; {} when the body is empty.
 
     Raises
     ------
     BadBody
-        ``malformed-body``: it is not JSON, or no object.
+        ``malformed-body``: not JSON, or not an object.
     BodyTooLarge
+        The body has more than `LARGEST_JSON` bytes.
     """
     body = bytearray()
     async for chunk in request.stream():
         body += chunk
         if len(body) > LARGEST_JSON:
-            raise BodyTooLarge(f"the body has more than {LARGEST_JSON:,} bytes, which are enough for this request")
+            raise BodyTooLarge(f"the body has more than {LARGEST_JSON:,} bytes, the most that this request may have")
     if not body.strip():
         return {}
     try:
@@ -117,7 +120,7 @@ class _Part:
         return b"".join(self.pieces)
 
     def names(self) -> tuple[str, str | None]:
-        """(name, file name) as its Content-Disposition gives them."""
+        """(name, file name or None) of the part's Content-Disposition (RFC 7578, 4.2)."""
         kind, options = parse_options_header(self.headers.get("content-disposition"))
         if kind != b"form-data" or b"name" not in options:
             raise BadBody("malformed-body", "a part of the multipart body has no Content-Disposition with a name")
@@ -128,8 +131,8 @@ class _Part:
 class _Reader:
     """Collects parts from python-multipart's callbacks.
 
-    Starlette's own form parser would do, but it takes a body that breaks off for a whole one, and spools images
-    to files although the body is bounded already.
+    Starlette's form parser accepts a truncated body as complete, and spools images to files although the size of the
+    body is bounded already.
     """
 
     def __init__(self) -> None:
@@ -194,7 +197,7 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> S
             except UnicodeDecodeError:
                 errors.append(ParameterError(name, "is not UTF-8"))
     if not images:
-        # An image under another name is the likelier mistake, and its refusal names the part.
+        # Most likely the image was sent under another name: report that part rather than a missing image.
         if errors:
             raise InvalidParameters(errors)
         raise BadBody("no-picture", f"no part is named image; {_REMEDY}")

@@ -1,4 +1,4 @@
-"""Looking after what is enrolled, for the routes: the use-cases in threads, their results as answers."""
+"""Use-cases for views, images, maps and jobs: each runs in a thread, and its result becomes an answer."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -18,22 +18,22 @@ from worker.service.views import ViewService
 
 
 class Calls(Protocol):
-    """Remembers calls by their Idempotency-Key for 24 hours."""
+    """Remembers the answers to calls with an Idempotency-Key for 24 hours; `worker.storage.calls.Calls` is one."""
 
     def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
-        """Claim a key; the answer to repeat when the call has finished.
+        """Claim a key; returns the answer to repeat when the call with that key has finished, else None.
 
         Raises
         ------
         Conflict
-            The first call still runs.
+            The call with that key still runs.
         KeyReused
-            The key came with another fingerprint.
+            The key was used with another fingerprint.
         """
         ...
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:
-        """Remember the answer of a call."""
+        """Remember the answer to a call."""
         ...
 
     def abandon(self, key: str) -> None:
@@ -42,7 +42,7 @@ class Calls(Protocol):
 
 
 class Curator:
-    """Everything users do besides enrolling and querying.
+    """Everything a user does besides enrolling and querying.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Curator:
     maps : MapService
     jobs : JobService
     calls : Calls
-        Remembers repeated calls.
+        Answers of calls with an Idempotency-Key.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Curator:
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
-        """Replace what was said about a view by what `change` makes of it."""
+        """Replace the attributes of a view by `change` of them; the store does both in one transaction."""
         return presenters.labelled_view(await asyncio.to_thread(self._views.change, view_id, change))
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
@@ -89,7 +89,7 @@ class Curator:
         return presenters.removal(await asyncio.to_thread(self._views.delete, view_id))
 
     async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
-        """Remove the views of a map that fit."""
+        """Remove the views of a map that pass the filters."""
         return presenters.removal(await asyncio.to_thread(self._views.delete_matching, map_name, filters))
 
     async def places(self, map_name: str | None, cursor: str | None, limit: int) -> wire.Places:
@@ -100,7 +100,7 @@ class Curator:
     # images
 
     async def image(self, view_id: str) -> tuple[bytes, str]:
-        """The enrolled bytes and their media type."""
+        """The enrolled bytes of a view's image, and their media type."""
         return await asyncio.to_thread(self._renderings.image, view_id)
 
     async def thumbnail(self, view_id: str, longest: int) -> bytes:
@@ -108,7 +108,7 @@ class Curator:
         return await asyncio.to_thread(self._renderings.thumbnail, view_id, longest)
 
     async def segmentation(self, view_id: str, overlay: bool) -> bytes:
-        """The label map as an indexed PNG, or blended over the photo."""
+        """The segmentation of a view as an indexed PNG, or blended over the photo."""
         return await asyncio.to_thread(partial(self._renderings.segmentation, overlay=overlay), view_id)
 
     async def graph(self, view_id: str) -> bytes:
@@ -116,11 +116,11 @@ class Curator:
         return await asyncio.to_thread(self._renderings.graph, view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
-        """Changes whenever an image made of the view would; `kind` names the image and its options."""
+        """An ETag that changes whenever the image does; `kind` names the image and its options."""
         return f'"{await asyncio.to_thread(self._renderings.version, view_id, kind)}"'
 
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
-        """Query and match side by side, with what agrees between them."""
+        """A PNG of query and match side by side, with the correspondences between them."""
         return await asyncio.to_thread(self._renderings.explanation, query_id, view_id)
 
     # maps
@@ -134,12 +134,12 @@ class Curator:
         return presenters.map_facts(await asyncio.to_thread(self._maps.get, name))
 
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
-        """Make a map, or give an empty one another recipe; returns it and whether it is new."""
+        """Make a map, or give an empty one another recipe; returns the map and whether it is new."""
         state, created = await asyncio.to_thread(self._maps.put, name, _wanted(wanted))
         return presenters.map_facts(state), created
 
     async def change_ranking(self, name: str, changes: Mapping[str, Any]) -> wire.MapFacts:
-        """Change some numbers of a map's ranking."""
+        """Change fields of a map's ranking config."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.change_ranking, name, changes))
 
     async def delete_map(self, name: str) -> wire.Deleted:
@@ -179,11 +179,11 @@ class Curator:
         return await asyncio.to_thread(self._calls.begin, key, fingerprint, datetime.now(UTC))
 
     async def end_call(self, key: str, replay: Replay) -> None:
-        """Remember a call's answer."""
+        """Remember the answer to a call; see `Calls.end`."""
         await asyncio.to_thread(self._calls.end, key, replay, datetime.now(UTC))
 
     async def abandon_call(self, key: str) -> None:
-        """Forget a call that failed."""
+        """Forget a call that failed; see `Calls.abandon`."""
         await asyncio.to_thread(self._calls.abandon, key)
 
 

@@ -1,4 +1,4 @@
-"""What a route is given: the use-cases, the metrics, and its parameters, checked."""
+"""Dependencies of the routes: the use-cases, the metrics, checked path and query parameters."""
 
 from typing import Annotated
 
@@ -52,7 +52,7 @@ async def _no_parameters(_: Annotated[NoParameters, Query()]) -> None: ...
 
 
 once_each = Depends(_once_each)
-"""For routes whose parameters FastAPI reads: one that is given twice is an error."""
+"""For routes whose parameters FastAPI reads: a repeated parameter is an error."""
 
 no_parameters = Depends(_no_parameters)
-"""For routes that take none: an unknown parameter is an error, not ignored."""
+"""For routes without parameters: an unknown parameter is an error instead of being ignored."""

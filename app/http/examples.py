@@ -1,4 +1,4 @@
-"""Examples for the API's documentation; tests hold them against the models and the table of problems."""
+"""Examples for the OpenAPI document; tests compare them with the models and the table of problems."""
 
 from typing import Any
 
@@ -90,23 +90,23 @@ QUERY_ANSWER: dict[str, Any] = {
 PATCH: dict[str, Any] = {"place": "library, east door", "position": {"heading": 95}, "metadata": {"camera": None}}
 
 PROBLEM_DETAILS: dict[str, str] = {
-    "no-picture": "the body is empty; send the picture as the multipart part `image`",
+    "no-picture": "the body is empty; send the image as the multipart part `image`",
     "malformed-body": "the multipart body breaks off before its closing boundary",
     "bad-request": "the request cannot be understood",
     "unauthorized": "this service needs a key",
     "forbidden": "the key reads the map 'campus' and may not write to it",
     "not-found": "there is no view '0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90'",
     "method-not-allowed": "/query does not answer GET",
-    "conflict": "these bytes are in the map already with the place 'hall'; PATCH the view to change what is said of it",
+    "conflict": "these bytes are in the map already with the place 'hall'; PATCH the view to change its attributes",
     "body-too-large": "the body has 31,457,280 bytes; at most 25,000,000 are taken",
-    "not-a-picture": "this seems to be a PDF; send a picture as jpeg, png, webp, bmp or tiff",
+    "not-a-picture": "this seems to be a PDF; send an image as jpeg, png, webp, bmp or tiff",
     "invalid-parameter": "top: Input should be less than or equal to 100 (got '500')",
-    "undecodable-picture": "this jpeg picture cannot be decoded: it ends before the picture does",
-    "picture-too-large": "the picture is 12000 x 9000 = 108.0 megapixels; at most 50 are taken",
-    "picture-too-small": "the picture is 31 x 32 pixels; at least 32 x 32 are needed",
-    "nothing-static": "every cell of the picture shows something that moves",
+    "undecodable-picture": "this jpeg image cannot be decoded: it ends before the image does",
+    "picture-too-large": "the image is 12000 x 9000 = 108.0 megapixels; at most 50 are taken",
+    "picture-too-small": "the image is 31 x 32 pixels; at least 32 x 32 are needed",
+    "nothing-static": "every cell of the image shows something that moves",
     "idempotency-key-reused": "this Idempotency-Key was used for another request",
-    "too-many-requests": "1000 pictures wait to be described, as many as are let in; try in 61 s",
+    "too-many-requests": "1000 images wait to be described, as many as are let in; try in 61 s",
     "internal": "something went wrong inside the service; its log has the reason under this request id",
     "unavailable": "the service is starting",
     "disk-full": "the disk is full; deleting and reading still work",

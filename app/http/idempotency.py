@@ -1,4 +1,4 @@
-"""Idempotency-Key: the same call twice does the work once, and answers twice the same."""
+"""Idempotency-Key: a repeated call is done once and gets the same answer again."""
 
 import hashlib
 import json
@@ -25,17 +25,17 @@ _KEPT_HEADERS = ("content-type", "location")
 
 
 def key_of(request: Request) -> str | None:
-    """The caller's key, if there is one; raises InvalidParameters."""
+    """The request's Idempotency-Key, None without one; raises InvalidParameters when it is repeated or malformed."""
     keys = request.headers.getlist(HEADER)
     if not keys:
         return None
     if len(keys) > 1 or not _KEY.fullmatch(keys[0]):
-        raise InvalidParameters.of(HEADER, "needs to be one word of 1 to 255 visible ASCII characters")
+        raise InvalidParameters.of(HEADER, "needs to be one value of 1 to 255 visible ASCII characters")
     return keys[0]
 
 
 def fingerprint(images: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:
-    """SHA-256 of the images, in their order, and the parameters, in any order."""
+    """SHA-256 (hexadecimal) over the images, in order, and the parameters, in any order."""
     whole = hashlib.sha256()
     for image in images:
         whole.update(hashlib.sha256(image).digest())
@@ -46,15 +46,26 @@ def fingerprint(images: Sequence[bytes], parameters: Sequence[tuple[str, str]]) 
 async def once(
     curator: Curator, request: Request, key: str, print_: str, work: Callable[[], Awaitable[Response]]
 ) -> Response:
-    """Do the work, unless this key has been answered: then answer the same again.
+    """Do the work, or repeat the answer that a call with this key got.
 
-    Refusals are answers too and are repeated; what is no fault of the request (429 and 5xx) is forgotten, so that
-    trying again helps.
+    4xx answers are repeated too; 429 and 5xx are forgotten, so that the caller can try again.
+
+    Parameters
+    ----------
+    curator : Curator
+        Keeps the answers.
+    request : Request
+    key : str
+        From `key_of`.
+    print_ : str
+        The request's `fingerprint`.
+    work : callable
+        Does the work and returns the answer.
 
     Raises
     ------
     Conflict
-        The first call still runs.
+        The call with this key still runs.
     KeyReused
         The key belongs to another request.
     """
@@ -76,6 +87,6 @@ async def once(
     try:
         await curator.end_call(key, Replay(response.status_code, kept, bytes(response.body)))
     except RevisitError as error:
-        # The work is done and durable; only its answer could not be remembered. Denying it now would be wrong.
+        # The work is done and durable; only its answer could not be remembered, so it is no failure.
         logger.warning("answer not remembered: %s", error, extra={"event": "answer_not_remembered"})
     return response

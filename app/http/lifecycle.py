@@ -1,4 +1,4 @@
-"""How the service is: starting, ready, stopping, and what it is made of."""
+"""The state of the service: starting, ready or stopping, and the versions of its parts."""
 
 import asyncio
 import platform
@@ -18,7 +18,7 @@ LIBRARIES = ("onnxruntime", "torch", "faiss-cpu", "numpy", "opencv-python-headle
 
 
 class Lifecycle:
-    """Starts and stops the house, and answers for it.
+    """Starts and stops the runtime, and reports its state.
 
     Parameters
     ----------
@@ -29,12 +29,12 @@ class Lifecycle:
         self._runtime = runtime
         self._started = False
         self._draining = False
-        # A thread of its own: the answer must come while every other one works.
-        self._thread = ThreadPoolExecutor(1, "revisit-condition")
+        # A thread of its own: the probes must be answered while all other threads are busy.
+        self._thread = ThreadPoolExecutor(1, "revisit-lifecycle")
 
     @property
     def started(self) -> bool:
-        """Whether the house has been opened."""
+        """Whether the runtime has started."""
         return self._started
 
     @property
@@ -43,18 +43,18 @@ class Lifecycle:
         return self._draining
 
     async def start(self) -> None:
-        """Open the house."""
+        """Start the runtime."""
         await asyncio.to_thread(self._runtime.start)
         self._started = True
 
     async def stop(self) -> None:
-        """Finish what is under way and close the house."""
+        """Finish the work under way and stop the runtime."""
         self._draining = True
         await asyncio.to_thread(self._runtime.stop)
         self._thread.shutdown()
 
     async def readiness(self) -> wire.Readiness:
-        """What can be done at this moment. A map that cannot be served is named; the others are served."""
+        """Checks of the database, the encoder, the worker, and of each map that cannot be served (the others are)."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._readiness)
 
     def _readiness(self) -> wire.Readiness:
@@ -75,11 +75,11 @@ class Lifecycle:
         return wire.Readiness(ready=all(state == "ok" for state in needed.values()), checks=needed | maps)
 
     async def queue_length(self) -> int:
-        """Pictures that wait to be described."""
+        """Number of images that wait to be described."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._runtime.store.jobs.count_waiting)
 
     async def version(self) -> wire.Version:
-        """What is running."""
+        """Versions of the service, its encoder and its libraries."""
         runtime = self._runtime
         return wire.Version(
             version=VERSION,
@@ -94,5 +94,5 @@ class Lifecycle:
 
 @cache
 def _installed() -> dict[str, str]:
-    """Versions of the libraries; read from disk, so only once."""
+    """Versions of the libraries, read from disk once."""
     return {name: version(name) for name in LIBRARIES}

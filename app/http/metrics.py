@@ -1,4 +1,4 @@
-"""What `/metrics` tells Prometheus; every service has its own registry, so that several fit into one process."""
+"""The metrics of `/metrics`; each service has a registry of its own, so that several fit into one process."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from schemas.wire import MapFacts
 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 
-# From a cached answer to a batch of large pictures on a slow machine.
+# Bounds of the buckets: from a cached answer to a batch of large images on a slow machine.
 _SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
 
 
@@ -35,22 +35,22 @@ class Metrics:
             buckets=_SECONDS,
             registry=self._registry,
         )
-        self._queue = Gauge("revisit_queue_length", "Pictures waiting to be described.", registry=self._registry)
+        self._queue = Gauge("revisit_queue_length", "Images waiting to be described.", registry=self._registry)
         self._views = Gauge("revisit_views", "Views of each map by state.", ["map", "state"], registry=self._registry)
         self._revisions = Gauge("revisit_map_revision", "Revision of each map.", ["map"], registry=self._registry)
 
     def answered(self, method: str, route: str, status: int, seconds: float) -> None:
-        """Count a request; `route` is the template, so that ids do not become labels."""
+        """Count a request; `route` is its template, so that ids do not become labels."""
         self._requests.labels(method, route, str(status)).inc()
         self._seconds.labels(method, route).observe(seconds)
 
     def stages(self, operation: str, timing_ms: Mapping[str, float]) -> None:
-        """Record the stage times of an answer."""
+        """Record the time of each stage of an answer, in ms."""
         for stage, milliseconds in timing_ms.items():
             self._stages.labels(operation, stage).observe(milliseconds / 1000)
 
     def state(self, queue_length: int, maps: list[MapFacts]) -> None:
-        """Record what is there now; maps that are gone disappear."""
+        """Set the gauges; maps that no longer exist disappear."""
         self._queue.set(queue_length)
         self._views.clear()
         self._revisions.clear()
@@ -60,5 +60,5 @@ class Metrics:
                 self._views.labels(facts.name, state).set(count)
 
     def text(self) -> bytes:
-        """All of it in Prometheus's text format."""
+        """All metrics in Prometheus's text format."""
         return generate_latest(self._registry)

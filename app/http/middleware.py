@@ -1,4 +1,4 @@
-"""What happens to every request around its route: an id, a limit, a log line, a count. Pure ASGI, nothing buffered."""
+"""Middleware around every route: request id, access log, metrics, readiness, size of the body. ASGI, no buffering."""
 
 import logging
 import re
@@ -22,14 +22,14 @@ _SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 ALWAYS_OPEN = frozenset({"/livez", "/readyz", "/metrics"})
-"""Addresses that answer while the service starts and stops: they are how one learns that it does."""
+"""Paths that answer while the service starts and stops, so that supervisors can watch it."""
 
 STARTING_RETRY_S = 2
 DRAINING_RETRY_S = 10
 
 
 class RequestContext:
-    """Outermost: gives the request its id, logs and counts its answer, and turns what nobody caught into a 500."""
+    """Outermost: gives each request an id, logs and counts its answer, and answers 500 to uncaught exceptions."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
         self._app = app
@@ -52,7 +52,7 @@ class RequestContext:
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-Id"] = request_id
-                # A browser must not take an enrolled image for a page.
+                # A browser must not interpret an enrolled image as a page.
                 headers["X-Content-Type-Options"] = "nosniff"
             await send(message)
 
@@ -63,7 +63,7 @@ class RequestContext:
             if status == 0:
                 await response(scope, receive, send_with_id)
             else:
-                # The status line is out: breaking the connection is the only way left to say that it was no success.
+                # The status line is sent: only breaking the connection can still tell the client of the failure.
                 raise
         finally:
             self._record(scope, request_id, status, time.perf_counter() - begin)
@@ -73,7 +73,7 @@ class RequestContext:
         template = getattr(route, "path", "unmatched")
         method = scope["method"] if scope["method"] in _METHODS else "other"
         self._metrics.answered(method, template, status, seconds)
-        # The path without its query: positions and metadata are nobody's business but the caller's.
+        # The path without its query string: positions and metadata are private to the caller.
         access.info(
             "%s %s %d",
             method,
@@ -113,7 +113,7 @@ class ReadinessGate:
 
 
 class BodyLimit:
-    """Refuses bodies that are too large: by Content-Length before a byte is read, else as soon as it shows."""
+    """Refuses bodies of more than `max_bytes`: by Content-Length before reading, else while reading."""
 
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
         self._app = app
@@ -128,26 +128,26 @@ class BodyLimit:
         if announced.isdigit() and int(announced) > self._max_bytes:
             await _refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
             return
-        description = 0
+        received = 0
 
         async def receive_counted() -> Message:
-            nonlocal description
+            nonlocal received
             message = await receive()
             if message["type"] == "http.request":
-                description += len(message.get("body", b""))
-                if description > self._max_bytes:
-                    # Raised where the route reads its body, so that it becomes an answer like any other refusal.
+                received += len(message.get("body", b""))
+                if received > self._max_bytes:
+                    # Raised inside the route that reads the body, so that it is answered like any other refusal.
                     raise self._too_large(f"more than {self._max_bytes:,}")
             return message
 
         await self._app(scope, receive_counted, send)
 
-    def _too_large(self, description: str) -> BodyTooLarge:
-        return BodyTooLarge(f"the body has {description} bytes; at most {self._max_bytes:,} are taken")
+    def _too_large(self, size: str) -> BodyTooLarge:
+        return BodyTooLarge(f"the body has {size} bytes; at most {self._max_bytes:,} are taken")
 
 
 async def _refuse(error: BodyTooLarge | Unavailable, scope: Scope, receive: Receive, send: Send) -> None:
     response: Response = problem_of(error, Request(scope).state.request_id)
-    # The body was not read, so the connection cannot carry another request.
+    # The body is unread, so the connection cannot carry another request.
     response.headers["Connection"] = "close"
     await response(scope, receive, send)

@@ -1,4 +1,4 @@
-"""The OpenAPI document says what is really sent: parameters from their models, bodies, problems, examples."""
+"""Corrects FastAPI's OpenAPI document: parameters from their models, bodies, problems, examples."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ _REF = "#/components/schemas/"
 _IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
 _EVERYWHERE = ("invalid-parameter", "internal")
 
-DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later ask with a photo.
+DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later query with a photo.
 
 Send images as the multipart part `image`, or as the raw body with their content type; parameters are multipart
 parts or query parameters, by the same names. Unknown parameters are errors. Every error is `application/problem+json`.
@@ -27,10 +27,12 @@ Every answer carries `X-Request-Id`."""
 
 
 def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
-    """The `responses` of a route that may answer these problems, besides those that every route may.
+    """The `responses` of a route: these problems, and those of every route.
 
     Parameters
     ----------
+    *codes : str
+        Keys of `app.http.problems.KINDS`.
     always_open : bool
         The route answers while the service starts and stops.
     """
@@ -70,7 +72,7 @@ def _example(code: str) -> Json:
 def takes_images(model: type[Parameters], *, several: bool, headers: list[Json] | None = None) -> Json:
     """`openapi_extra` of a route that takes images, as multipart or as the raw body.
 
-    Its parameters are parts or stand in the URL; FastAPI documents one or the other only.
+    Each parameter may be a part or stand in the URL; FastAPI can document only one of the two.
     """
     single: Json = {"type": "string", "format": "binary", "description": "JPEG, PNG, WebP, BMP or TIFF."}
     image: Json = {"type": "array", "items": single, "minItems": 1} if several else single
@@ -114,18 +116,18 @@ def answers_bytes(*media_types: str, description: str, etag: bool = False) -> di
     responses: dict[int | str, Json] = {200: {"description": description, "content": content}}
     if etag:
         responses[200]["headers"] = {"ETag": {"schema": {"type": "string"}, "required": True}}
-        responses[304] = {"description": "The caller's copy (`If-None-Match`) is still right."}
+        responses[304] = {"description": "The caller's copy (`If-None-Match`) is current."}
     return responses
 
 
 def _fields(model: type[Parameters]) -> dict[str, Json]:
-    """The schema of each parameter a client can give."""
+    """The schema of each parameter of a model."""
     schemas: dict[str, Json] = model.model_json_schema()["properties"]
     return {name: _plain(schema) for name, schema in schemas.items()}
 
 
 def _plain(schema: Json) -> Json:
-    """Without what text on the wire cannot be: null."""
+    """A schema without title, null and empty defaults: parameters are text and cannot be null."""
     plain = {key: value for key, value in schema.items() if key != "title"}
     branches = [b for b in plain.pop("anyOf", []) if b != {"type": "null"}]
     if branches:
@@ -136,14 +138,14 @@ def _plain(schema: Json) -> Json:
 
 
 def _described(parameter: Json) -> Json:
-    """A parameter object with a plain schema, and its description beside that."""
+    """A parameter object with a plain schema; the description stands beside the schema."""
     schema = _plain(parameter["schema"])
     description = schema.pop("description", None) or parameter["description"]
     return {"required": False, **parameter, "description": description, "schema": schema}
 
 
 def document(app: FastAPI) -> Json:
-    """The whole document; made once."""
+    """The OpenAPI document of the application; made once."""
     if app.openapi_schema is None:
         whole = get_openapi(
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
@@ -154,7 +156,7 @@ def document(app: FastAPI) -> Json:
         for operation in (one for methods in whole["paths"].values() for one in methods.values()):
             if "parameters" in operation:
                 operation["parameters"] = [_described(parameter) for parameter in operation["parameters"]]
-        # FastAPI's own shape of validation errors is never sent.
+        # FastAPI's own validation errors are never sent.
         schemas.pop("HTTPValidationError", None)
         schemas.pop("ValidationError", None)
         app.openapi_schema = whole

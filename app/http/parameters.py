@@ -1,4 +1,4 @@
-"""What may be said beside an image, and asked of a list: one model per request."""
+"""Parameters of requests without a JSON body: one model per route."""
 
 from collections.abc import Mapping
 from datetime import datetime, timedelta
@@ -12,13 +12,13 @@ from schemas.errors import ParameterError
 from schemas.records import Filters, Position, ViewAttributes
 
 METADATA_FILTER = "metadata.KEY"
-"""How the document names the filters by metadata, of which there may be several."""
+"""Name of the metadata filters in the OpenAPI document; KEY stands for any key."""
 
 _METADATA = "metadata."
 
 
 def _text(**schema: object) -> WithJsonSchema:
-    """OpenAPI of a value that is text on the wire."""
+    """OpenAPI schema of a value that is written as text."""
     return WithJsonSchema({"type": "string", **schema})
 
 
@@ -32,11 +32,11 @@ Metadata = Annotated[
 
 
 class NoParameters(Parameters):
-    """Of addresses that take none."""
+    """Parameters of routes that take none."""
 
 
 def _contradicting_positions(given: Mapping[str, Any]) -> list[ParameterError]:
-    """Half a position, or two frames; looks at which parameters are there, not at their values."""
+    """Mistakes of incomplete positions and of two frames at once; judged by the names alone."""
     metric = [name for name in ("x", "y", "z") if name in given]
     geographic = [name for name in ("lat", "lon", "alt") if name in given]
     if metric and geographic:
@@ -66,7 +66,7 @@ class PositionParameters(Parameters):
 
     @classmethod
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
-        """Half a position, or two frames."""
+        """Mistakes of incomplete positions and of two frames at once."""
         return _contradicting_positions(given)
 
     def position(self) -> Position:
@@ -75,50 +75,50 @@ class PositionParameters(Parameters):
 
 
 class EnrollParameters(PositionParameters):
-    """Of `POST /enroll`."""
+    """Parameters of `POST /enroll`."""
 
     map: MapName = "default"
-    place: PlaceName | None = Field(None, description="Your own name for the spot; many views may share it.")
+    place: PlaceName | None = Field(None, description="Your own name for the place; many views may share it.")
     captured_at: Time | None = Field(None, description="When the image was taken, RFC 3339 with zone.")
     metadata: Metadata = Field(
         default_factory=dict, description="A JSON object that is kept with the view; at most 16 KB, 8 levels."
     )
-    wait: bool = Field(True, description="Answer when the view is searchable; false: when it is durable.")
+    wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")
 
     def attributes(self) -> ViewAttributes:
-        """What the user said about the view."""
+        """The view's attributes as a record."""
         return ViewAttributes(self.place, self.position(), self.captured_at, self.metadata)
 
 
 class FilterParameters(Parameters):
-    """Which views a query or a list is about; together with ``metadata.KEY=VALUE``."""
+    """Filters of views, for queries and lists; with any number of ``metadata.KEY=VALUE``."""
 
     near: Annotated[
         tuple[float, float, float], BeforeValidator(values.near), _text(examples=["12.5,3.0,20"])
     ] | None = Field(
         None, description="x,y,radius in metres: views within the radius; with frame=geo lat,lon,radius."
     )  # fmt: skip
-    frame: Literal["map", "geo"] = Field("map", description="What `near` is given in.")
+    frame: Literal["map", "geo"] = Field("map", description="Frame of `near`: metres in the map's frame, or degrees.")
     after: Time | None = Field(None, description="Views captured at this time or later.")
     before: Time | None = Field(None, description="Views captured at this time or earlier.")
     place: PlaceName | None = Field(None, description="Views of this place.")
     exclude_last: Annotated[
         int | timedelta, BeforeValidator(values.exclude_last), _text(examples=["10", "30s"])
     ] | None = Field(
-        None, description="Not the newest N views, or not those of the last seconds (30s): for loop closure."
+        None, description="Without the newest N views, or without those of the last seconds (30s): for loop closure."
     )  # fmt: skip
     exclude: Annotated[tuple[str, ...], BeforeValidator(values.identifiers), _text()] = Field(
-        (), description="Ids with commas between."
+        (), description="Ids of views to leave out, with commas between."
     )
     metadata: Annotated[dict[str, str], _text()] = Field(
         default_factory=dict,
         validation_alias=METADATA_FILTER,
-        description="Views whose metadata has this value under KEY, as text; may be given for several keys.",
+        description="Views whose metadata has this value under KEY, compared as text; several keys may be given.",
     )
 
     @classmethod
     def gathered(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """``metadata.KEY=VALUE`` of all keys as one field, and text where FastAPI makes a list for a tuple."""
+        """Join all ``metadata.KEY=VALUE`` into one field; undo the lists that FastAPI makes for fields of tuples."""
         flat = {name: text[-1] if isinstance(text, list) else text for name, text in given.items()}
         keys = [name for name in flat if name.startswith(_METADATA) and name != _METADATA]
         filters = {name.removeprefix(_METADATA): flat.pop(name) for name in keys}
@@ -126,13 +126,13 @@ class FilterParameters(Parameters):
 
     @classmethod
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
-        """A centre that is no place on Earth, and a time span that ends before it begins."""
+        """Mistakes: degrees out of range, `frame` without `near`, a time span that ends before it begins."""
         found = []
         if given.get("frame") == "geo" and "near" in given:
             try:
                 latitude, longitude, _ = values.near(given["near"])
             except ValueError:
-                pass  # its own validator says so
+                pass  # reported by the field's own validator
             else:
                 if abs(latitude) > 90 or abs(longitude) > 180:
                     found.append(ParameterError("near", "needs a latitude within ±90 and a longitude within ±180"))
@@ -160,7 +160,7 @@ class FilterParameters(Parameters):
 
 
 class QueryParameters(FilterParameters):
-    """Of `POST /query`."""
+    """Parameters of `POST /query`."""
 
     map: MapName = "default"
     top: int = Field(5, ge=1, le=100, description="How many matches at most.")
@@ -168,13 +168,13 @@ class QueryParameters(FilterParameters):
         None,
         ge=0,
         le=500,
-        description="How many of each channel are re-ranked; 0: histograms alone. Default: the map's.",
+        description="Candidates of each channel to re-rank; 0: rank by histograms alone. Default: the map's.",
     )
-    explain: bool = Field(False, description="Say and draw which regions and local features matched.")
+    explain: bool = Field(False, description="List and draw the regions and local features that matched.")
 
 
 class ListViews(FilterParameters):
-    """Of `GET /views`."""
+    """Parameters of `GET /views`."""
 
     map: MapName | None = None
     state: Literal["pending", "ready", "failed"] | None = Field(None, description="Only views in this state.")
@@ -184,14 +184,14 @@ class ListViews(FilterParameters):
 
 
 class DeleteViews(FilterParameters):
-    """Of `DELETE /views`: a map and at least one filter, so that a typing mistake empties nothing."""
+    """Parameters of `DELETE /views`: a map, and a filter or all=true, so that a typing mistake empties nothing."""
 
     map: MapName
     all: bool = Field(False, description="All views of the map, instead of filters.")
 
     @classmethod
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
-        """Neither a filter nor all=true, or both."""
+        """Mistakes: neither a filter nor all=true, or both."""
         found = super().contradictions(given)
         everything = str(given.get("all", "")).lower() in ("1", "true", "yes", "on", "t", "y")
         filtered = any(given.get(name) for name in given if name not in ("map", "all", "frame"))
@@ -203,7 +203,7 @@ class DeleteViews(FilterParameters):
 
 
 class ListJobs(Parameters):
-    """Of `GET /jobs`."""
+    """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
     kind: Literal["describe", "recipe", "vocabulary"] | None = Field(None, description="Only jobs of this kind.")
@@ -215,7 +215,7 @@ class ListJobs(Parameters):
 
 
 class ListPlaces(Parameters):
-    """Of `GET /places`."""
+    """Parameters of `GET /places`."""
 
     map: MapName | None = None
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
@@ -223,27 +223,27 @@ class ListPlaces(Parameters):
 
 
 class ThumbnailParameters(Parameters):
-    """Of `GET /views/{id}/thumbnail`."""
+    """Parameters of `GET /views/{id}/thumbnail`."""
 
-    size: int = Field(256, ge=16, le=1024, description="Pixels of the longer side.")
+    size: int = Field(256, ge=16, le=1024, description="Longer side in pixels.")
 
 
 class SegmentationParameters(Parameters):
-    """Of `GET /views/{id}/segmentation.png`."""
+    """Parameters of `GET /views/{id}/segmentation.png`."""
 
-    overlay: bool = Field(False, description="Blend the colours over the photo and grey what moves.")
+    overlay: bool = Field(False, description="Blend the colours over the photo, with dynamic labels in grey.")
 
 
 class ExplanationParameters(Parameters):
-    """Of `GET /queries/{id}/explanation.png`."""
+    """Parameters of `GET /queries/{id}/explanation.png`."""
 
     view: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,64}$")] | None = Field(
-        None, description="Which match to explain; the best one when not given."
+        None, description="View id of the match to explain. Default: the best match."
     )
 
 
 class AttributesDocument(PositionParameters):
-    """What was said about a view, after `PATCH /views/{id}` was merged into it."""
+    """The attributes of a view after the merge patch of `PATCH /views/{id}`."""
 
     model_config = ConfigDict(strict=True)
 
@@ -252,5 +252,5 @@ class AttributesDocument(PositionParameters):
     metadata: Annotated[dict[str, Any], BeforeValidator(values.metadata)] = Field(default_factory=dict)
 
     def attributes(self) -> ViewAttributes:
-        """As a record."""
+        """The attributes as a record."""
         return ViewAttributes(self.place, self.position(), self.captured_at, self.metadata)

@@ -1,4 +1,4 @@
-"""Domain objects to answers: what the use-cases give, as it travels."""
+"""Turns the results of the use-cases into the models of `schemas.wire`."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -22,20 +22,20 @@ from worker.service.views import LabelledView
 
 
 def position(position: Position) -> wire.Position | None:
-    """A position, or None when nothing was said."""
+    """A position; None when all its fields are None."""
     if all(value is None for value in asdict(position).values()):
         return None
     return wire.Position(**asdict(position))
 
 
 def label_shares(shares: Floats, labels: Sequence[str]) -> list[wire.LabelShare]:
-    """The labels that are present, largest share first."""
+    """Labels with a share above 0, largest first; `shares` is (n_labels,), 0 to 1."""
     present = [wire.LabelShare(label=w, share=float(s)) for w, s in zip(labels, shares, strict=True) if s > 0]
     return sorted(present, key=lambda entry: -entry.share)
 
 
 def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
-    """A view; `labels` is the label set of the map's recipe."""
+    """A view; `labels` are those of the map's recipe."""
     description = record.description
     base = f"/views/{record.id}"
     return wire.View(
@@ -77,7 +77,7 @@ def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
 
 
 def failure(reason: tuple[str, str] | None) -> wire.Failure | None:
-    """A reason for failing, if there is one."""
+    """A failure from (code, detail)."""
     return None if reason is None else wire.Failure(code=reason[0], detail=reason[1])
 
 
@@ -104,12 +104,12 @@ def job(record: JobRecord) -> wire.Job:
 
 
 def removal(receipt: Removal) -> wire.Deleted:
-    """The receipt of a deletion."""
+    """What a deletion removed."""
     return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision)
 
 
 def map_facts(state: MapState) -> wire.MapFacts:
-    """A map."""
+    """A map: counts, both halves of its recipe, labels, vocabulary, extent."""
     record, counts = state.record, state.counts
     recipe, ranking = record.description, record.ranking
     lowest, highest = position(counts.lowest), position(counts.highest)
@@ -144,18 +144,18 @@ def map_facts(state: MapState) -> wire.MapFacts:
 
 
 def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
-    """A place: (map, name, views, mean position, last enrolment)."""
+    """A place, from (map, name, number of views, mean position, time of the last enrolment)."""
     map_name, name, views, mean, last = row
     return wire.Place(map=map_name, place=name, views=views, position=position(mean), last_enrolled_at=last)
 
 
 def labelled_view(labelled: LabelledView) -> wire.View:
-    """A view with the label set of its map."""
+    """A view, with the labels of its map's recipe."""
     return view(labelled.record, labelled.labels)
 
 
 def enrolled(outcome: Enrolled) -> wire.Enrolled:
-    """What came of an image."""
+    """The result of enrolling one image."""
     return wire.Enrolled(
         view=view(outcome.view, outcome.labels),
         created=outcome.created,
@@ -203,7 +203,7 @@ def match(
     query_graph: ContextGraph,
     explained: str | None,
 ) -> wire.Match:
-    """One match; `explained` is the query's id when its explanation is kept."""
+    """One match; `explained` is the query's id when an explanation is kept, else None."""
     base = f"/views/{found.view.id}"
     explanation = None if explained is None else f"/queries/{explained}/explanation.png?view={found.view.id}"
     return wire.Match(
@@ -256,7 +256,7 @@ def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
 
 
 def estimate(found: Sequence[ScoredView], decision: Decision) -> wire.Estimate | None:
-    """Where the query was taken, unless nothing matched or the best match has no position."""
+    """The estimated position of the query; None without a match or when the best match has no position."""
     if decision.status == "no_match":
         return None
     fix = locate([f.view.attributes.position for f in found], decision.confidences)

@@ -1,4 +1,4 @@
-"""Every refusal as RFC 9457 problem+json: one table, one shape, no stack traces."""
+"""Errors as RFC 9457 problem+json: the table of problem types, and the handlers that answer them."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ class Kind:
     status : int
         HTTP status.
     title : str
-        The same for every problem of this kind.
+        Short summary, the same for every problem of this kind.
     remedy : str
         What the caller can do; docs/errors.md says the same.
     """
@@ -40,40 +40,38 @@ class Kind:
 
 
 KINDS: Mapping[str, Kind] = {
-    "no-picture": Kind(400, "No picture was sent", "Send the picture as the multipart part `image` or as the body."),
-    "malformed-body": Kind(
-        400, "The body cannot be taken apart", "Let an HTTP library write the body, and send all of it."
-    ),
+    "no-picture": Kind(400, "No image was sent", "Send the image as the multipart part `image` or as the body."),
+    "malformed-body": Kind(400, "The body cannot be parsed", "Let an HTTP library write the body, and send all of it."),
     "bad-request": Kind(400, "The request cannot be understood", "Compare it with /docs."),
     "unauthorized": Kind(401, "A key is needed", "Send a valid key."),
-    "forbidden": Kind(403, "The key does not open this", "Use a key with the needed scope and map."),
+    "forbidden": Kind(403, "The key does not allow this", "Use a key with the needed scope and map."),
     "not-found": Kind(404, "There is no such thing", "Check the id or name; `GET /maps` and `GET /views` list them."),
     "method-not-allowed": Kind(405, "The address does not answer this method", "Use a method that `Allow` names."),
-    "conflict": Kind(409, "It contradicts what is there or under way", "Wait for the other call, or follow `detail`."),
-    "body-too-large": Kind(413, "The body is too large", "Send fewer or smaller pictures; JPEG is compact."),
+    "conflict": Kind(
+        409, "It contradicts the present state or work under way", "Wait for the other call, or follow `detail`."
+    ),
+    "body-too-large": Kind(413, "The body is too large", "Send fewer or smaller images; JPEG is compact."),
     "not-a-picture": Kind(
-        415, "This is not a picture of an accepted type", "Send JPEG, PNG, WebP, BMP or TIFF with its content type."
+        415, "This is not an image of an accepted type", "Send JPEG, PNG, WebP, BMP or TIFF with its content type."
     ),
     "invalid-parameter": Kind(422, "Parameters cannot be used", "Correct each parameter that `errors` lists."),
     "undecodable-picture": Kind(
-        422, "The picture is truncated or corrupt", "Send the whole file; open it elsewhere to see whether it is sound."
+        422, "The image is truncated or corrupt", "Send the whole file; open it elsewhere to see whether it is sound."
     ),
-    "picture-too-large": Kind(422, "The picture has too many pixels", "Scale it down; 1280 pixels a side are plenty."),
-    "picture-too-small": Kind(422, "The picture has too few pixels", "Send at least 32 x 32 pixels."),
+    "picture-too-large": Kind(422, "The image has too many pixels", "Scale it down; 1280 pixels a side are plenty."),
+    "picture-too-small": Kind(422, "The image has too few pixels", "Send at least 32 x 32 pixels."),
     "nothing-static": Kind(
-        422, "Everything in the picture moves", "Take the picture again when less is in the way, or change `dynamic`."
+        422, "The image shows dynamic labels only", "Take the photo again when less is in the way, or change `dynamic`."
     ),
     "idempotency-key-reused": Kind(
         422, "The Idempotency-Key belongs to another request", "Use a new key for every new request."
     ),
-    "too-many-requests": Kind(429, "More is waiting than can be taken on", "Try again after `Retry-After` seconds."),
-    "internal": Kind(
-        500, "The service made a mistake", "Try again; report it with the request id, which the log has too."
-    ),
+    "too-many-requests": Kind(429, "Too many requests are waiting", "Try again after `Retry-After` seconds."),
+    "internal": Kind(500, "The service failed", "Try again; report it with the request id, which the log has too."),
     "unavailable": Kind(503, "The service is starting or stopping", "Try again after `Retry-After` seconds."),
-    "disk-full": Kind(507, "Nothing more can be written", "Free space or delete views; reading and deleting work."),
+    "disk-full": Kind(507, "The disk is full", "Free space or delete views; reading and deleting still work."),
 }
-"""All codes that a client can see."""
+"""All problem types by their codes."""
 
 _OF_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
 
@@ -93,7 +91,7 @@ def problem(
     errors: Sequence[ParameterError] = (),
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """An answer of one kind of problem."""
+    """The answer for a problem of one kind; `code` is a key of `KINDS`."""
     kind = KINDS[code]
     body = Problem(
         type=URN + code,
@@ -107,15 +105,15 @@ def problem(
 
 
 def code_of(error: RevisitError) -> str:
-    """The code that a client sees: refusals that concern no client are `internal`."""
+    """The code that a client gets for an error; codes that are not in `KINDS` become `internal`."""
     if isinstance(error, SetupError):
-        # Once the service runs, only a map is set up wrongly: its recipe needs another encoder or a lost vocabulary.
+        # While the service runs, this concerns one map: its recipe needs another encoder or a vocabulary that is lost.
         return "conflict"
     return error.code if error.code in KINDS else "internal"
 
 
 def problem_of(error: RevisitError, request_id: str) -> Response:
-    """A refusal as an answer; what should never have reached a client is logged and becomes `internal`."""
+    """The answer for an error; an `internal` one is logged with its traceback."""
     code = code_of(error)
     if code == "internal":
         return internal(error, request_id)
@@ -125,7 +123,7 @@ def problem_of(error: RevisitError, request_id: str) -> Response:
 
 
 def internal(error: BaseException, request_id: str) -> Response:
-    """A mistake of ours: the log gets the traceback, the client the request id."""
+    """The answer 500: the log gets the traceback, the client the request id."""
     logger.error(
         "request failed",
         exc_info=(type(error), error, error.__traceback__),
@@ -140,7 +138,7 @@ async def _refused(request: Request, error: Exception) -> Response:
 
 
 async def _http(request: Request, error: Exception) -> Response:
-    """What the framework refuses by itself: unknown addresses and methods."""
+    """Answer what the framework refuses: unknown paths and methods."""
     assert isinstance(error, HTTPException)
     code = _OF_STATUS.get(error.status_code, "bad-request")
     if error.status_code >= 500:
@@ -159,12 +157,12 @@ async def _invalid(request: Request, error: Exception) -> Response:
 
 
 async def _broken_off(request: Request, error: Exception) -> Response:
-    # Nobody is there to read it, but the access log and the metrics count it as the client's, not as ours.
+    # The client is gone, but the access log and the metrics count it as a 400 and not as a 500.
     return problem_of(BadBody("malformed-body", "the connection closed before the body ended"), request_id(request))
 
 
 def install(app: FastAPI) -> None:
-    """Answer every refusal with a problem; `app.http.middleware` does it for exceptions that are no refusals."""
+    """Register the handlers; `app.http.middleware.RequestContext` answers all other exceptions."""
     app.add_exception_handler(RevisitError, _refused)
     app.add_exception_handler(HTTPException, _http)
     app.add_exception_handler(RequestValidationError, _invalid)

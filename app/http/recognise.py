@@ -1,4 +1,4 @@
-"""Enrolling and querying, for the routes: the use-cases in threads, their results as answers."""
+"""Enrolling and querying: the use-cases run in threads, and their results become answers."""
 
 import asyncio
 import time
@@ -17,14 +17,14 @@ from worker.service.query import QueryService
 from worker.service.settlements import Settlements
 
 PATIENCE_S = 120.0
-"""How long an enrolment waits for its description before it answers as if it had been told not to wait."""
+"""Seconds that an enrolment waits for its description before it answers as with ``wait=false``."""
 
 SEARCHING = 8
-"""Queries that may be searched while as many as are let in wait for the encoder."""
+"""Threads for queries that search, beside one for each query that may wait for the encoder."""
 
 
 class Recogniser:
-    """What revisit is for.
+    """Enrols images and answers queries.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Recogniser:
     query : QueryService
     settlements : Settlements
     queries : int
-        Queries that may wait for the encoder: each waits in a thread of its own.
+        Most queries that may wait for the encoder; each waits in a thread of its own.
     """
 
     def __init__(self, enroll: EnrollService, query: QueryService, settlements: Settlements, queries: int) -> None:
@@ -48,16 +48,16 @@ class Recogniser:
         ----------
         images : sequence of (file name or None, bytes)
         map_name : str
-            Made when there is none.
+            The map is made when there is none of this name.
         attributes : ViewAttributes
         wait : bool
-            False answers as soon as the images are durable.
+            Whether to wait until the views are described; otherwise return once the images are durable.
 
         Returns
         -------
         list
-            For each image, in order, what came of it or why it was refused. A refused image left nothing behind,
-            except one without static content: it is kept, `failed`.
+            For each image, in order, its view or the error. A refused image leaves nothing behind, except one without
+            static cells, which is kept as a `failed` view.
         """
         accepted = [await self._submit(data, map_name, attributes) for _, data in images]
         return [one if isinstance(one, RevisitError) else await self._outcome(one, wait) for one in accepted]
@@ -90,7 +90,7 @@ class Recogniser:
         filters: Filters,
         explain: bool,
     ) -> wire.QueryAnswer:
-        """Which views of a map show the place of an image; raises as `QueryService.query`."""
+        """Rank the views of a map that may show the place of an image; raises as `QueryService.query`."""
         query = partial(
             self._query.query, image, map_name, top=top, candidates=candidates, filters=filters, explain=explain
         )

@@ -1,4 +1,4 @@
-"""The use-cases of one house, for the routes."""
+"""What the routes share: the use-cases of one runtime."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Service:
-    """What the routes are given.
+    """The use-cases of one runtime, its lifecycle and its settings.
 
     Parameters
     ----------
     recogniser : Recogniser
-        Enrols and answers.
+        Enrols images and answers queries.
     curator : Curator
-        Looks after what is enrolled.
+        Views, images, maps, jobs.
     lifecycle : Lifecycle
-        Starts, stops, and says how the service is.
+        Starts and stops the runtime, and reports its state.
     settings : Settings
     """
 

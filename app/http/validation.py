@@ -1,7 +1,7 @@
-"""Makes models of parameters, and lists every mistake at once, in our words.
+"""Validates parameters with pydantic and reports all mistakes at once.
 
-FastAPI does it for routes whose parameters stand in the URL (`Annotated[ListViews, Query()]`), `read` for those that
-take them as multipart parts too, `validated` for JSON.
+FastAPI validates routes whose parameters stand in the URL (`Annotated[ListViews, Query()]`), `read` those that take
+them as multipart parts too, `validated` JSON.
 """
 
 from collections import Counter
@@ -17,24 +17,24 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Parameters(BaseModel):
-    """Base of all: what is not declared is refused, and every mistake is listed."""
+    """Base of all parameter models: undeclared parameters are refused, and every mistake is listed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @classmethod
     def gathered(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """What was written, by the names of the fields."""
+        """The parameters renamed to the fields of the model; for subclasses to override."""
         return given
 
     @classmethod
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
-        """What parameters that may each be fine say against one another."""
+        """Mistakes between parameters that are each valid; for subclasses to override."""
         return []
 
     @model_validator(mode="wrap")
     @classmethod
     def _all_mistakes(cls, given: Mapping[str, Any], handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Mistakes of fields and contradictions between them together; pydantic alone would stop after the first."""
+        """Report mistakes of fields together with `contradictions`; pydantic would skip these when a field is wrong."""
         given = cls.gathered(given)
         errors: list[ParameterError] = []
         made: Self | None = None
@@ -51,7 +51,7 @@ class Parameters(BaseModel):
 class OnceEach(BaseModel):
     """Refuses repeated parameters.
 
-    FastAPI gives the fields of a model the last of repeated values; what is no field it gives as a list of all of them.
+    FastAPI gives a declared field the last of its repeated values, and undeclared ones as a list of all values.
     """
 
     @model_validator(mode="before")
@@ -63,12 +63,12 @@ class OnceEach(BaseModel):
 
 
 def read(model: type[M], pairs: Iterable[tuple[str, str]], already: Sequence[ParameterError] = ()) -> M:
-    """Make a model of parameters as they were written.
+    """Make a model from (name, value) pairs of text.
 
     Parameters
     ----------
     already : sequence of ParameterError
-        Mistakes found while the request was taken apart; they are listed with the others.
+        Mistakes found while the request was parsed; they are reported with the others.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def read(model: type[M], pairs: Iterable[tuple[str, str]], already: Sequence[Par
 def validated(
     model: type[M], given: Mapping[str, Any], already: Sequence[ParameterError] = (), *, strict: bool | None = None
 ) -> M:
-    """Make a model of values; raises InvalidParameters as `read`."""
+    """Make a model from values by name; raises as `read`. `strict`: no conversion of types, as for JSON."""
     errors = list(already)
     try:
         made = model.model_validate(given, strict=strict)
@@ -94,30 +94,30 @@ def validated(
 
 
 _IN_WORDS = "parameter"
-"""Type of pydantic's errors whose message is ours."""
+"""Type of those pydantic errors whose message is used as it is."""
 
 _LONGEST_VALUE_SHOWN = 60
 
 
 def problems_of(error: ValidationError, model: type[BaseModel]) -> list[ParameterError]:
-    """pydantic's findings in our words: the value that was seen, and what is allowed."""
+    """The errors of a pydantic validation, each with the value given and what is allowed."""
     known = sorted(str(field.validation_alias or name) for name, field in model.model_fields.items())
     return [in_words(one, one["loc"], known) for one in error.errors(include_url=False)]
 
 
 def in_words(one: Mapping[str, Any], path: Sequence[str | int], known: Sequence[str] = ()) -> ParameterError:
-    """One finding of pydantic's in our words.
+    """One error of pydantic's as a ParameterError.
 
     Parameters
     ----------
     one : mapping
         An entry of ``ValidationError.errors()``.
     path : sequence of str or int
-        Where in the parameters it is.
+        Location of the error in the parameters.
     known : sequence of str
-        Names that would have been known instead of an unknown one.
+        Names of all parameters, to list when one is unknown.
     """
-    # Behind a field's name pydantic names the branch of a union that it tried.
+    # After the field's name, pydantic's location names the branch of a union that was tried.
     branches = ("function-", "tuple[")
     name = ".".join(str(part) for i, part in enumerate(path) if i == 0 or not str(part).startswith(branches))
     if one["type"] == _IN_WORDS:
@@ -141,7 +141,7 @@ def _repeated(times: Mapping[str, int]) -> list[ParameterError]:
 
 
 def _refusal(model: type[BaseModel], errors: Iterable[ParameterError]) -> ValidationError:
-    """Mistakes as pydantic raises them, so that whoever made the model collects them with others."""
+    """The mistakes as a pydantic error, so that FastAPI and `validated` report them like those of fields."""
     lines = [
         InitErrorDetails(
             type=PydanticCustomError(_IN_WORDS, "{detail}", {"detail": one.detail}), loc=(one.parameter,), input=None

@@ -1,4 +1,4 @@
-"""Single values that clients write: times, filters, metadata. Each reader raises ValueError with what was wrong."""
+"""Parsers of single parameters: times, filters, metadata. Each raises ValueError saying what is wrong."""
 
 import json
 import math
@@ -18,7 +18,7 @@ _LONGEST_S = 1_000_000_000
 
 
 def moment(text: object) -> datetime:
-    """A time as RFC 3339 writes it, in UTC."""
+    """Parse an RFC 3339 time with its zone; returns it in UTC."""
     if isinstance(text, datetime):
         return text
     if not isinstance(text, str) or not _RFC3339.fullmatch(text):
@@ -27,11 +27,11 @@ def moment(text: object) -> datetime:
     try:
         return datetime.fromisoformat(text.upper()).astimezone(UTC)
     except (ValueError, OverflowError):
-        raise ValueError("is no time that exists") from None
+        raise ValueError("is not a valid date and time") from None
 
 
 def plain_text(text: object) -> str:
-    """Text that every database can keep and every log can show."""
+    """Check text: not blank, no control characters, no half of a surrogate pair."""
     if not isinstance(text, str):
         raise ValueError("needs text")
     if not text.strip():
@@ -42,7 +42,7 @@ def plain_text(text: object) -> str:
 
 
 def near(text: object) -> tuple[float, float, float]:
-    """``x,y,radius`` or ``lat,lon,radius``; which of them, `frame` says."""
+    """Parse ``x,y,radius`` or, with `frame` geo, ``lat,lon,radius``; the radius in metres."""
     parts = str(text).split(",")
     try:
         first, second, radius = (float(part) for part in parts)
@@ -56,7 +56,7 @@ def near(text: object) -> tuple[float, float, float]:
 
 
 def exclude_last(text: object) -> int | timedelta:
-    """``N`` views, or seconds as ``30s``."""
+    """Parse ``N`` views, or seconds as ``30s``."""
     if match := re.fullmatch(r"(\d{1,10})", str(text), re.ASCII):
         count = int(match[1])
         if count <= _LONGEST_S:
@@ -69,7 +69,7 @@ def exclude_last(text: object) -> int | timedelta:
 
 
 def identifiers(text: object) -> tuple[str, ...]:
-    """Ids with commas between them."""
+    """Parse view ids with commas between them."""
     ids = tuple(part.strip() for part in str(text).split(","))
     if not all(re.fullmatch(r"[A-Za-z0-9-]{1,64}", i) for i in ids):
         raise ValueError("needs view ids with commas between them")
@@ -77,7 +77,7 @@ def identifiers(text: object) -> tuple[str, ...]:
 
 
 def metadata(value: object) -> dict[str, Any]:
-    """A JSON object, as text or already read."""
+    """Check metadata: a JSON object, as text or parsed."""
     if isinstance(value, str):
         if len(value.encode("utf-8", "surrogatepass")) > METADATA_BYTES:
             raise ValueError(f"must not be longer than {METADATA_BYTES} bytes")
@@ -89,7 +89,7 @@ def metadata(value: object) -> dict[str, Any]:
 
 
 def check_metadata(value: dict[str, Any]) -> None:
-    """What was read from JSON may be kept: not too deep, not too long, and text that can be written again."""
+    """Raise ValueError when parsed JSON is nested too deeply, too long, or has text that no database keeps."""
     if not within_depth(value, METADATA_DEPTH):
         raise ValueError(f"must not be nested deeper than {METADATA_DEPTH} levels")
     text = json.dumps(value, ensure_ascii=False)
@@ -99,13 +99,13 @@ def check_metadata(value: dict[str, Any]) -> None:
         raise ValueError("contains half of a surrogate pair") from None
     if size > METADATA_BYTES:
         raise ValueError(f"must not be longer than {METADATA_BYTES} bytes")
-    # PostgreSQL's jsonb cannot keep it, and a store must not decide what may be said.
+    # PostgreSQL's jsonb cannot keep it; what is valid must not depend on the store.
     if any("\0" in part for part in _texts(value)):
         raise ValueError("must not contain the character U+0000")
 
 
 def strict_json(text: str | bytes) -> Any:
-    """JSON as RFC 8259 has it: no NaN, no number beyond a float, no name twice."""
+    """Parse JSON as in RFC 8259: no NaN, no number beyond float64, no name twice in an object."""
     try:
         return json.loads(text, parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
@@ -130,14 +130,14 @@ def _finite(text: str) -> float:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     whole = dict(pairs)
     if len(whole) != len(pairs):
-        description: set[str] = set()
-        twice = next(name for name, _ in pairs if name in description or description.add(name))  # type: ignore[func-returns-value]
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
         raise ValueError(f"has the name {twice!r} twice")
     return whole
 
 
 def within_depth(value: object, levels: int) -> bool:
-    """Whether objects and lists are nested at most so deep; never recurses deeper than that itself."""
+    """Whether objects and lists are nested at most `levels` deep; recurses no deeper than that."""
     if isinstance(value, dict):
         return levels > 0 and all(within_depth(inner, levels - 1) for inner in value.values())
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Waiting until a view is described without holding a thread."""
+"""Waits for a view to be described without occupying a thread."""
 
 import asyncio
 import time
@@ -8,12 +8,12 @@ from worker.service.settlements import LOOK_AGAIN_S, Settlements
 
 
 async def settled(settlements: Settlements, view_id: str, patience_s: float) -> ViewRecord:
-    """The view once it is ready or failed, or as it is when patience runs out.
+    """The view once it is ready or failed, or as it is after `patience_s` seconds.
 
     Raises
     ------
     NotFound
-        It was deleted meanwhile.
+        The view was deleted meanwhile.
     """
     loop = asyncio.get_running_loop()
     event = asyncio.Event()

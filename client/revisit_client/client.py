@@ -1,4 +1,4 @@
-"""The calls of the service, one method each."""
+"""The client: one method per call of the service."""
 
 import os
 import time
@@ -23,18 +23,17 @@ Image = bytes | str | os.PathLike[str]
 
 
 class Revisit:
-    """A service at an address. Used in a `with` statement it closes its connections; threads may share it.
+    """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters
     ----------
     url : str or None
-        None takes ``REVISIT_URL``, or the address where `./revisit serve` listens by default.
+        Address of the service; None takes ``REVISIT_URL``, or `DEFAULT_URL`.
     timeout : float
-        Seconds that one answer may take.
+        Seconds to wait for one answer.
     patience : float
-        Seconds over which a call is repeated while the service is busy (429) or starting (503), or when its answer got
-        lost; the service's Retry-After is honoured. 0 never repeats. Enrolments carry an Idempotency-Key: repeating is
-        safe.
+        Seconds over which a call is repeated while the service is busy (429) or starting (503), or after a lost answer;
+        Retry-After is honoured. 0 never repeats. Enrolments carry an Idempotency-Key, so that repeating is safe.
     transport : httpx.BaseTransport or None
         For tests.
     sleep, clock : callable
@@ -43,9 +42,9 @@ class Revisit:
     Raises
     ------
     RevisitProblem
-        By every call: the service refused it.
+        From every call: the service refused it.
     Unreachable
-        By every call: no service answers.
+        From every call: no service answers.
     """
 
     def __init__(
@@ -104,7 +103,7 @@ class Revisit:
         map : str or None
             None for the map ``default``. A map is made by its first enrolment.
         place : str or None
-            Your own name for the spot.
+            Your own name for the place.
         x, y, z : float or None
             Position in metres, in the map's frame.
         lat, lon, alt : float or None
@@ -114,15 +113,15 @@ class Revisit:
         captured_at : datetime or str or None
             A datetime without a zone is local time; a string is RFC 3339.
         metadata : mapping or None
-            Your own facts, as JSON.
+            Any JSON object; at most 16 KB, 8 levels.
         wait : bool
             True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
         idempotency_key : str or None
-            Calls with the same key are done once. None makes one for this call and its repetitions.
+            Calls with the same key are done once. None makes a key for this call and its repetitions.
         """
         attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
-        # One key for all repetitions of this call: the service does the work once, whatever gets lost on the way.
+        # One key for all repetitions of this call: the service does the work once even when an answer is lost.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = _read(image)
         return self._connection.receive(
@@ -156,9 +155,9 @@ class Revisit:
         top : int or None
             How many matches at most.
         candidates : int or None
-            How many views of each channel's search are compared in detail; 0 ranks by the histograms alone.
+            Candidates of each channel to re-rank; 0 ranks by the histograms alone. None: the map's.
         explain : bool or None
-            Whether matches list the pairs that agree, and `explanation` can be drawn.
+            Whether matches list their correspondences, and `explanation` can draw them.
         near : (float, float, float) or None
             Only views near a point: x, y and radius in metres, or with `geographic` latitude, longitude and radius in
             metres.
@@ -167,11 +166,11 @@ class Revisit:
         place : str or None
             Only views of this place.
         metadata : mapping or None
-            Only views with these values.
+            Only views whose metadata has these values, compared as text.
         exclude_last : int or str or timedelta or None
-            Not the newest N views, or not those of this time (``"30s"``): for loop closure.
+            Leave out the newest N views, or those of the last seconds (``"30s"``): for loop closure.
         exclude : sequence of str
-            Not these views, by id.
+            Ids of views to leave out.
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "explain": explain}
@@ -181,7 +180,7 @@ class Revisit:
         )
 
     def explanation(self, query_id: str, view: str | None = None) -> bytes:
-        """PNG of a query that was made with `explain`, beside a match, with what agrees."""
+        """PNG of a query made with `explain` beside a match (default: the best), with their correspondences."""
         return self._connection.send(
             "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
         ).content
@@ -203,7 +202,7 @@ class Revisit:
         limit: int | None = None,
         page: int = 100,
     ) -> Iterator[wire.View]:
-        """Iterate over the views that fit, fetched in pages of `page` as they are needed; at most `limit`."""
+        """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed."""
         chosen = filters(near, geographic, after, before, place, metadata, None, ())
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
@@ -223,7 +222,7 @@ class Revisit:
         return self._connection.receive(wire.View, "GET", f"/views/{view_id}")
 
     def patch(self, view_id: str, **attributes: Any) -> wire.View:
-        """Change `place`, `position` (a mapping), `captured_at` or `metadata` of a view; None clears."""
+        """Change `place`, `position` (a mapping), `captured_at` or `metadata` of a view; None removes a value."""
         attributes = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in attributes.items()}
         return self._connection.receive(wire.View, "PATCH", f"/views/{view_id}", json=attributes)
 
@@ -240,7 +239,7 @@ class Revisit:
         return self._connection.send("GET", f"/views/{view_id}/thumbnail").content
 
     def segmentation(self, view_id: str, *, overlay: bool = False) -> bytes:
-        """PNG whose pixels are indices into the map's labels; with `overlay` their colours blended over the image."""
+        """Indexed PNG of the map's labels; with `overlay`, the labels' colours blended over the image."""
         params = texts({"overlay": True if overlay else None})
         return self._connection.send("GET", f"/views/{view_id}/segmentation.png", params=params).content
 
@@ -282,16 +281,16 @@ class Revisit:
         parameters: Mapping[str, Any] | None = None,
         ranking: Mapping[str, Any] | None = None,
     ) -> wire.Job:
-        """Describe all views of a map anew; the old recipe answers until that is done."""
+        """Describe all views of a map by another recipe; until that is done, queries use the old one."""
         recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
 
     def change_ranking(self, name: str, **ranking: Any) -> wire.MapFacts:
-        """Change how a map ranks, from the next query on; what is not named stays."""
+        """Change fields of a map's ranking config, from the next query on; the others stay."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"ranking": ranking})
 
     def train_vocabulary(self, name: str) -> wire.Job:
-        """Train a vocabulary on the map's own views, and describe them by it."""
+        """Train a vocabulary on the map's own views, then describe them by it."""
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/vocabulary", repeat=False)
 
     def delete_map(self, name: str) -> wire.Deleted:
@@ -299,7 +298,7 @@ class Revisit:
         return self._connection.receive(wire.Deleted, "DELETE", f"/maps/{name}")
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
-        """Iterate over all places, fetched in pages as they are needed."""
+        """Iterate over all places, fetched in pages as needed."""
         params = texts({"map": map})
         while True:
             answer = self._connection.receive(wire.Places, "GET", "/places", params=params)
@@ -313,7 +312,7 @@ class Revisit:
         return self._connection.receive(wire.Job, "GET", f"/jobs/{job_id}")
 
     def jobs(self, map: str | None = None, *, kind: str | None = None, state: str | None = None) -> Iterator[wire.Job]:
-        """Iterate over jobs, newest first, fetched in pages as they are needed."""
+        """Iterate over jobs, newest first, fetched in pages as needed."""
         params = texts({"map": map, "kind": kind, "state": state})
         while True:
             answer = self._connection.receive(wire.Jobs, "GET", "/jobs", params=params)
@@ -323,7 +322,7 @@ class Revisit:
             params = {**params, "cursor": answer.next}
 
     def cancel_job(self, job_id: str) -> wire.Job:
-        """Cancel a describe job that is waiting, or a job of a map that has not finished."""
+        """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
         return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
 
     def wait_for_job(self, job_id: str, *, timeout: float = 600.0) -> wire.Job:
@@ -332,9 +331,9 @@ class Revisit:
         Raises
         ------
         JobFailed
-            It failed or was cancelled.
+            The job failed or was cancelled.
         TimeoutError
-            It is still waiting or running.
+            The job is still waiting or running.
         """
         deadline, pause = self._clock() + timeout, 0.05
         while True:
@@ -351,11 +350,11 @@ class Revisit:
     # the service
 
     def readyz(self) -> wire.Readiness:
-        """What the service can do at this moment; an answer also when it is not ready."""
+        """Whether the service is ready, and its checks; answers also when it is not ready."""
         return self._connection.receive(wire.Readiness, "GET", "/readyz", repeat=False, accept=503)
 
     def version(self) -> wire.Version:
-        """What is running."""
+        """Versions of the service, its encoder and its libraries."""
         return self._connection.receive(wire.Version, "GET", "/version")
 
     def openapi(self) -> dict[str, Any]:

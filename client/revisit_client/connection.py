@@ -1,4 +1,4 @@
-"""Requests to a service at an address: sent, and sent again while that may help."""
+"""HTTP requests to a service, repeated while it is busy, starting or its answer got lost."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -11,20 +11,20 @@ from revisit_client.errors import ClientError, RevisitProblem, Unreachable, prob
 USER_AGENT = "revisit-client"
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 8.0
-"""Pauses between repetitions when the service names none: each twice the one before."""
+"""Seconds between repetitions without Retry-After: each pause is twice the previous one."""
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class Connection:
-    """A service at an address.
+    """The connections to one service.
 
     Parameters
     ----------
     url : str
-        Without a slash at its end.
+        Address of the service, without a slash at its end.
     timeout : float
-        Seconds that one answer may take.
+        Seconds to wait for one answer.
     patience : float
         Seconds over which a request is repeated.
     transport : httpx.BaseTransport or None
@@ -57,17 +57,17 @@ class Connection:
         self._http.close()
 
     def receive(self, model: type[Answer], method: str, path: str, **request: Any) -> Answer:
-        """Send a request as `send` does, and read its answer as a model.
+        """Send a request as `send` does, and validate its answer as `model`.
 
         Raises
         ------
         RevisitProblem, Unreachable
         ClientError
-            What answers is not revisit.
+            The answer is not one of revisit's.
         """
         answer = self.send(method, path, **request)
         try:
-            # A newer service may say more than this client knows; that is no reason to fail.
+            # A newer service may add fields that this client does not know.
             return model.model_validate(answer.json(), extra="ignore")
         except (ValidationError, ValueError) as error:
             raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
@@ -75,16 +75,16 @@ class Connection:
     def send(
         self, method: str, path: str, *, repeat: bool = True, accept: int | None = None, **request: Any
     ) -> httpx.Response:
-        """Send a request, and send it again while that may help and patience lasts.
+        """Send a request; repeat it within `patience` seconds while that may help.
 
         Parameters
         ----------
         repeat : bool
-            Whether the request can be sent twice without doing its work twice.
+            Whether the request may be sent twice after a lost connection, because its work is then done once.
         accept : int or None
-            A status of 400 or more that is an answer here and no refusal.
+            A status of 400 or more that is returned instead of raised.
         **request
-            What `httpx.Client.request` takes.
+            Further arguments of `httpx.Client.request`.
 
         Raises
         ------
@@ -97,15 +97,15 @@ class Connection:
                 answer = self._http.request(method, path, **request)
             except httpx.TransportError as error:
                 trouble = Unreachable(self.url, reason(error))
-                # An address where nobody listens is reported at once. When a connection broke, the service may have got
-                # the request already: then only what is harmless twice is sent twice.
+                # A refused connection is reported at once. When a connection breaks, the service may have received the
+                # request already: then only requests with `repeat` are sent again.
                 again, wait = repeat and not isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol), pause
             else:
                 if answer.status_code < 400 or answer.status_code == accept:
                     return answer
                 named = retry_after(answer)
                 trouble = RevisitProblem(problem_of(answer), named)
-                # A refusal for being busy comes before any work: repeating is safe whatever the request.
+                # 429 and 503 are answered before any work is done: every request may be repeated.
                 again, wait = answer.status_code in (429, 503), pause if named is None else named
             if not again or self._clock() + wait > deadline:
                 raise trouble

@@ -1,4 +1,4 @@
-"""What can go wrong between a client and the service, as exceptions."""
+"""Exceptions of the client."""
 
 import email.utils
 from datetime import UTC, datetime
@@ -10,7 +10,7 @@ from revisit_client import wire
 
 
 class ClientError(Exception):
-    """A call did not work; base of the exceptions below."""
+    """A call failed; base of the exceptions below."""
 
 
 class Unreachable(ClientError):
@@ -25,22 +25,22 @@ class Unreachable(ClientError):
 
 
 class RevisitProblem(ClientError):
-    """The service refused a call, and says why (RFC 9457).
+    """The service refused a call (problem details, RFC 9457).
 
     Attributes
     ----------
     type : str
         Stable URN; `code` is its last part, such as ``picture-too-large``.
     title, detail : str
-        For people; the text may change.
+        Text for people; it may change.
     status : int
         HTTP status.
     errors : list of wire.ProblemParameter
-        Every parameter that cannot be used.
+        All parameters that cannot be used.
     request_id : str
-        Finds the call in the service's log.
+        Id of the call in the service's log.
     retry_after_s : float or None
-        Seconds after which the service asks to be called again.
+        Seconds after which to try again, where the service says so.
     """
 
     def __init__(self, problem: wire.Problem, retry_after_s: float | None = None) -> None:
@@ -58,7 +58,7 @@ class RevisitProblem(ClientError):
 
 
 class JobFailed(ClientError):
-    """A job that was waited for failed or was cancelled; `job` says why."""
+    """The job of `wait_for_job` failed or was cancelled; `job` says why."""
 
     def __init__(self, job: wire.Job) -> None:
         reason = f"{job.failure.code}: {job.failure.detail}" if job.failure else "no reason given"
@@ -67,7 +67,7 @@ class JobFailed(ClientError):
 
 
 def reason(error: httpx.TransportError) -> str:
-    """Why nobody answered, for people."""
+    """Why no service answered, as text for people."""
     if isinstance(error, httpx.ConnectError):
         return "connection refused" if "refused" in str(error).lower() else str(error) or "cannot connect"
     if isinstance(error, httpx.TimeoutException):
@@ -76,7 +76,7 @@ def reason(error: httpx.TransportError) -> str:
 
 
 def retry_after(answer: httpx.Response) -> float | None:
-    """Seconds that the service asks to wait: a number, or (from a proxy) a date."""
+    """Seconds of the Retry-After header, given as a number or (by a proxy) as a date; None without one."""
     text = answer.headers.get("retry-after")
     if text is None:
         return None
@@ -91,7 +91,7 @@ def retry_after(answer: httpx.Response) -> float | None:
 
 
 def problem_of(answer: httpx.Response) -> wire.Problem:
-    """The refusal as the service wrote it, or made up from the status when something else (a proxy) wrote it."""
+    """The problem in an answer; made from the status when the answer (a proxy's) is no problem+json."""
     try:
         return wire.Problem.model_validate(answer.json(), extra="ignore")
     except (ValidationError, ValueError):

@@ -1,4 +1,4 @@
-"""Arguments of the client's calls as parameters of HTTP requests."""
+"""Converts arguments of the client's calls into parameters of HTTP requests."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ def filters(
     exclude_last: int | str | timedelta | None,
     exclude: Sequence[str],
 ) -> dict[str, Any]:
-    """Filters as parameters; None where not given."""
+    """Filters as parameters by name; None where not given."""
     if isinstance(exclude_last, timedelta):
         exclude_last = f"{exclude_last.total_seconds():g}s"
     chosen: dict[str, Any] = {
@@ -64,6 +64,6 @@ def recipe_fields(
     parameters: Mapping[str, Any] | None,
     ranking: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """What a map is to be made with, as far as it is given; the service chooses the rest."""
+    """The given fields of a map's recipe; the service chooses the others."""
     fields = {"labels": labels, "dynamic": dynamic, "preset": preset, "parameters": parameters, "ranking": ranking}
     return {name: value for name, value in fields.items() if value is not None}

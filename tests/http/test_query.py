@@ -122,9 +122,9 @@ def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedCli
     )
 
 
-def test_a_query_is_about_one_image(client: CheckedClient) -> None:
+def test_a_query_takes_one_image(client: CheckedClient) -> None:
     answer = client.post("/query", files=[("image", photo(1)), ("image", photo(2))])
-    assert answer.json()["errors"] == [{"parameter": "image", "detail": "2 images; a query is about one"}]
+    assert answer.json()["errors"] == [{"parameter": "image", "detail": "2 images; a query takes one"}]
 
 
 def test_an_unknown_map_is_not_found(client: CheckedClient) -> None:

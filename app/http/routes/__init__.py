@@ -1,1 +1,1 @@
-"""One module per group of routes: parse, call one use-case, answer."""
+"""Routes, one module per group: parse the request, call one use-case, answer."""

@@ -1,4 +1,4 @@
-"""`POST /enroll`: keep images and what is said about them."""
+"""`POST /enroll`: keep images and their attributes."""
 
 import asyncio
 from typing import Any
@@ -36,7 +36,7 @@ _ANY = Enrolled | EnrolledMany
     response_model=_ANY,
     openapi_extra=takes_images(EnrollParameters, several=True, headers=[_KEY]),
     responses={
-        200: {"model": _ANY, "description": "The map had these very bytes already.", "headers": _LOCATION},
+        200: {"model": _ANY, "description": "The map has these very bytes already.", "headers": _LOCATION},
         201: {
             "description": "Durable and searchable.",
             "headers": _LOCATION,
@@ -61,7 +61,7 @@ _ANY = Enrolled | EnrolledMany
     },
 )
 async def enroll(request: Request, recogniser: Recognises, curator: Curates, metrics: Measures) -> Response:
-    """Enrol one image, or several, in a map."""
+    """Enrol one or several images in a map."""
     sent = await take(request)
     params = read(EnrollParameters, sent.parameters, sent.errors)
 
@@ -80,7 +80,7 @@ async def enroll(request: Request, recogniser: Recognises, curator: Curates, met
 
 
 def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:
-    """One image: its view or its refusal. Several: what came of each, unless nothing came of any."""
+    """One image: its view or error. Several: a list of both; an error when all were refused."""
     views = [o for o in outcomes if isinstance(o, Enrolled)]
     refused = [(index, o) for index, o in enumerate(outcomes) if isinstance(o, RevisitError)]
     if len(outcomes) == 1 and refused:
@@ -126,14 +126,14 @@ def _refusal(index: int, filename: str | None, error: RevisitError) -> Enrolment
 
 
 def _all_refused(refused: list[tuple[int, RevisitError]]) -> RevisitError:
-    """The first refusal, its text naming every image; one that trying again may cure goes before the others."""
+    """The first error that may go away later (`Busy`), else the first; its detail lists all images."""
     first = next((error for _, error in refused if isinstance(error, Busy)), refused[0][1])
     first.detail = "; ".join(f"image {index}: {error.detail}" for index, error in refused)
     return first
 
 
 def _slowest(views: list[Enrolled]) -> dict[str, float]:
-    """The longest time of each stage: images of one request are worked on side by side."""
+    """The longest time of each stage, in ms: images of one request are described in parallel."""
     times: dict[str, float] = {}
     for view in views:
         for stage, milliseconds in view.timing_ms.items():

@@ -1,6 +1,6 @@
-"""How the service is: for supervisors, for Prometheus and for people.
+"""Health, metrics, version, and the pages for people.
 
-`/livez` and `/readyz` run on the event loop itself and never wait for a thread: they answer while every thread works.
+`/livez` and `/readyz` run on the event loop and never wait for a thread of the pool, so they answer while all are busy.
 """
 
 import asyncio
@@ -21,12 +21,12 @@ from schemas.wire import Maps, Readiness, Version
 router = APIRouter(tags=["service"], dependencies=[no_parameters])
 
 PATIENCE_S = 0.4
-"""Half a second is promised; what has not answered by then is named as the reason."""
+"""Seconds to wait for a check; `/readyz` answers within half a second."""
 
 
 @router.get("/livez", responses={**answers_bytes("text/plain", description="Alive."), **refusals(always_open=True)})
 async def livez() -> Response:
-    """Does the process answer?"""
+    """Whether the process answers."""
     return Response("ok\n", media_type="text/plain")
 
 
@@ -36,7 +36,7 @@ async def livez() -> Response:
     responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(always_open=True)},
 )
 async def readyz(lifecycle: Lifecycles) -> Response:
-    """Can it enrol and answer at this moment? Lists what cannot, and why."""
+    """Whether the service can enrol and answer queries now; `checks` says what cannot and why."""
     if lifecycle.draining or not lifecycle.started:
         state = "stopping" if lifecycle.draining else "starting"
         readiness = Readiness(ready=False, checks={"service": state})
@@ -55,7 +55,7 @@ async def readyz(lifecycle: Lifecycles) -> Response:
     responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(always_open=True)},
 )
 async def metrics(lifecycle: Lifecycles, curator: Curates, measures: Measures) -> Response:
-    """Counters, times and sizes."""
+    """Metrics in Prometheus's text format."""
     maps = await _maps(lifecycle, curator)
     if maps is not None:
         measures.state(await lifecycle.queue_length(), maps.maps)
@@ -64,24 +64,24 @@ async def metrics(lifecycle: Lifecycles, curator: Curates, measures: Measures) -
 
 @router.get("/version", response_model=Version, responses=refusals())
 async def version(lifecycle: Lifecycles) -> Version:
-    """What is running: version, encoder, weights, libraries."""
+    """Versions: service, encoder, weights, libraries."""
     return await lifecycle.version()
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
 async def docs(request: Request) -> Response:
-    """The API, described; one page that loads nothing from elsewhere."""
+    """API documentation: one page that loads nothing from other hosts."""
     return _page(pages.docs(document(request.app)))
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
 async def console(request: Request, lifecycle: Lifecycles, curator: Curates) -> Response:
-    """Where a person lands: what is there, and how to go on."""
+    """The console: the maps, and links to everything else."""
     return _page(pages.console(request.app.version, await _maps(lifecycle, curator)))
 
 
 async def _maps(lifecycle: Lifecycle, curator: Curator) -> Maps | None:
-    """The maps if they can be had soon: numbers that are missing are better than a page that hangs."""
+    """All maps, or None when the store does not answer within `PATIENCE_S`, so that no page hangs."""
     if not lifecycle.started:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Images of a view: as enrolled, small, and as the method sees it. All with an ETag."""
+"""Images of a view: as enrolled, small, segmentation, context graph; all with an ETag. Explanations of queries."""
 
 from typing import Annotated, Any
 
@@ -58,7 +58,9 @@ async def thumbnail(
 @router.get(
     "/views/{view_id}/segmentation.png",
     response_class=Response,
-    responses=_responses("image/png", description="Each pixel is an index into the map's labels.", drawn=True),
+    responses=_responses(
+        "image/png", description="Indexed PNG: each pixel is an index into the map's labels.", drawn=True
+    ),
 )
 async def segmentation(
     view_id: ViewId,
@@ -66,7 +68,7 @@ async def segmentation(
     request: Request,
     curator: Curates,
 ) -> Response:
-    """What each pixel of the image was taken for, as finely as the encoder can tell; the method has coarser cells."""
+    """The label of each pixel, at the finest grid the encoder offers; the method itself uses coarser cells."""
     etag = await curator.view_etag(view_id, "overlay" if params.overlay else "segmentation")
     if _is_fresh(request, etag):
         return _unchanged(etag)
@@ -91,7 +93,7 @@ async def graph(view_id: ViewId, request: Request, curator: Curates) -> Response
     "/queries/{query_id}/explanation.png",
     response_class=Response,
     responses={
-        **answers_bytes("image/png", description="Query and match side by side, with what agrees."),
+        **answers_bytes("image/png", description="Query and match side by side, with their correspondences."),
         **refusals("not-found"),
     },
 )
@@ -100,11 +102,11 @@ async def explanation(
     params: Annotated[ExplanationParameters, Query()],
     curator: Curates,
 ) -> Response:
-    """Why a query that was asked with `explain=true` got its answer; kept for a bounded time."""
+    """An explanation of a query that was sent with `explain=true`; kept for a bounded time."""
     return Response(await curator.explanation(query_id, params.view), headers=_NO_STORE, media_type="image/png")
 
 
-# Kept by the caller, but asked about each time: a deleted view must not live on in a cache.
+# Caches keep it but revalidate each time: a deleted view must not live on in a cache.
 _CACHE = {"Cache-Control": "private, no-cache"}
 _NO_STORE = {"Cache-Control": "private, no-store"}
 
@@ -114,7 +116,7 @@ def _quoted(etag: str) -> str:
 
 
 def _is_fresh(request: Request, etag: str) -> bool:
-    """Whether If-None-Match names this ETag; weak and strong compare alike (RFC 9110, 13.1.2)."""
+    """Whether If-None-Match names this ETag, by weak comparison (RFC 9110, 13.1.2)."""
     given = ",".join(request.headers.getlist("if-none-match"))
     tags = [tag.strip().removeprefix("W/") for tag in given.split(",")]
     return "*" in tags or _quoted(etag) in tags

@@ -22,7 +22,7 @@ async def list_jobs(params: Annotated[ListJobs, Query()], curator: Curates) -> J
 
 @router.get("/jobs/{job_id}", response_model=Job, dependencies=[no_parameters], responses=refusals("not-found"))
 async def get_job(job_id: JobId, curator: Curates) -> Job:
-    """One job: what it does, and how far it is."""
+    """One job: kind, state, progress, result or failure."""
     return await curator.job(job_id)
 
 
@@ -33,5 +33,5 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
     responses=refusals("not-found", "conflict"),
 )
 async def cancel_job(job_id: JobId, curator: Curates) -> Job:
-    """Cancel a describe job that is waiting, or a job of a map that has not finished."""
+    """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
     return await curator.cancel_job(job_id)

@@ -1,4 +1,4 @@
-"""`/maps`: make, look at, re-describe and delete maps."""
+"""`/maps`: make, show, change, re-describe and delete maps."""
 
 from typing import Any, TypeVar
 
@@ -21,7 +21,7 @@ _STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", 
 
 
 async def _body(request: Request, model: type[M]) -> M:
-    """What the body asks for; raises BadBody, BodyTooLarge, InvalidParameters."""
+    """The JSON body as a model; raises BadBody, BodyTooLarge, InvalidParameters."""
     return validated(model, await json_object(request), strict=True)
 
 
@@ -42,7 +42,7 @@ async def get_map(name: MapName, curator: Curates) -> MapFacts:
     response_model=MapFacts,
     openapi_extra=takes_map(),
     responses={
-        200: {"description": "The map is as asked for."},
+        200: {"description": "The map has this recipe."},
         201: {"model": MapFacts, "description": "The map was made."},
         **refusals("malformed-body", "conflict", "body-too-large", "disk-full"),
     },
@@ -65,7 +65,7 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
     responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
 )
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
-    """Change how a map ranks, from the next query on; nothing is described anew."""
+    """Change the ranking config of a map, from the next query on; nothing is described anew."""
     changes = await _body(request, PatchMap)
     return await curator.change_ranking(name, changes.ranking)
 
@@ -84,7 +84,7 @@ async def delete_map(name: MapName, curator: Curates) -> Deleted:
     responses={202: _STARTED, **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full")},
 )
 async def switch_recipe(name: MapName, request: Request, curator: Curates) -> Response:
-    """Describe all views of a map anew; queries are answered by the old recipe until that is done."""
+    """Describe all views of a map by another recipe; until that is done, queries use the old one."""
     return _started(await curator.switch_recipe(name, await _body(request, PutMap)))
 
 
@@ -95,7 +95,7 @@ async def switch_recipe(name: MapName, request: Request, curator: Curates) -> Re
     responses={202: _STARTED, **refusals("not-found", "conflict", "disk-full")},
 )
 async def train_vocabulary(name: MapName, curator: Curates) -> Response:
-    """Train a vocabulary on the map's own views, and describe them by it."""
+    """Train a vocabulary on the map's own views, then describe them by it."""
     return _started(await curator.train_vocabulary(name))
 
 

@@ -1,4 +1,4 @@
-"""`GET /places`: the user's own names for spots."""
+"""`GET /places`: the user's own names, each shared by some views."""
 
 from typing import Annotated
 

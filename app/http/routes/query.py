@@ -1,4 +1,4 @@
-"""`POST /query`: have I been here before, and where is here?"""
+"""`POST /query`: recognise the place of an image."""
 
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
@@ -40,7 +40,7 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures) -> 
     sent = await take(request)
     errors = list(sent.errors)
     if len(sent.images) > 1:
-        errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} images; a query is about one"))
+        errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} images; a query takes one"))
     params = read(QueryParameters, sent.parameters, errors)
     answer = await recogniser.query(
         sent.images[0][1],

@@ -1,4 +1,4 @@
-"""`/views`: list, look at, correct and delete what is enrolled."""
+"""`/views`: list, show, correct and delete views."""
 
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -23,7 +23,7 @@ _VIEW: dict[int | str, dict[str, Any]] = {200: {"content": {"application/json": 
 _PATCH_SCHEMA: dict[str, Any] = {
     "type": "object",
     "additionalProperties": False,
-    "description": "JSON merge patch (RFC 7396) of what was said about the view; null clears.",
+    "description": "JSON merge patch (RFC 7396) of the view's attributes; null removes.",
     "properties": {
         "place": {"type": ["string", "null"]},
         "position": {
@@ -40,7 +40,7 @@ _FIELDS = ("place", "position", "captured_at", "metadata")
 
 @router.get("/views", response_model=Views, responses=refusals("not-found"))
 async def list_views(params: Annotated[ListViews, Query()], curator: Curates) -> Views:
-    """A page of views, in the order of their enrolment."""
+    """A page of views, in the order of enrolment."""
     return await curator.views(
         params.map,
         params.filters(),
@@ -53,7 +53,7 @@ async def list_views(params: Annotated[ListViews, Query()], curator: Curates) ->
 
 @router.delete("/views", response_model=Deleted, responses=refusals("not-found", "conflict"))
 async def delete_views(params: Annotated[DeleteViews, Query()], curator: Curates) -> Deleted:
-    """Delete the views of a map that fit the filters, or all of them with `all=true`."""
+    """Delete the views of a map that pass the filters, or all of them with `all=true`."""
     return await curator.delete_views(params.map, params.filters())
 
 
@@ -75,7 +75,7 @@ async def get_view(view_id: ViewId, curator: Curates) -> View:
     responses={**_VIEW, **refusals("malformed-body", "not-found", "body-too-large", "disk-full")},
 )
 async def patch_view(view_id: ViewId, request: Request, curator: Curates) -> View:
-    """Correct what was said about a view: place, position, captured_at, metadata."""
+    """Change attributes of a view: place, position, captured_at, metadata."""
     patch = await json_object(request)
     return await curator.patch_view(view_id, lambda attributes: _patched(attributes, patch))
 
@@ -89,7 +89,7 @@ async def delete_view(view_id: ViewId, curator: Curates) -> Deleted:
 
 
 def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttributes:
-    """What is said after the patch; raises InvalidParameters."""
+    """The attributes after the merge patch; raises InvalidParameters."""
     unknown = [ParameterError(name, "cannot be changed") for name in patch if name not in _FIELDS]
     if not within_depth(patch, METADATA_DEPTH + 1):
         raise InvalidParameters.of("metadata", f"must not be nested deeper than {METADATA_DEPTH} levels")
@@ -114,7 +114,7 @@ def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttribute
 
 
 def _in_document(error: ParameterError) -> ParameterError:
-    """The mistake, named by its path in the view."""
+    """The mistake, with its path in the view as its name."""
     if error.parameter in Position.model_fields:
         return ParameterError(f"position.{error.parameter}", error.detail)
     return error
