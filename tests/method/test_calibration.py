@@ -1,4 +1,4 @@
-"""Probabilities that mean what they say, and one verdict for each."""
+"""Calibration curves, thresholds and verdicts."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_separable_queries_give_a_finite_curve() -> None:
     assert 0 < p[0] < 0.5 < p[1] < 1
 
 
-def test_nothing_to_learn_is_said() -> None:
+def test_data_that_fixes_no_curve_is_refused() -> None:
     with pytest.raises(ValueError, match="right and wrong"):
         fit_logistic(np.zeros((3, 1)), np.ones(3, bool))
     with pytest.raises(ValueError, match="finite"):
@@ -90,7 +90,7 @@ def test_every_probability_has_exactly_one_verdict(p: float, a: float, b: float)
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), -0.1, 1.1])
-def test_what_is_no_probability_has_no_verdict(wrong: float) -> None:
+def test_a_number_that_is_no_probability_has_no_verdict(wrong: float) -> None:
     with pytest.raises(ValueError, match="no probability"):
         Thresholds().verdict(wrong)
 

@@ -1,4 +1,4 @@
-"""Drawn places are the same place each time, from wherever and whenever they are looked at."""
+"""Drawn places stay the same from every viewpoint and in every lighting."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ def share(labels: np.ndarray, word: str) -> float:
     return float((labels == LABELS.index(word)).mean())
 
 
-def test_the_same_scene_is_the_same_picture() -> None:
+def test_the_same_scene_is_the_same_image() -> None:
     first, second = Scene(3, size=SMALL).render(), Scene(3, size=SMALL).render()
 
     np.testing.assert_array_equal(first[0], second[0])
