@@ -1,4 +1,4 @@
-"""Answers of a service that is not there, for tests of what speaks to it."""
+"""Answers of a fake service, for tests of the client and of the command line."""
 
 from typing import Any
 

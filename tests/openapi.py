@@ -1,4 +1,4 @@
-"""Holds every answer against the OpenAPI document: status, media type, headers and shape must be the promised ones."""
+"""Checks every answer against the OpenAPI document: status, media type, headers and schema."""
 
 import re
 from typing import Any

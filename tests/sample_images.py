@@ -1,4 +1,4 @@
-"""Pictures that tests draw, and the bytes they send."""
+"""Images that tests draw, and the bytes they send."""
 
 import io
 import struct
@@ -28,7 +28,7 @@ def encoded(pixels: npt.NDArray[np.uint8], form: str = "jpeg", **options: Any) -
 
 
 def photo(seed: int = 0, form: str = "jpeg") -> bytes:
-    """A small picture, ready to be sent; another seed is another place."""
+    """A small encoded image; another seed is another place."""
     return encoded(drawn(64, 48, seed), form)
 
 

@@ -1,4 +1,4 @@
-"""What is kept by machine: who may import whom, how long a file may be, and what it may not be called."""
+"""Rules of the layout: imports between packages, what is loaded, the length of files, their docstrings."""
 
 import ast
 import os
@@ -17,7 +17,7 @@ MOST_LINES = 400
 BANNED = ("util", "utils", "helper", "helpers", "common", "misc")
 
 HEAVY = ("torch", "onnxruntime", "faiss", "sqlalchemy", "alembic")
-"""What takes long to load, and what the application must not depend on: it is loaded by worker.runtime, late."""
+"""Libraries that are slow to load; only `worker.runtime` loads them, late."""
 
 
 def sources() -> Iterator[Path]:
@@ -47,7 +47,7 @@ def test_the_application_loads_without_what_is_heavy(module: str) -> None:
 
 
 def test_a_process_that_serves_loads_nothing_of_what_studies_it(tmp_path: Path) -> None:
-    """From settings to an application that has started and answered, as `serve` does it."""
+    """From settings to an application that has started and answered, as `serve` does."""
     served = (
         "import sys, warnings; warnings.simplefilter('ignore')\n"
         "from fastapi.testclient import TestClient\n"
@@ -90,7 +90,7 @@ def test_numpy_is_told_to_keep_to_one_thread_before_it_loads(room: str) -> None:
 
 
 def imported(path: Path) -> set[str]:
-    """First names of all modules that a file imports, wherever in the file."""
+    """Top-level names of all modules that a file imports, anywhere in the file."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):

@@ -1,4 +1,4 @@
-"""What the documentation says exists: settings, commands, calls, files, the version."""
+"""Settings, commands, calls, files and versions that the documentation names exist."""
 
 import argparse
 import re
@@ -16,7 +16,7 @@ from schemas.settings import Settings
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 OUTSIDE = {"set-up"}
-"""Commands that the launcher answers itself."""
+"""Commands of the launcher itself."""
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
@@ -53,7 +53,7 @@ def test_every_command_that_a_page_shows_exists_with_its_options(page: Path) -> 
         assert words[0].rstrip(",.;:)") in known, f"./revisit {line}"
         text = known[words[0].rstrip(",.;:)")].format_help()
         if words[0] in study.PASSED_ON:
-            continue  # their options are their modules' own
+            continue  # their modules parse the options
         for option in (word for word in words[1:] if word.startswith("--")):
             assert option.rstrip(",.;:)") in text or "..." in text, f"./revisit {line}"
 

@@ -1,6 +1,6 @@
 """The launcher sets up once, alone, what the locks list, without CUDA, and repairs; help needs none of it.
 
-Mostly with a Python that only notes what it is asked; what pip and the command line themselves do, with a real one.
+Most tests use a fake Python that records its calls; those of pip and of the command line use a real one.
 """
 
 import os
@@ -43,7 +43,7 @@ esac
 
 @dataclass
 class Checkout:
-    """A copy of the launcher with what it reads."""
+    """A copy of the launcher and of the files that it reads."""
 
     folder: Path
     environment: dict[str, str]
@@ -72,7 +72,7 @@ class Checkout:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Checkout:
-    folder = tmp_path / "a checkout"  # with a blank, as in many a home
+    folder = tmp_path / "a checkout"  # with a blank in its path
     folder.mkdir()
     for name in ("revisit", "requirements.lock", "requirements-dev.lock"):
         shutil.copy(ROOT / name, folder)
@@ -161,7 +161,7 @@ def test_where_no_index_has_the_cpu_build_nothing_is_installed(checkout: Checkou
     assert all("--require-hashes" in note and "/torch.txt" in note for note in checkout.installs())
 
 
-def test_where_the_usual_index_has_only_cuda_another_is_asked(checkout: Checkout) -> None:
+def test_where_the_usual_index_has_only_cuda_another_is_queried(checkout: Checkout) -> None:
     assert checkout.run("version", USUAL="cuda", EXTRA="cpu").stdout == "ran -m app.cli version\n"
 
     assert ["--extra-index-url" in note for note in checkout.installs()] == [False, True, False]
@@ -174,7 +174,7 @@ def test_the_usual_index_is_enough_where_it_has_the_cpu_build(checkout: Checkout
 
 
 @pytest.mark.parametrize(("arguments", "environment"), [(["--gpu"], {}), ([], {"REVISIT_GPU": "1"})])
-def test_cuda_is_installed_when_asked_for_and_serves_afterwards(
+def test_cuda_is_installed_on_request_and_serves_afterwards(
     checkout: Checkout, arguments: list[str], environment: dict[str, str]
 ) -> None:
     checkout.run(*arguments, "version", USUAL="cuda", EXTRA="cuda", **environment)
@@ -253,7 +253,7 @@ def test_without_a_command_it_says_how_it_is_used_and_installs_nothing(checkout:
     assert not list(checkout.folder.glob(".venv*"))
 
 
-def test_help_after_a_double_dash_is_not_asked_for(checkout: Checkout) -> None:
+def test_help_after_a_double_dash_is_no_request_for_help(checkout: Checkout) -> None:
     assert checkout.run("enroll", "--", "--help").stdout == "ran -m app.cli enroll -- --help\n"
     assert len(checkout.installs()) == 2
 
@@ -275,7 +275,7 @@ def with_commands(checkout: Checkout) -> Checkout:
 
 
 def command_line(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    """What the command line says in the environment that the tests run in."""
+    """Output of the command line in the environment of the tests."""
     command = [sys.executable, "-m", "app.cli", *arguments]
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'client'}"}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)

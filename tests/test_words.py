@@ -1,4 +1,4 @@
-"""One word per thing, the field's where it has one (docs/glossary.md): words that were replaced do not come back."""
+"""One word per thing, the field's where it has one (docs/glossary.md): replaced words do not come back."""
 
 import ast
 import re
@@ -40,13 +40,13 @@ BANNED_NAMES = frozenset(
         *("READERS", "FineWords", "fine_words", "hand_in", "beside", "exchange", "stronger", "stretch", "typical"),
     }
 )
-"""Names that may not be given, whole."""
+"""Names that may not be given, compared whole."""
 
 BANNED_FIELDS = frozenset({"words", "word", "close", "typical", "high", "keypoints", "alone", "shares", "drive"})
-"""Fields that the wire had before its names were the field's."""
+"""Former names of fields on the wire."""
 
 KEPT = frozenset({"views_by_picture", "no-picture", "not-a-picture"})
-"""An index of the database, and problem types: who has data or programs relies on them."""
+"""An index of the database, and problem types: data folders and programs rely on them."""
 
 
 def parts(name: str) -> set[str]:

@@ -1,4 +1,4 @@
-"""What the client sends, what it makes of answers, and when it tries again."""
+"""Requests that the client sends, answers that it reads, and when it tries again."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -136,7 +136,7 @@ def test_a_page_of_a_proxy_is_a_problem_too() -> None:
         client(lambda _: httpx.Response(502, text="<html>upstream</html>")).maps()
 
 
-def test_nobody_there_says_how_to_start_one() -> None:
+def test_without_a_service_the_error_says_how_to_start_one() -> None:
     def handler(request: httpx.Request) -> httpx.Response:
         raise httpx.ConnectError("[Errno 111] Connection refused")
 
@@ -156,7 +156,7 @@ def test_a_request_whose_answer_got_lost_is_repeated() -> None:
     assert client(handler).enroll(b"x").created
 
 
-def test_what_would_be_done_twice_is_not_repeated_when_its_answer_was_lost() -> None:
+def test_a_request_that_would_be_done_twice_is_not_repeated_when_its_answer_was_lost() -> None:
     tries: list[int] = []
 
     def handler(request: httpx.Request) -> httpx.Response:
@@ -238,7 +238,7 @@ def test_readiness_is_an_answer_also_when_it_is_no() -> None:
     assert client(lambda _: httpx.Response(503, json=unready)).readyz().checks == {"encoder": "loading"}
 
 
-def test_a_newer_service_may_say_more() -> None:
+def test_a_newer_service_may_add_fields() -> None:
     body = answers.enrolled() | {"news": 1}
     body["view"]["more"] = {"a": 1}
 

@@ -1,4 +1,4 @@
-"""What `pip install ./client` installs: the client and the service's wire models, and nothing else of the service."""
+"""`pip install ./client` installs the client and the service's wire models, and nothing else of the service."""
 
 import ast
 import os
@@ -34,7 +34,7 @@ SERVER = {
     "starlette",
     "sqlalchemy",
 }
-"""What a program that uses the client must not have to load."""
+"""Modules that a program with the client must not load."""
 
 LOADED = (
     "import revisit_client, sys; print(revisit_client.__file__); print(*{m.partition('.')[0] for m in sys.modules})"
@@ -42,7 +42,7 @@ LOADED = (
 
 
 def run(folder: Path, *arguments: str, **variables: str) -> str:
-    """What a fresh interpreter prints that knows of this checkout only what `folder` holds."""
+    """The output of a fresh interpreter that can import only `folder` of this checkout."""
     bare = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
         [sys.executable, *arguments],
@@ -58,7 +58,7 @@ def run(folder: Path, *arguments: str, **variables: str) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """First names of all modules that a file imports."""
+    """Top-level names of all modules that a file imports."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -72,7 +72,7 @@ def imported(path: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`client/` as git keeps it, with the one file that it links to; building leaves its traces here."""
+    """A copy of `client/` with the file that it links to, for building in."""
     folder = tmp_path_factory.mktemp("checkout")
     traces = shutil.ignore_patterns("build", "dist", "*.egg-info", "__pycache__")
     shutil.copytree(ROOT / "client", folder / "client", symlinks=True, ignore=traces)

@@ -128,7 +128,7 @@ class TestParity:
 
 
 class TestIndependence:
-    def test_a_image_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
+    def test_an_image_does_not_depend_on_its_neighbours(self, encoder: CompactEncoder) -> None:
         images = [drawn(*size) for size in SIZES]
 
         together = [field.semantic for field in encoder.encode(images)]
@@ -184,7 +184,7 @@ class TestSegmenter:
         same = (fine.semantic @ text.T).argmax(-1) == (enlarged @ text.T).argmax(-1)
         assert float(same.mean()) > 0.7
 
-    def test_a_image_and_its_mirror_image_mostly_show_the_same(self, encoder: CompactEncoder) -> None:
+    def test_an_image_and_its_mirror_image_mostly_show_the_same(self, encoder: CompactEncoder) -> None:
         image = drawn(480, 352)
         mirrored = Image.of(np.ascontiguousarray(image.pixels[:, ::-1]))
         text = encoder.text_vectors(["road", "building", "car", "vegetation", "sky"])

@@ -1,7 +1,6 @@
-"""The one file of the golden tests that knows what the product calls things today; the others use neutral names.
+"""The only file of the golden tests with names of the product; the others use neutral names.
 
-Nearly all goes through the HTTP door. Beside it are only descriptions as arrays and the places where a query can be
-interrupted.
+Nearly everything goes through the HTTP interface, except descriptions as arrays and the interruption of queries.
 """
 
 import json
@@ -41,7 +40,7 @@ DESCRIPTION: Mapping[str, tuple[str, ...]] = {
     "dynamic_margin": ("dynamic", "margin"),
     "channel_weights": ("dense", "channel_weights"),
 }
-"""Numbers that describe, and where our parameters have them."""
+"""Description parameters: neutral name to path in the product's parameters."""
 
 RANKING: Mapping[str, str] = {
     "candidates": "candidates",
@@ -53,10 +52,10 @@ RANKING: Mapping[str, str] = {
     "graph_cosine": "graph_cosine",
     "graph_tau": "graph_max_edge",
 }
-"""Numbers that rank, and what our ranking calls them."""
+"""Ranking parameters: neutral name to the product's."""
 
 OF_CHANNELS = {"assignments": "assignments", "vocabulary_size": "vocabulary_size", "sampled_descriptors": "descriptors"}
-"""Numbers that each channel has: neutral name to ours."""
+"""Parameters of each channel: neutral name to the product's."""
 
 STAGES = {
     "search": ("catalogue", "index"),
@@ -66,7 +65,7 @@ STAGES = {
     "local_features": ("store.descriptions", "local_features"),
     "views": ("store.views", "at"),
 }
-"""What a query fetches, in this order: where a call can be interrupted."""
+"""Calls of a query in their order, at which it can be interrupted: (part of the runtime, method)."""
 
 DENSE = {"similarity": "similarity", "median_similarity": "median_similarity", "p85_similarity": "p85_similarity"}
 
@@ -75,7 +74,7 @@ PATIENCE_S = 60.0
 
 @dataclass(frozen=True)
 class View:
-    """A picture to enrol and what is said about it; `name` is what answers call it."""
+    """An image to enrol and its attributes; `name` is its name in answers."""
 
     name: str
     image: bytes
@@ -87,7 +86,7 @@ class View:
 
 @dataclass(frozen=True)
 class MapOptions:
-    """What a map is made with; `numbers` are named as DESCRIPTION, RANKING, OF_CHANNELS and `_halves` say."""
+    """Recipe of a map; `numbers` by the names in DESCRIPTION, RANKING, OF_CHANNELS and `_halves`."""
 
     preset: str = "default"
     labels: Sequence[str] | None = None
@@ -97,7 +96,7 @@ class MapOptions:
 
 @dataclass(frozen=True)
 class Query:
-    """A query; `filters` are named as `_filters` says."""
+    """A query; `filters` by the names in `_filters`."""
 
     image: bytes
     top: int = 5
@@ -107,7 +106,7 @@ class Query:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a query: evidence without ids, times and revisions, and what only a test of one run may look at."""
+    """The answer to a query: evidence without ids, times and revisions; recipe and revision of this run."""
 
     evidence: Evidence
     recipe: str | None
@@ -126,7 +125,7 @@ def drawn_place(
 
 
 class Service:
-    """A whole service over a data folder, spoken to through its HTTP door."""
+    """A whole service over a data folder, called through its HTTP interface."""
 
     def __init__(self, data: Path, encoder: EncoderName) -> None:
         self._runtime = build(Settings(data=data, encoder=encoder, threads=1))
@@ -145,11 +144,11 @@ class Service:
     # maps and views
 
     def make_map(self, name: str, options: MapOptions) -> Evidence:
-        """Make a map; what its recipe says of it, or why it was refused."""
+        """Make a map; returns its facts, or the error."""
         return _refusal(self._client.put(f"/maps/{name}", json=_wanted(options))) or self.map_facts(name)
 
     def map_facts(self, name: str) -> Evidence:
-        """What does not change from run to run of what a map says of itself."""
+        """The facts of a map that are equal in every run."""
         facts = self._client.get(f"/maps/{name}").json()
         return {
             "labels": [label["label"] for label in facts["labels"]],
@@ -159,11 +158,11 @@ class Service:
         }
 
     def recipe_of(self, name: str) -> str:
-        """Id of the recipe that a map answers by."""
+        """Id of the recipe that a map uses."""
         return str(self._client.get(f"/maps/{name}").json()["recipe"]["id"])
 
     def enroll(self, map_name: str, view: View) -> Evidence:
-        """Enrol a picture and wait for its description; the facts of it, or why it was refused."""
+        """Enrol an image and wait for its description; returns its facts, or the error."""
         said = {"map": map_name, "place": view.place, "captured_at": view.captured_at, **view.position}
         answer = self._client.post(
             "/enroll",
@@ -188,7 +187,7 @@ class Service:
         self._client.delete(f"/views/{self._ids[map_name, view]}").raise_for_status()
 
     def change_recipe(self, name: str, options: MapOptions) -> None:
-        """Describe a map's views by another recipe, and wait until the map answers by it."""
+        """Describe a map's views by another recipe, and wait until the map uses it."""
         begun = self._client.post(f"/maps/{name}/recipe", json=_wanted(options))
         begun.raise_for_status()
         until = time.monotonic() + PATIENCE_S
@@ -200,7 +199,7 @@ class Service:
     # queries
 
     def query(self, map_name: str, query: Query) -> Answer:
-        """Ask which views of a map show the place of a picture, with all evidence."""
+        """Query a map with an image; returns all evidence."""
         parameters = {"map": map_name, "top": query.top, "explain": "true"} | self._filters(map_name, query.filters)
         if query.candidates is not None:
             parameters["candidates"] = query.candidates
@@ -214,7 +213,7 @@ class Service:
         return Answer(_evidence(body), body["recipe"], body["revision"])
 
     def _filters(self, map_name: str, filters: Mapping[str, Any]) -> dict[str, str]:
-        """Filters as the URL has them: near and near_degrees (three numbers), place, after, before, exclude_last,
+        """Filters as parameters of the URL: near and near_degrees (three numbers), place, after, before, exclude_last,
         exclude (names of views), metadata (a mapping)."""
         written = {name: str(filters[name]) for name in ("place", "after", "before", "exclude_last") if name in filters}
         if "near" in filters:
@@ -225,10 +224,10 @@ class Service:
             written["exclude"] = ",".join(self._ids[map_name, name] for name in filters["exclude"])
         return written | {f"metadata.{key}": value for key, value in filters.get("metadata", {}).items()}
 
-    # beside the door
+    # not through HTTP
 
     def describe(self, map_name: str, image: bytes) -> Evidence:
-        """A picture's description by a map's recipe: arrays, and numbers."""
+        """An image's description by a map's recipe: arrays, and numbers."""
         query = self._runtime.services.query
         found = query.describe(self._runtime.decode(image), query.describer(map_name)).value
         graph = found.appearance.graph
@@ -250,12 +249,12 @@ class Service:
 
     @contextmanager
     def interrupted(self, stage: str, action: Callable[[], None], times: int = 1) -> Iterator[list[str]]:
-        """Have `action` done inside the first `times` calls of a stage of STAGES, before the stage does its work.
+        """Run `action` inside the first `times` calls of a stage of STAGES, before the stage does its work.
 
         Yields
         ------
         list of str
-            Grows by the stage's name with every call of it.
+            The stage's name, once for each call so far.
         """
         part, method = STAGES[stage]
         owner = attrgetter(part)(self._runtime)
@@ -265,7 +264,7 @@ class Service:
 
         def wrapped(*given: Any, **named: Any) -> Any:
             nonlocal busy
-            if not busy:  # what the action itself fetches is not the query's
+            if not busy:  # calls by the action itself are not the query's
                 calls.append(stage)
                 if len(calls) <= times:
                     busy = True
@@ -293,7 +292,7 @@ def _wanted(options: MapOptions) -> dict[str, Any]:
 
 
 def _halves(numbers: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Neutral numbers as our parameters and our ranking; `weights` are by term, those of OF_CHANNELS by channel."""
+    """Neutral numbers as description parameters and ranking; `weights` are by term, those of OF_CHANNELS by channel."""
     parameters: dict[str, Any] = {}
     ranking: dict[str, Any] = {}
 
@@ -317,7 +316,7 @@ def _halves(numbers: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
 
 
 def _refusal(answer: Any) -> Evidence | None:
-    """Status and code of a problem; None when it is none."""
+    """Status and code of a problem; None for an answer without error."""
     if answer.status_code < 400:
         return None
     problem = answer.json()
@@ -332,7 +331,7 @@ def _labels(prefix: str, shares: Sequence[Mapping[str, Any]]) -> Evidence:
 
 
 def _evidence(body: Mapping[str, Any]) -> Evidence:
-    """An answer as a flat mapping; what each match has is a list over the matches, best first."""
+    """An answer as a flat mapping; facts of matches are lists over the matches, best first."""
     names = {match["view"]["id"]: match["view"]["metadata"]["name"] for match in body["matches"]}
     found: Evidence = {
         "verdict": body["status"],

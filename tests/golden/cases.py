@@ -20,7 +20,7 @@ class Case:
     filters: Mapping[str, Any] = field(default_factory=dict)
 
     def query(self) -> Query:
-        """As it is sent."""
+        """The query as it is sent."""
         return Query(image(self.image), self.top, self.candidates, self.filters)
 
 

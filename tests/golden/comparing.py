@@ -1,4 +1,4 @@
-"""Golden values against those of today."""
+"""Compares golden values with those of today."""
 
 import math
 from collections.abc import Iterator
@@ -8,16 +8,16 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How near to a golden value is near enough.
+    """The allowed differences from golden values.
 
     Parameters
     ----------
     floats : float
-        Relative and absolute.
+        Relative and absolute difference of floats.
     counts : int
-        Of what is counted or rounded, which one flipped comparison changes; one in a hundred is allowed too.
+        Difference of counts and rounded numbers, which one flipped comparison changes; 1 % is always allowed with it.
     flips : bool
-        Whether nothing is said of which pairs of a match are its first.
+        Whether the first pairs of a match may differ.
     digests : bool
         Whether digests must agree.
     """
@@ -29,31 +29,31 @@ class Tolerance:
 
 
 EXACT = Tolerance(0.0, digests=True)
-"""To the last bit: before and after a change that is to change nothing, on one machine."""
+"""Equal to the last bit: on one machine, before and after a change that must not change results."""
 
 CLOSE = Tolerance(1e-5)
-"""Between machines that describe pictures alike; what is then added up may be added in another order."""
+"""Between machines that describe images alike: sums may be taken in another order."""
 
 ROUNDED = Tolerance(1e-4)
-"""Of descriptions by another machine, some bytes of which are rounded to the one beside."""
+"""Of descriptions by another machine, some bytes of which are rounded to a neighbouring value."""
 
 SIMILAR = Tolerance(1e-2, counts=2, flips=True)
-"""Between machines that describe pictures alike but for rounding: here and there a byte of a cell differs by one, and
-the best counterpart of a cell or keypoint is another one."""
+"""Between machines that describe images alike but for rounding: some bytes of cells differ by one, so that some cells
+and keypoints have another best counterpart."""
 
 COUNTED = ("nodes", "correspondences", "edges_agreeing", "inliers", ".matches", "shift", "sampled_descriptors")
-"""Parts of the names of what is counted or rounded."""
+"""Parts of the names of counts and rounded numbers."""
 
 
 def differences(expected: Any, actual: Any, tolerance: Tolerance, where: str = "") -> Iterator[str]:
-    """Say where two values differ.
+    """Describe each difference between two values.
 
     Parameters
     ----------
     expected, actual : what JSON can hold
     tolerance : Tolerance
     where : str
-        What the values are called.
+        Name of the values, as a path.
     """
     if where.endswith("sha256") and not tolerance.digests:
         return

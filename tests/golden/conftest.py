@@ -1,4 +1,4 @@
-"""What the golden tests share: one gallery of maps, what is expected, and how exactly."""
+"""Fixtures of the golden tests: one gallery of maps, the expected values, the tolerance."""
 
 from collections.abc import Iterator
 
@@ -28,7 +28,7 @@ def exact(pytestconfig: pytest.Config) -> bool:
 
 @pytest.fixture(scope="session")
 def tolerance(gallery: Gallery, golden: Golden, exact: bool) -> Tolerance:
-    """Of answers. Where descriptions have the recorded bits, nothing but the ranking can make answers differ."""
+    """Tolerance of answers: where descriptions equal the recorded ones, only the ranking can make answers differ."""
     if exact:
         return EXACT
     described = {name: gallery.described(*of) for name, of in DESCRIBED.items()}

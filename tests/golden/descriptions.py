@@ -1,4 +1,4 @@
-"""Pictures whose descriptions are golden, and by the recipe of which map they are described."""
+"""Images whose descriptions are golden, each with the map whose recipe describes it."""
 
 from collections.abc import Mapping
 

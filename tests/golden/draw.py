@@ -1,4 +1,4 @@
-"""Draw the pictures of places anew, which changes every answer: ``python -m tests.golden.draw``."""
+"""Draws the images of places anew, which changes every answer: ``python -m tests.golden.draw``."""
 
 from collections.abc import Callable, Mapping
 
@@ -20,7 +20,7 @@ def _aside() -> Pixels:
 
 
 def _fog() -> Pixels:
-    """A street of which fog leaves one grey level in twenty."""
+    """A street in fog that leaves 5 % of its contrast."""
     return (GREY + (_aside().astype(np.int16) - GREY) // 20).astype(np.uint8)
 
 
@@ -43,7 +43,7 @@ DRAWN: Mapping[str, Callable[[], Pixels]] = {
     "lane, at night": lambda: drawn_place("mill lane", LANDSCAPE, "night", dx=0.3),
     "lane, behind a bus": lambda: drawn_place("mill lane", LANDSCAPE, "noon", ["bus"], dx=0.4),
     "lane, 3.5 m on": lambda: drawn_place("mill lane", LANDSCAPE, "overcast", ahead=3.5, turn=4),
-    "lane, grey": lambda: _aside()[..., 1],  # one channel, as a camera for grey pictures saves it
+    "lane, grey": lambda: _aside()[..., 1],  # one channel, as from a grey-scale camera
     "lane, tiny": lambda: drawn_place("mill lane", (48, 36), dx=0.3),
     "station, held upright": lambda: drawn_place("station road", UPRIGHT, dx=0.3, turn=2),
     "chapel, held across": lambda: drawn_place("chapel row", LANDSCAPE, dx=0.3),

@@ -1,4 +1,4 @@
-"""Services with maps that are made when they are first needed, and the runs whose outcomes are golden."""
+"""Services with maps that are made when first needed, and the golden runs on them."""
 
 import hashlib
 import json
@@ -17,17 +17,17 @@ from tests.golden.images import image
 from tests.golden.maps import MAPS, Map
 
 PAIRS = 2
-"""Pairs of a match that are kept as they are."""
+"""Pairs of a match that are kept whole; of all pairs, a digest."""
 
 LABELS = ("query.labels", "query.label_shares")
 FIRST_LABELS = 3
-"""Labels of a query that are kept with their shares; in its description all are."""
+"""Labels of a query that are kept with their shares; of all labels, a digest."""
 
 NUMBERS = 6
-"""Numbers of an array that are kept as they are."""
+"""Leading numbers of an array that are kept."""
 
 DIGITS = 16
-"""Of a SHA-256, in hexadecimal."""
+"""Hexadecimal digits of a SHA-256 that are kept."""
 
 
 class Gallery:
@@ -36,7 +36,7 @@ class Gallery:
     Parameters
     ----------
     folder : Path
-        Where they keep their data.
+        Data folders of the services.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -62,7 +62,7 @@ class Gallery:
         return self._services[encoder]
 
     def map(self, name: str) -> tuple[Service, str, Evidence]:
-        """The service of one of MAPS, what the map is called there, and what came of making it."""
+        """One of MAPS: its service, its name there, and the facts of the map and its views."""
         wanted = MAPS[name]
         service, called = self.service(wanted.encoder), re.sub(r"[^a-z0-9]+", "-", name)
         if name not in self._made:
@@ -73,7 +73,7 @@ class Gallery:
         return service, called, self._made[name]
 
     def fresh(self, wanted: Map) -> tuple[Service, str]:
-        """A map that nobody else queries, and that may be changed."""
+        """A map of its own for one test, which may change it: its service and its name."""
         service, called = self.service(wanted.encoder), f"fresh-{next(self._numbers)}"
         service.make_map(called, wanted.options)
         for enrolled in wanted.views:
@@ -81,25 +81,25 @@ class Gallery:
         return service, called
 
     def answered(self, name: str) -> Evidence:
-        """What came of one of CASES."""
+        """The condensed answer of one of CASES."""
         service, called, _ = self.map(CASES[name].map)
         return condensed(service.query(called, CASES[name].query()).evidence)
 
     def described(self, map_name: str, image_name: str) -> Evidence:
-        """The description of a picture by a map's recipe, in short."""
+        """The condensed description of an image by a map's recipe; cached."""
         if (map_name, image_name) not in self._described:
             self._described[map_name, image_name] = self.described_again(map_name, image_name)
         return self._described[map_name, image_name]
 
     def described_again(self, map_name: str, image_name: str) -> Evidence:
-        """The same, never from memory."""
+        """As `described`, but not cached."""
         service, called, _ = self.map(map_name)
         described = service.describe(called, image(image_name))
         return {name: in_short(value) if isinstance(value, np.ndarray) else value for name, value in described.items()}
 
 
 def condensed(evidence: Evidence) -> Evidence:
-    """Evidence with the first of the query's labels and of the pairs of each match; instead digests of all of them."""
+    """Evidence with only the first labels of the query and pairs of each match, and digests of all of them."""
     short: Evidence = {}
     for name, column in evidence.items():
         if name.endswith(".pairs"):

@@ -1,7 +1,7 @@
-"""The pictures that the golden tests enrol and ask about, by name.
+"""The images that the golden tests enrol and query with, by name.
 
-Drawn places lie beside this file as JPEG: another processor draws a few pixels otherwise, and an answer about another
-picture is another answer. Patches of colour are computed, and saved in formats that every library writes alike.
+Drawn places lie beside this file as JPEG, because another processor draws a few pixels differently, which changes
+answers. Patches of colour are computed, and saved in formats that every library writes alike.
 """
 
 import io
@@ -20,13 +20,13 @@ GREY = 128
 
 
 def file_of(name: str) -> Path:
-    """Where a drawn picture lies."""
+    """The file of a drawn image."""
     return FOLDER / (re.sub(r"[^a-z0-9]+", "-", name) + ".jpg")
 
 
 @cache
 def image(name: str) -> bytes:
-    """An encoded picture."""
+    """The bytes of an image file."""
     return COMPUTED[name]() if name in COMPUTED else file_of(name).read_bytes()
 
 
@@ -35,13 +35,13 @@ def _pixels(name: str) -> Pixels:
 
 
 def _checks() -> Pixels:
-    """Black and white squares on their corners."""
+    """Black and white diagonal stripes."""
     bright = np.indices((192, 256)).sum(axis=0) // 16 % 2 * 255
     return np.repeat(bright.astype(np.uint8)[..., None], 3, axis=2)
 
 
 COMPUTED: Mapping[str, Callable[[], bytes]] = {
-    # the pixels of one picture in other bytes
+    # the pixels of one image in other bytes
     "lane, as bmp": lambda: encoded(_pixels("lane"), "bmp"),
     "lane, as tiff": lambda: encoded(_pixels("lane"), "tiff"),
     "no picture": lambda: b"<svg/>",
@@ -50,7 +50,7 @@ COMPUTED: Mapping[str, Callable[[], bytes]] = {
     "white wall": lambda: encoded(np.full((192, 256, 3), 250, np.uint8), "bmp"),
     "checks": lambda: encoded(_checks(), "bmp"),
     **{f"blobs {seed}": lambda seed=seed: encoded(blobs(160, 120, seed), "bmp") for seed in range(8)},  # type: ignore[misc]
-    # low, and so quickly described
+    # few pixels, so quickly described
     **{f"strip {seed}": lambda seed=seed: encoded(blobs(160, 40, seed), "bmp") for seed in range(7)},  # type: ignore[misc]
     "strip 1, cut": lambda: encoded(blobs(160, 40, 1)[2:36, 9:152], "bmp"),
     "blobs 1, cut": lambda: encoded(blobs(160, 120, 1)[8:112, 12:150], "bmp"),

@@ -1,4 +1,4 @@
-"""The maps that the golden tests query, each made when it is first needed and never changed."""
+"""The maps that the golden tests query; each is made when first needed and never changed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,19 +10,19 @@ from tests.golden.images import image
 
 @dataclass(frozen=True)
 class Enrolled:
-    """A view of a map: its picture, and what is said about it."""
+    """A view of a map: its image's name, and its attributes."""
 
     image: str
     said: Mapping[str, Any] = field(default_factory=dict)
 
     def view(self) -> View:
-        """As it is enrolled; its name is that of its picture."""
+        """The view to enrol, named as its image."""
         return View(self.image, image(self.image), **self.said)
 
 
 @dataclass(frozen=True)
 class Map:
-    """A map: which encoder, how it is made, and what is enrolled in it, in this order."""
+    """A map: encoder, recipe, and views in the order of enrolment."""
 
     encoder: EncoderName
     views: Sequence[Enrolled]
@@ -30,7 +30,7 @@ class Map:
 
 
 def only(*terms: str) -> dict[str, float]:
-    """Weights of a few terms, equal; the others are zero."""
+    """Weight 1 for these terms and 0 for the others."""
     return {term: float(term in terms) for term in TERMS}
 
 
@@ -59,7 +59,7 @@ TOWN = (
 """Ten places of all kinds and of three shapes."""
 
 FEW = _enrolled("station", "lane", "park", "corridor")
-"""Four places of one shape, for what a parameter changes."""
+"""Four places of one shape, for maps with other parameters."""
 
 COLOURS = tuple(
     Enrolled(f"blobs {seed}", {"position": {"lat": 48.1 + seed / 10_000, "lon": 11.5, "alt": 500.0 + seed}})
@@ -68,7 +68,7 @@ COLOURS = tuple(
 """Six patches of colour in the order of a walk to the north."""
 
 _CHANGED: Mapping[str, tuple[EncoderName, MapOptions]] = {
-    # what a description holds
+    # description
     "without cells": ("compact", _numbers(dense_cells=None)),
     "hard assignment": ("compact", _numbers(assignments={"semantic": 1, "detail": 1})),
     "other channel weights": ("compact", _numbers(channel_weights={"semantic": 0.8, "detail": 0.2})),
@@ -76,7 +76,7 @@ _CHANGED: Mapping[str, tuple[EncoderName, MapOptions]] = {
     "paper": ("compact", MapOptions("paper")),
     "code-words": ("compact", MapOptions("code-words")),
     "without local features": ("compact", _numbers(local_features=None)),
-    # how it is ranked
+    # ranking
     "nothing in full": ("compact", _numbers(full_resolution_top_k=0)),
     "one in full": ("compact", _numbers(full_resolution_top_k=1)),
     "more in full than there are": ("color", _numbers(full_resolution_top_k=100)),
@@ -115,4 +115,4 @@ MAPS: Mapping[str, Map] = {
 }
 
 FACTS = ("town", "equal views", "own labels", "paper", "code-words", "colours", "no such vocabulary")
-"""Maps of which it is golden what they and their views say of themselves."""
+"""Maps whose facts, and those of their views, are golden."""

@@ -6,26 +6,28 @@ from tests.golden.images import image
 from tests.golden.maps import BUSY
 
 FETCHES = ("half_resolution", "full_resolution", "local_features", "views")
-"""Stages that ask for views that were found: one may be deleted by then."""
+"""Stages that fetch views of the candidates, one of which may be deleted by then."""
 
 BEFORE_FETCHES = ("search", "catch_up")
-"""Stages before: the map may have changed over to another recipe since the query was described."""
+"""Earlier stages: the map may have switched to another recipe since the query was described."""
 
 ROUNDS = 5
-"""How often a query is searched at most when each time a view is gone."""
+"""Most searches of one query when a view is gone each time."""
 
 DOOMED = ("strip 3", "strip 0", "strip 5", "strip 2", "strip 6", "strip 4")
-"""Views in the order in which they are deleted; never the one that is looked for."""
+"""Views in the order of their deletion; never the right answer."""
 
 QUERY = Query(image("strip 1, cut"), top=7)
 
 OTHER = MapOptions(numbers={"min_region_cells": 60})
-"""Another way of describing: graphs with fewer nodes."""
+"""Another recipe: graphs with fewer nodes."""
 
 
 def deleted_meanwhile(gallery: Gallery, stage: str, times: int) -> tuple[Answer, Answer, int]:
-    """A view is deleted each of the first `times` that a stage is reached; also the answer of the calm after it, and
-    how often the stage was reached."""
+    """Query while a view is deleted at each of the first `times` calls of a stage.
+
+    Returns that answer, the answer to the same query afterwards, and the number of calls of the stage.
+    """
     service, called = gallery.fresh(BUSY)
     doomed = iter(DOOMED)
     with service.interrupted(stage, lambda: service.delete(called, next(doomed)), times) as calls:
@@ -34,7 +36,7 @@ def deleted_meanwhile(gallery: Gallery, stage: str, times: int) -> tuple[Answer,
 
 
 def without(gallery: Gallery, deleted: int) -> Evidence:
-    """What is golden of the answer when so many views were deleted before."""
+    """The condensed answer when `deleted` views were deleted before the query."""
     service, called = gallery.fresh(BUSY)
     for view in DOOMED[:deleted]:
         service.delete(called, view)
@@ -42,7 +44,7 @@ def without(gallery: Gallery, deleted: int) -> Evidence:
 
 
 def changed_over_meanwhile(gallery: Gallery, stage: str) -> tuple[Answer, Answer, Answer]:
-    """The map changes over to OTHER when a stage is first reached; also the answers before and after."""
+    """Query while the map switches to OTHER at the first call of a stage; the answers then, before and after."""
     service, called = gallery.fresh(BUSY)
     before = service.query(gallery.map("busy, at rest")[1], QUERY)  # another map: a query brings the index up to date
     with service.interrupted(stage, lambda: service.change_recipe(called, OTHER)):

@@ -1,4 +1,4 @@
-"""Write down what the service answers now, as what it is to answer from now on: ``python -m tests.golden.record``."""
+"""Records the present answers as the golden ones: ``python -m tests.golden.record``."""
 
 import json
 import tempfile
@@ -12,7 +12,7 @@ from tests.golden.gallery import Gallery
 from tests.golden.maps import FACTS
 
 Golden = dict[str, dict[str, Any]]
-"""Golden values by what they are of (answers, maps, races, descriptions) and by name."""
+"""Golden values by section (answers, maps, races, descriptions) and name."""
 
 EXPECTED = Path(__file__).with_name("expected.json")
 
@@ -29,7 +29,7 @@ def recorded() -> Golden:
 
 
 def written(values: Golden) -> str:
-    """As JSON with one line for each value; floats are written so that reading gives the same bits."""
+    """The values as JSON, one line each; floats are written so that reading gives the same bits."""
     sections = []
     for section, named in values.items():
         entries = []
@@ -41,7 +41,7 @@ def written(values: Golden) -> str:
 
 
 def read() -> Golden:
-    """What was recorded."""
+    """The recorded values."""
     values: Golden = json.loads(EXPECTED.read_text())
     return values
 

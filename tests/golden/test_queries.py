@@ -1,4 +1,4 @@
-"""Queries are answered as they were when their answers were recorded: every stage, every edge of the cascade."""
+"""Queries are answered as when recorded: every stage and every edge case of the cascade."""
 
 import pytest
 
@@ -21,5 +21,5 @@ def test_a_map_and_its_views_say_of_themselves_what_they_did(
     assert list(differences(golden["maps"][name], gallery.map(name)[2], tolerance)) == []
 
 
-def test_nothing_is_golden_not_queried(golden: Golden) -> None:
+def test_every_golden_value_has_a_query(golden: Golden) -> None:
     assert (set(golden["answers"]), set(golden["maps"])) == (set(CASES), set(FACTS))

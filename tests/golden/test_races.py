@@ -1,4 +1,4 @@
-"""A map may change while it is queried: the answer is about what is left, by one recipe, or is refused."""
+"""A map may change during a query: the answer holds the remaining views, by one recipe, or is an error."""
 
 import pytest
 
@@ -57,5 +57,5 @@ def test_when_the_map_changes_over_while_views_are_compared_the_answer_is_by_one
 
 
 def ranked(answer: Answer) -> Evidence:
-    """Evidence without what views say of themselves, which they do by their map's recipe of the moment."""
+    """Evidence without the descriptions of views, which are shown by the map's present recipe."""
     return {name: value for name, value in answer.evidence.items() if name != "match.sampled_descriptors"}

@@ -1,6 +1,6 @@
-"""A house without a network or a database, for what happens between the socket and the use-cases.
+"""A runtime without networks and without a database, for tests of the HTTP interface.
 
-It keeps what it is told in dictionaries, checks pictures with the real codec, and can be told to fail.
+It keeps views in dictionaries, checks images with the real codec, and fails on demand.
 """
 
 import asyncio
@@ -64,7 +64,7 @@ class Kept:
 
 @dataclass
 class FakeRecogniser:
-    """Answers as the real one would, without describing anything."""
+    """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))
     kept: dict[str, Kept] = field(default_factory=dict)
@@ -320,12 +320,12 @@ class FakeRecogniser:
 
 @dataclass
 class FakeRuntime:
-    """One fake that stands for all use-cases; it fits by its shape, not by its type."""
+    """Stands for the runtime and, by its methods, for all use-cases."""
 
     recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
     settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
 
     def app(self) -> FastAPI:
-        """The application around this house."""
+        """The application of this runtime."""
         fake = self.recogniser
         return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings))

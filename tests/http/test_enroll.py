@@ -1,4 +1,4 @@
-"""`POST /enroll` takes pictures and what is said about them, and refuses without leaving anything behind."""
+"""`POST /enroll` takes images and their attributes; a refused request leaves nothing behind."""
 
 import asyncio
 from datetime import UTC, datetime
@@ -24,7 +24,7 @@ def files(*images: bytes) -> list[tuple[str, tuple[str, bytes, str]]]:
     return [("image", (f"{i}.jpg", data, "image/jpeg")) for i, data in enumerate(images)]
 
 
-def test_a_picture_is_enrolled_as_multipart(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+def test_an_image_is_enrolled_as_multipart(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     answer = client.post(
         "/enroll",
         files=files(photo()),
@@ -50,7 +50,7 @@ def test_a_picture_is_enrolled_as_multipart(client: CheckedClient, recogniser: F
 
 
 @pytest.mark.parametrize("content_type", ["image/jpeg", "image/png", "application/octet-stream", None])
-def test_a_picture_is_enrolled_as_the_raw_body_whatever_picture_it_is_called(
+def test_an_image_is_enrolled_as_the_raw_body_whatever_image_type_it_is_called(
     client: CheckedClient, recogniser: FakeRecogniser, content_type: str | None
 ) -> None:
     headers = {"content-type": content_type} if content_type else {}
@@ -86,7 +86,7 @@ def test_the_same_bytes_again_answer_200_with_the_view_that_exists(client: Check
     assert again.json()["view"] == first.json()["view"]
 
 
-def test_the_same_bytes_with_something_else_said_conflict(client: CheckedClient) -> None:
+def test_the_same_bytes_with_other_attributes_conflict(client: CheckedClient) -> None:
     client.post("/enroll", files=files(photo()), data={"place": "hall"})
     answer = client.post("/enroll", files=files(photo()), data={"place": "cellar"})
     assert (answer.status_code, code(answer)) == (409, "conflict")
@@ -98,7 +98,7 @@ def test_not_waiting_answers_202_with_the_job(client: CheckedClient) -> None:
     assert answer.headers["location"] == f"/jobs/{answer.json()['job']}"
 
 
-def test_several_pictures_answer_each_for_itself(client: CheckedClient) -> None:
+def test_several_images_are_each_answered(client: CheckedClient) -> None:
     answer = client.post("/enroll", files=files(photo(1), photo(2)))
     assert answer.status_code == 201
     assert len(answer.json()["views"]) == 2
@@ -140,7 +140,7 @@ def test_when_none_of_several_can_be_taken_the_answer_is_an_error(
     ],
     ids=lambda value: value if isinstance(value, str) and "/" not in value else "",
 )
-def test_what_holds_no_picture_is_refused_and_leaves_nothing_behind(
+def test_a_body_without_an_image_is_refused_and_leaves_nothing_behind(
     client: CheckedClient,
     recogniser: FakeRecogniser,
     name: str,
@@ -177,12 +177,12 @@ def test_a_part_without_a_name_is_malformed(client: CheckedClient) -> None:
     assert code(answer) == "malformed-body"
 
 
-def test_an_empty_image_part_is_no_picture(client: CheckedClient) -> None:
+def test_an_empty_image_part_is_no_image(client: CheckedClient) -> None:
     answer = client.post("/enroll", content=multipart((IMAGE, b"")), headers=FORM)
     assert (answer.status_code, code(answer)) == (400, "no-picture")
 
 
-def test_a_file_under_another_name_is_named(client: CheckedClient) -> None:
+def test_a_file_in_another_part_than_image_is_named(client: CheckedClient) -> None:
     answer = client.post("/enroll", files=[("photo", ("a.jpg", photo(), "image/jpeg"))])
     assert code(answer) == "invalid-parameter"
     assert answer.json()["errors"] == [
@@ -200,7 +200,7 @@ def test_a_part_that_is_no_utf8_and_one_that_is_too_long_are_listed(client: Chec
     assert [e["parameter"] for e in answer.json()["errors"]] == ["place", "metadata"]
 
 
-def test_more_parts_than_anybody_needs_are_refused(client: CheckedClient) -> None:
+def test_too_many_parts_are_refused(client: CheckedClient) -> None:
     body = multipart(*[('Content-Disposition: form-data; name="a"', b"")] * 400)
     assert code(client.post("/enroll", content=body, headers=FORM)) == "malformed-body"
     body = multipart(*[(IMAGE, b"x")] * 150)
@@ -219,7 +219,7 @@ def test_a_body_larger_than_allowed_is_refused_by_its_announcement_and_by_its_co
     assert not recogniser.kept
 
 
-def test_a_connection_that_closes_within_the_body_is_no_mistake_of_ours(
+def test_a_connection_that_closes_within_the_body_is_not_answered_500(
     runtime: FakeRuntime, recogniser: FakeRecogniser
 ) -> None:
     messages: list[dict[str, Any]] = [
@@ -330,7 +330,7 @@ def test_metadata_may_be_as_deep_and_as_large_as_promised(client: CheckedClient,
         (RuntimeError("secret"), 500, None),
     ],
 )
-def test_what_the_house_refuses_becomes_its_problem(
+def test_an_error_of_the_use_case_becomes_its_problem(
     client: CheckedClient, recogniser: FakeRecogniser, error: Exception, status: int, retry: str | None
 ) -> None:
     recogniser.fails["enroll_one" if status != 500 else "enroll"] = error

@@ -1,4 +1,4 @@
-"""Whatever bytes come, the answer is a picture or a refusal with a code: no other exception, no crash, no long wait."""
+"""Any bytes give an image or an error with a code: no other exception, no crash, no long wait."""
 
 import asyncio
 import io
@@ -38,7 +38,7 @@ SOUND = {form: encoded(drawn(96, 64), form) for form in FORMS}
 SOUND["exif"] = encoded(drawn(96, 64), "jpeg", exif=(exif := PilImage.Exif()))
 SOUND["progressive"] = encoded(drawn(96, 64), "jpeg", progressive=True)
 
-# A warning of Pillow about odd metadata is its way of carrying on; here only what comes out counts.
+# Pillow warns of odd metadata and goes on; only the outcome is tested here.
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:PIL")
 
 many = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -55,10 +55,10 @@ def outcome(data: bytes) -> str:
     assert (facts.width, facts.height, facts.sha256) == (image.width, image.height, image.digest)
     assert image.width * image.height <= LIMITS.max_pixels
     assert thumbnail(data, 32)
-    return "picture"
+    return "image"
 
 
-# pictures
+# images
 
 
 @many
@@ -68,7 +68,7 @@ def outcome(data: bytes) -> str:
     keep=st.floats(0, 1),
     tail=st.binary(max_size=20),
 )
-def test_a_damaged_picture_is_a_picture_or_a_refusal(
+def test_a_damaged_image_is_an_image_or_a_refusal(
     form: str, changes: list[tuple[float, int]], keep: float, tail: bytes
 ) -> None:
     data = bytearray(SOUND[form])
@@ -79,7 +79,7 @@ def test_a_damaged_picture_is_a_picture_or_a_refusal(
 
 @many
 @given(form=st.sampled_from(sorted(SOUND)), position=st.integers(0, 200), value=st.integers(0, 255))
-def test_a_damaged_header_is_a_picture_or_a_refusal(form: str, position: int, value: int) -> None:
+def test_a_damaged_header_is_an_image_or_a_refusal(form: str, position: int, value: int) -> None:
     data = bytearray(SOUND[form])
     data[min(position, len(data) - 1)] = value
     outcome(bytes(data))
@@ -97,10 +97,10 @@ def test_rubbish_behind_any_magic_is_refused(magic: bytes, rest: bytes) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_picture_cut_at_every_byte_is_refused(form: str) -> None:
+def test_an_image_cut_at_every_byte_is_refused(form: str) -> None:
     data = SOUND[form]
     step = max(1, len(data) // 150)
-    # The last bytes of a BMP are padding and those of a WebP may be too; what every cut loses is pixels.
+    # The last bytes of a BMP are padding, those of a WebP may be; every other cut loses pixels.
     for cut in range(0, len(data) - 16, step):
         assert outcome(data[:cut]) in ("not-a-picture", "undecodable-picture"), cut
 
@@ -124,7 +124,7 @@ def test_sizes_that_lie_are_refused_without_taking_memory(form: str, width: int,
     assert time.perf_counter() - begin < 5
 
 
-def test_text_in_a_picture_that_unpacks_to_gigabytes_does_no_harm() -> None:
+def test_text_in_an_image_that_unpacks_to_gigabytes_does_no_harm() -> None:
     bomb = zlib.compress(bytes(50_000_000), 9)
     sound = SOUND["png"]
     for kind, head in ((b"zTXt", b"Comment\0\0"), (b"iCCP", b"profile\0\0"), (b"iTXt", b"Comment\0\1\0\0\0")):
@@ -191,7 +191,7 @@ def part(name: str, content: bytes, file: str | None = None) -> bytes:
 WHOLE = part("image", b"picture", "a.jpg") + part("map", b"m") + part("metadata", b'{"a": 1}') + b"--xyz--\r\n"
 
 
-def test_a_whole_body_is_taken_apart() -> None:
+def test_a_whole_body_is_parsed() -> None:
     sent = taken(b"preamble\r\n" + WHOLE + b"epilogue", FORM, "place=p")
     if isinstance(sent, str):
         sent = taken(WHOLE, FORM, "place=p")
@@ -214,7 +214,7 @@ def test_a_body_cut_at_every_byte_is_malformed() -> None:
         [FORM, FORM + "; charset=utf-16", 'multipart/form-data; boundary="x y"', "multipart/form-data"]
     ),
 )
-def test_a_damaged_body_is_taken_apart_or_refused(changes: list[tuple[int, bytes]], content_type: str) -> None:
+def test_a_damaged_body_is_parsed_or_refused(changes: list[tuple[int, bytes]], content_type: str) -> None:
     body = WHOLE
     for position, what in changes:
         body = body[:position] + what + body[position + 1 :]
@@ -233,7 +233,7 @@ def test_any_content_type_is_taken_or_refused(content_type: str, body: bytes) ->
     taken(body, "multipart/form-data; " + content_type)
 
 
-def test_a_picture_that_looks_like_boundaries_arrives_whole() -> None:
+def test_an_image_that_looks_like_boundaries_arrives_whole() -> None:
     for image in (b"\r\n--xy", b"--xyz", b"\r\n--xyzz", b"\r\n" * 50, b"\r\n--xyz-", b"\r" * 99, b"--"):
         sent = taken(part("image", image) + b"--xyz--", FORM)
         assert isinstance(sent, Sent)
@@ -254,7 +254,7 @@ def test_headers_of_a_part_that_never_end_are_refused() -> None:
         assert taken(b"--xyz\r\n" + header + b"\r\n\r\npicture\r\n--xyz--", FORM) == "malformed-body"
 
 
-def test_many_pictures_are_too_many() -> None:
+def test_more_than_a_hundred_images_are_refused() -> None:
     sent = taken(part("image", b"p") * (MOST_IMAGES + 1) + b"--xyz--", FORM)
     assert isinstance(sent, Sent)
     assert [error.parameter for error in sent.errors] == ["image"]
@@ -293,7 +293,7 @@ fields = st.sampled_from(["place", "x", "y", "z", "lat", "lon", "alt", "heading"
 
 @many
 @given(st.dictionaries(fields, values_, max_size=5))
-def test_any_document_is_what_was_said_or_a_list_of_mistakes(document: dict[str, Any]) -> None:
+def test_any_document_gives_its_attributes_or_a_list_of_mistakes(document: dict[str, Any]) -> None:
     try:
         attributes = validated(AttributesDocument, document).attributes()
     except InvalidParameters as error:
@@ -353,4 +353,4 @@ def test_an_image_of_one_colour_survives_every_format() -> None:
     for form in FORMS:
         out = io.BytesIO()
         PilImage.new("RGB", (40, 40), (7, 7, 7)).save(out, form)
-        assert outcome(out.getvalue()) == "picture"
+        assert outcome(out.getvalue()) == "image"

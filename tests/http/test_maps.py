@@ -39,13 +39,15 @@ def test_a_map_with_views_is_not_given_another_recipe(client: CheckedClient) -> 
         ({"colour": "red"}, "colour"),
     ],
 )
-def test_a_map_that_cannot_be_made_is_told_why(client: CheckedClient, body: dict[str, Any], wrong: str) -> None:
+def test_a_map_that_cannot_be_made_is_refused_with_the_reason(
+    client: CheckedClient, body: dict[str, Any], wrong: str
+) -> None:
     answer = client.put("/maps/campus", json=body)
     assert answer.status_code == 422
     assert [e["parameter"] for e in answer.json()["errors"]] == [wrong]
 
 
-def test_some_numbers_of_a_ranking_change_at_once(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+def test_fields_of_a_ranking_change_at_once(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     client.put("/maps/campus")
     answer = client.patch(
         "/maps/campus",
@@ -65,7 +67,9 @@ def test_some_numbers_of_a_ranking_change_at_once(client: CheckedClient, recogni
         ({"ranking": {}, "labels": ["wall"]}, "labels"),
     ],
 )
-def test_a_ranking_that_cannot_be_changed_is_told_why(client: CheckedClient, body: dict[str, Any], wrong: str) -> None:
+def test_a_ranking_that_cannot_be_changed_is_refused_with_the_reason(
+    client: CheckedClient, body: dict[str, Any], wrong: str
+) -> None:
     client.put("/maps/campus")
     answer = client.patch("/maps/campus", json=body)
     assert answer.status_code == 422
@@ -108,7 +112,7 @@ def test_jobs_are_listed_by_map_kind_and_state(client: CheckedClient, recogniser
 
 
 @pytest.mark.parametrize("query", ["map=.x", "kind=odd", "state=ready", "cursor=", "limit=501", "place=hall"])
-def test_a_list_of_jobs_refuses_what_it_does_not_know(client: CheckedClient, query: str) -> None:
+def test_a_list_of_jobs_refuses_unknown_parameters(client: CheckedClient, query: str) -> None:
     answer = client.get(f"/jobs?{query}")
     assert answer.status_code == 422
     assert [e["parameter"] for e in answer.json()["errors"]] == [query.partition("=")[0]]

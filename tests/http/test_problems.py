@@ -1,4 +1,4 @@
-"""Refusals as clients see them."""
+"""Errors as problems."""
 
 import json
 
@@ -13,9 +13,9 @@ from schemas.errors import Busy, DescriptorMismatch, InvalidParameters, LeaseLos
     [
         (NotFound("map", "m"), "not-found", 404),
         (InvalidParameters.of("top", "is 0"), "invalid-parameter", 422),
-        # A running service is set up; what is not is one map, and its refusal says what to do.
+        # In a running service a SetupError concerns one map; its text says what to do.
         (SetupError("this recipe needs the encoder lseg; start that one"), "conflict", 409),
-        # What happens between workers tells a client nothing.
+        # Errors between workers mean nothing to a client.
         (LeaseLost("secret"), "internal", 500),
         (DescriptorMismatch(got=1, want=2), "internal", 500),
         (RevisitError("secret"), "internal", 500),
@@ -29,5 +29,5 @@ def test_a_refusal_has_its_code_and_tells_no_secrets(error: RevisitError, code: 
     assert "secret" not in body["detail"]
 
 
-def test_busy_says_when_to_come_back() -> None:
+def test_busy_says_when_to_try_again() -> None:
     assert problem_of(Busy("full", 17), "r1").headers["retry-after"] == "17"

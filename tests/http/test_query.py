@@ -1,4 +1,4 @@
-"""`POST /query` reads its query exactly, or says all that is wrong with it."""
+"""`POST /query` reads its parameters, or lists all mistakes in them."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -134,7 +134,7 @@ def test_an_unknown_map_is_not_found(client: CheckedClient) -> None:
 
 
 @pytest.mark.parametrize(("error", "status"), [(NothingStatic("only cars"), 422), (Busy("32 wait", 3), 429)])
-def test_what_the_house_refuses_becomes_its_problem(
+def test_an_error_of_the_use_case_becomes_its_problem(
     client: CheckedClient, recogniser: FakeRecogniser, error: Exception, status: int
 ) -> None:
     recogniser.fails["query"] = error

@@ -1,4 +1,4 @@
-"""Health, metrics, documentation, and what every answer has in common."""
+"""Health, metrics, documentation, and properties of all answers."""
 
 import asyncio
 import json
@@ -22,17 +22,17 @@ JPEG = {"content-type": "image/jpeg"}
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_house_is_started_and_stopped_with_the_application(runtime: FakeRuntime) -> None:
+def test_the_runtime_is_started_and_stopped_with_the_application(runtime: FakeRuntime) -> None:
     with CheckedClient(runtime.app()):
         assert runtime.recogniser.events == ["start"]
     assert runtime.recogniser.events == ["start", "stop"]
 
 
 @pytest.mark.parametrize("path", ["/livez", "/readyz", "/metrics", "/version", "/maps", "/views", "/places"])
-def test_nothing_that_a_route_is_given_waits_for_a_thread(
+def test_no_dependency_of_a_route_waits_for_a_thread(
     client: CheckedClient, monkeypatch: pytest.MonkeyPatch, path: str
 ) -> None:
-    """FastAPI fetches what is no coroutine in a thread: /readyz would then wait while every thread works."""
+    """FastAPI runs dependencies that are no coroutines in a thread: /readyz would wait while all threads are busy."""
 
     def busy(*_: object) -> None:
         raise AssertionError("every thread works")
@@ -59,7 +59,9 @@ def test_any_other_request_id_is_replaced(client: CheckedClient, given: str | by
     assert answer.json()["request_id"] == answer.headers["x-request-id"]
 
 
-def test_every_request_is_logged_without_what_was_said(client: CheckedClient, caplog: pytest.LogCaptureFixture) -> None:
+def test_every_request_is_logged_without_its_parameters(
+    client: CheckedClient, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO, "revisit.access")
     client.post("/enroll?lat=48.137&lon=11.575", content=photo(), headers=JPEG | {"x-request-id": "r1"})
     (record,) = [r for r in caplog.records if r.name == "revisit.access"]
@@ -70,10 +72,10 @@ def test_every_request_is_logged_without_what_was_said(client: CheckedClient, ca
     assert "48.137" not in str(fields)
 
 
-# mistakes of ours
+# internal errors
 
 
-def test_a_mistake_of_ours_tells_the_client_its_id_and_the_log_its_traceback(
+def test_an_internal_error_gives_the_client_its_id_and_the_log_its_traceback(
     client: CheckedClient, recogniser: FakeRecogniser, caplog: pytest.LogCaptureFixture
 ) -> None:
     recogniser.fails["view"] = ZeroDivisionError("the secret path")
@@ -85,9 +87,7 @@ def test_a_mistake_of_ours_tells_the_client_its_id_and_the_log_its_traceback(
     assert vars(record)["request_id"] == "r2"
 
 
-def test_refusals_that_concern_no_client_are_mistakes_of_ours(
-    client: CheckedClient, recogniser: FakeRecogniser
-) -> None:
+def test_errors_that_concern_no_client_are_internal(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     recogniser.fails["view"] = errors.LeaseLost("too late")
     answer = client.get("/views/v")
     assert (answer.status_code, answer.json()["type"]) == (500, URN + "internal")
@@ -98,7 +98,7 @@ def test_refusals_that_concern_no_client_are_mistakes_of_ours(
 
 
 @pytest.mark.parametrize(("attribute", "value"), [("started", False), ("draining", True)])
-def test_while_it_starts_or_drains_it_says_when_to_come_back(
+def test_while_the_service_starts_or_drains_it_says_when_to_try_again(
     client: CheckedClient, recogniser: FakeRecogniser, attribute: str, value: bool
 ) -> None:
     setattr(recogniser, attribute, value)
@@ -112,7 +112,7 @@ def test_while_it_starts_or_drains_it_says_when_to_come_back(
     assert int(ready.headers["retry-after"]) > 0
 
 
-def test_readiness_answers_in_time_even_if_the_house_does_not(
+def test_readiness_answers_in_time_even_if_the_runtime_does_not(
     client: CheckedClient, recogniser: FakeRecogniser
 ) -> None:
     assert client.get("/readyz").json() == {"ready": True, "checks": {"store": "ok", "encoder": "ok"}}
@@ -218,8 +218,8 @@ def _without_body(client: CheckedClient, method: str, path: str) -> Any:
     return client.request(method, re.sub(r"\{\w+\}", ".no such.", path))
 
 
-def test_every_route_errs_in_the_same_shape(client: CheckedClient) -> None:
-    """Unknown addresses, unknown methods, and an unknown parameter on every route there is."""
+def test_every_route_answers_errors_in_the_same_shape(client: CheckedClient) -> None:
+    """Unknown paths, unknown methods, and an unknown parameter on every route."""
     answers = [client.get("/nowhere"), client.get("/views/"), client.put("/query"), client.post("/livez")]
     for path, methods in client.get("/openapi.json").json()["paths"].items():
         answers += [client.request(method, path.replace("{map}", "m") + "?no=such") for method in methods]
@@ -233,7 +233,7 @@ def test_every_route_errs_in_the_same_shape(client: CheckedClient) -> None:
     assert answers[2].headers["allow"] == "POST"
 
 
-def test_every_route_refuses_what_is_given_twice(client: CheckedClient) -> None:
+def test_every_route_refuses_repeated_parameters(client: CheckedClient) -> None:
     for path, methods in client.get("/openapi.json").json()["paths"].items():
         for method in methods:
             url = path.replace("{map}", "m") + "?no=such&no=such"
@@ -254,9 +254,9 @@ def _codes_of(error: type[errors.RevisitError]) -> set[str]:
     return {error.code} | {code for kind in error.__subclasses__() for code in _codes_of(kind)}
 
 
-def test_every_refusal_of_the_house_is_in_the_table() -> None:
+def test_every_error_code_is_in_the_table() -> None:
     ours = {"internal", errors.LeaseLost.code, errors.DescriptorMismatch.code, errors.SetupError.code}
-    ours.add("unexpected-layout")  # of a data set on disk, told on the command line
+    ours.add("unexpected-layout")  # of a data set on disk, reported by the command line
     assert _codes_of(errors.RevisitError) - ours <= KINDS.keys()
 
 
@@ -318,7 +318,7 @@ def test_an_answer_that_cannot_be_remembered_is_still_given(client: CheckedClien
 
 
 @pytest.mark.parametrize("key", ["", "two words", "x" * 256, "ü".encode()])
-def test_a_key_that_is_none_is_refused(client: CheckedClient, key: str | bytes) -> None:
+def test_a_malformed_key_is_refused(client: CheckedClient, key: str | bytes) -> None:
     answer = enroll(client, key)
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["parameter"] == "Idempotency-Key"

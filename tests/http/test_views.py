@@ -1,4 +1,4 @@
-"""`/views` and the pictures of a view: list, look, correct, delete."""
+"""`/views` and the images of a view: list, show, correct, delete."""
 
 from datetime import UTC, datetime
 from io import BytesIO
@@ -22,7 +22,7 @@ def view(client: CheckedClient) -> str:
     return str(answer.json()["view"]["id"])
 
 
-def test_a_view_can_be_looked_at_listed_and_deleted(client: CheckedClient, view: str) -> None:
+def test_a_view_can_be_shown_listed_and_deleted(client: CheckedClient, view: str) -> None:
     seen = client.get(f"/views/{view}").json()
     assert seen["place"] == "hall"
     assert client.get("/views").json()["views"] == [seen]
@@ -48,7 +48,7 @@ def test_a_list_takes_filters_order_and_pages(client: CheckedClient, recogniser:
 @pytest.mark.parametrize(
     "query", ["limit=0", "limit=501", "sort=place", "state=odd", "map=a%20b", "cursor=", "words=tree", "top=1"]
 )
-def test_a_list_refuses_what_it_does_not_know(client: CheckedClient, query: str) -> None:
+def test_a_list_refuses_unknown_parameters(client: CheckedClient, query: str) -> None:
     answer = client.get(f"/views?{query}")
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["parameter"] == query.partition("=")[0]
@@ -204,7 +204,7 @@ def test_a_patch_has_a_size(client: CheckedClient, view: str) -> None:
     "path",
     ["image", "thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=true", "graph.png"],
 )
-def test_pictures_are_cached_by_their_etag(client: CheckedClient, view: str, path: str) -> None:
+def test_images_are_cached_by_their_etag(client: CheckedClient, view: str, path: str) -> None:
     first = client.get(f"/views/{view}/{path}")
     assert first.status_code == 200
     etag = first.headers["etag"]
@@ -215,7 +215,7 @@ def test_pictures_are_cached_by_their_etag(client: CheckedClient, view: str, pat
     assert client.get(f"/views/{view}/{path}", headers={"if-none-match": '"other"'}).status_code == 200
 
 
-def test_options_of_a_picture_have_etags_of_their_own(client: CheckedClient, view: str) -> None:
+def test_options_of_an_image_have_etags_of_their_own(client: CheckedClient, view: str) -> None:
     paths = ["thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=1", "graph.png", "image"]
     assert len({client.get(f"/views/{view}/{path}").headers["etag"] for path in paths}) == len(paths)
 
@@ -228,5 +228,5 @@ def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: Chec
 
 
 @pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])
-def test_a_picture_refuses_options_it_does_not_know(client: CheckedClient, view: str, path: str) -> None:
+def test_an_image_route_refuses_unknown_options(client: CheckedClient, view: str, path: str) -> None:
     assert client.get(f"/views/{view}/{path}").status_code == 422

@@ -1,4 +1,4 @@
-"""Cells read with all channels joined, and one channel by itself."""
+"""Similarities by all channels joined and by one channel alone, and their fusion."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def cells(seed: int, dimensions: int = 16) -> Floats:
     return unit
 
 
-def test_a_channel_cut_out_of_joined_cells_compares_as_it_would_by_itself() -> None:
+def test_a_channel_sliced_from_joined_cells_compares_as_it_would_by_itself() -> None:
     query, view = ({"semantic": cells(seed), "detail": cells(seed + 1)} for seed in (0, 2))
     view["detail"] = np.roll(query["detail"], 1, axis=1) * 0.8 + view["detail"] * 0.6
     view["detail"] /= np.linalg.norm(view["detail"], axis=2, keepdims=True)
@@ -34,8 +34,8 @@ def test_a_channel_cut_out_of_joined_cells_compares_as_it_would_by_itself() -> N
     np.testing.assert_array_equal(np.concatenate([mine, words], axis=-1), ours)
 
 
-def test_at_half_size_a_part_is_as_long_as_it_is_and_likenesses_stay_what_they_would_be_alone() -> None:
-    """Four neighbours have the same words and unlike details: averaged, little is left of the details."""
+def test_at_half_size_a_sliced_channel_is_shorter_and_its_similarities_are_those_of_the_channel_by_itself() -> None:
+    """Four neighbours have the same semantic part and unlike details, which nearly cancel in their average."""
     words = np.repeat(np.repeat(cells(0)[::2, ::2], 2, axis=0), 2, axis=1)
     joined = {"semantic": words, "detail": cells(1)}
     whole = quantise(dense_cells.join(joined, SHARES))
@@ -50,26 +50,26 @@ def test_at_half_size_a_part_is_as_long_as_it_is_and_likenesses_stay_what_they_w
     assert channel_fusion.length(np.zeros((2, 3, 4), np.int8)) == 1
 
 
-def test_readings_are_exchanged_so_that_what_most_candidates_get_is_the_same() -> None:
+def test_scales_are_aligned_so_that_most_candidates_get_the_same_similarity() -> None:
     joined = np.array([0.2] * 9 + [0.3], np.float32)
     alone = np.array([0.1] * 9 + [0.4], np.float32)
 
     rate = channel_fusion.align_scale(joined, alone)
 
     assert rate == pytest.approx(2)
-    # The last one stands out more when it is read alone.
+    # The last candidate stands out more by the detail channel alone.
     assert channel_fusion.max_fusion(joined, alone, rate).tolist() == pytest.approx([0.2] * 9 + [0.8])
     assert channel_fusion.align_scale(joined, np.zeros(10, np.float32)) == 0
 
 
-def test_what_little_agrees_in_a_picture_of_nothing_does_not_stand_out_without_bound() -> None:
+def test_small_similarities_in_an_image_without_content_are_not_scaled_up_without_bound() -> None:
     joined = np.full(40, 0.2, np.float32)
     alone = np.array([0.0] * 33 + [1e-20] * 6 + [0.05], np.float32)
 
     assert channel_fusion.max_fusion(joined, alone, channel_fusion.align_scale(joined, alone)) == pytest.approx(joined)
 
 
-def test_the_only_candidate_stands_out_in_neither_reading() -> None:
+def test_the_only_candidate_is_not_raised_by_the_detail_channel() -> None:
     joined, alone = np.array([0.2], np.float32), np.array([0.7], np.float32)
     assert channel_fusion.max_fusion(joined, alone, channel_fusion.align_scale(joined, alone)) == pytest.approx([0.2])
 
@@ -78,7 +78,7 @@ Similarities = st.lists(st.floats(0, 1, width=32), min_size=1, max_size=20)
 
 
 @given(Similarities, Similarities, st.floats(0, 8))
-def test_reading_alone_lowers_nothing_and_what_was_not_read_so_stays(
+def test_max_fusion_lowers_nothing_and_leaves_candidates_without_a_second_similarity(
     joined: list[float], alone: list[float], rate: float
 ) -> None:
     alone = alone[: len(joined)]

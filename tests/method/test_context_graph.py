@@ -13,7 +13,7 @@ SQUARE = (1.0, 1.0)
 
 
 def embeddings_of(labels: np.ndarray) -> np.ndarray:
-    """Each cell's embedding tells where it is, so that tests see which cell was read."""
+    """Embeddings (row, column, 1), so that tests see which cell was read."""
     rows, columns = labels.shape
     y, x = np.mgrid[:rows, :columns]
     return np.stack([y, x, np.ones_like(y)], axis=-1).astype(np.float32)
@@ -25,7 +25,7 @@ def graph_of(image: list[str], min_region_cells: int = 1, dynamic: str = "") -> 
     return context_graph.build(labels, static, embeddings_of(labels), SQUARE, components, min_region_cells)
 
 
-def test_every_region_of_a_word_is_a_node_at_its_centroid() -> None:
+def test_every_region_of_a_label_is_a_node_at_its_centroid() -> None:
     graph = graph_of(["0011", "0011", "0001", "1000"])
     assert graph.labels.tolist() == [0, 1, 1]
     np.testing.assert_allclose(graph.positions[2], [0.5 / 4, 3.5 / 4])
@@ -67,7 +67,7 @@ def test_nodes_are_ordered_by_label_then_first_cell() -> None:
     np.testing.assert_allclose(ones * [4, 3] - 0.5, [[x, y] for y, x in first_cells], atol=1e-5)
 
 
-def test_a_picture_without_static_cells_has_no_nodes() -> None:
+def test_an_image_without_static_cells_has_no_nodes() -> None:
     graph = graph_of(["22", "22"], dynamic="2")
     assert len(graph) == 0
 
@@ -154,7 +154,7 @@ def graphs(draw: st.DrawFn) -> ContextGraph:
 
 
 def naive(query: ContextGraph, view: ContextGraph, t: float, tau: float) -> float:
-    """The definition, word by word, one pair at a time."""
+    """The similarity by its definition, one pair at a time."""
 
     def cosine(p: int, r: int) -> float:
         if query.labels[p] != view.labels[r]:
@@ -204,7 +204,7 @@ def test_the_similarity_is_symmetric_and_within_bounds(one: ContextGraph, other:
 
 
 @given(graphs())
-def test_a_graph_is_like_itself(graph: ContextGraph) -> None:
+def test_a_graph_has_similarity_1_with_itself(graph: ContextGraph) -> None:
     if len(graph) >= 2:
         assert context_graph.compare(graph, [graph], 0.95, 0.3).similarity[0] == 1.0
 

@@ -1,4 +1,4 @@
-"""What a verdict is made of."""
+"""Evidence, confidences and verdicts."""
 
 from typing import Any
 

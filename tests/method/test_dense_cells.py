@@ -1,4 +1,4 @@
-"""Dense cells: what is cut, what corresponds, and how agreement is counted."""
+"""Dense cells, their correspondences, and the similarity."""
 
 import numpy as np
 import pytest
@@ -17,10 +17,10 @@ def cells(seed: int, rows: int = 8, columns: int = 12, channels: int = 16) -> Fl
     return unit
 
 
-def test_a_cell_is_the_mean_of_its_pixels_less_the_mean_of_the_picture() -> None:
+def test_a_cell_is_the_mean_of_its_pixels_less_the_mean_of_the_image() -> None:
     east, north = (1.0, 0.0), (0.0, 1.0)
     field = np.array([[east, east, north, north]], np.float32)
-    # Cell means are (1, 0) and (0, 1), the picture's mean (.5, .5): (.5, -.5) and (-.5, .5) before scaling.
+    # Cell means are (1, 0) and (0, 1), the image's mean (.5, .5): (.5, -.5) and (-.5, .5) before scaling.
     half = np.sqrt(0.5)
     np.testing.assert_allclose(dense_cells.grid(field, 1, 2), [[[half, -half], [-half, half]]], atol=1e-6)
 
@@ -40,7 +40,7 @@ def test_a_field_smaller_than_the_grid_repeats_its_pixels() -> None:
     np.testing.assert_allclose(grid[0, 0], grid[1, 1], atol=1e-6)
 
 
-def test_a_picture_of_one_colour_has_no_direction_and_matches_nothing() -> None:
+def test_an_image_of_one_colour_has_no_direction_and_matches_nothing() -> None:
     plain = dense_cells.grid(np.full((6, 6, 4), 0.5, np.float32), 3, 3)
     assert np.isfinite(plain).all()
     nothing = np.zeros((3, 3, 4), np.int8)
@@ -100,7 +100,7 @@ def test_correspondences_are_mutual_and_the_first_of_equals_wins() -> None:
     query = np.array([[[1, 0], [0, 1]]], np.float32)
     candidate = np.array([[[1, 0], [1, 0]]], np.float32)
     pairs = dense_cells.correspondences(query, candidate[None])
-    # Both candidate cells look like query cell 0; it answers the first. Query cell 1 has no cosine above 0.
+    # Both candidate cells are nearest to query cell 0, which matches the first. Query cell 1 has no cosine above 0.
     assert pairs.query_cell.tolist() == [0]
     assert pairs.candidate_cell.tolist() == [0]
     assert pairs.cosine.tolist() == [1.0]
@@ -119,7 +119,7 @@ def test_the_weight_is_the_squared_cosine_of_those_that_agree() -> None:
     assert found.shifts.tolist() == [[0, 1]]
 
 
-def test_a_cell_that_is_seen_again_far_away_says_nothing() -> None:
+def test_a_cell_that_recurs_far_away_has_burstiness_weight_0() -> None:
     # Columns: a, b, c, a, d with d halfway (cosine .6) between b and something else; neighbours do not count.
     a, b, c, d = np.eye(5)[0], np.eye(5)[1], np.eye(5)[2], 0.6 * np.eye(5)[1] + 0.8 * np.eye(5)[4]
     distinct = dense_cells.burstiness_weight(np.array([[a, b, c, a, d]], np.float32), apart=2)
@@ -127,7 +127,7 @@ def test_a_cell_that_is_seen_again_far_away_says_nothing() -> None:
     np.testing.assert_allclose(dense_cells.burstiness_weight(np.array([[a, b, c]], np.float32), apart=2), [1, 1, 1])
 
 
-def test_weight_follows_distinctness() -> None:
+def test_votes_are_weighted_by_the_burstiness_weight() -> None:
     pairs = hough.Correspondences(
         candidate=np.array([0, 1]),
         query_cell=np.array([0, 1]),
@@ -138,7 +138,7 @@ def test_weight_follows_distinctness() -> None:
     np.testing.assert_allclose(found.scores, np.sqrt([0.25, 0.75]), atol=1e-6)
 
 
-def test_a_picture_is_entirely_like_itself() -> None:
+def test_an_image_has_similarity_1_with_itself() -> None:
     own = cells(5)
     found = dense_cells.compare(own, np.stack([own, cells(6)]))
     assert found.scores[0] == pytest.approx(1, abs=1e-5)
@@ -162,7 +162,7 @@ def test_a_step_forward_is_found_as_a_zoom() -> None:
     assert unqueried.scores.tolist() == found.scores.tolist()
 
 
-@settings(deadline=None)  # a crowded machine is no failure
+@settings(deadline=None)  # a busy machine is no failure
 @given(st.floats(0.8, 1.25), st.integers(-3, 3), st.integers(2, 300))
 def test_a_scale_is_measured_whatever_the_shift_and_pulled_towards_one_when_few_cells_tell_it(
     scale: float, across: int, count: int
@@ -187,7 +187,7 @@ def test_a_similarity_counts_less_the_more_the_scale_differs_either_way() -> Non
     assert dense_cells.scale_penalty(np.array([0.5], np.float32), 0.0).tolist() == [1.0]
 
 
-@settings(deadline=None)  # a crowded machine is no failure
+@settings(deadline=None)  # a busy machine is no failure
 @given(st.integers(0, 2**16), st.integers(-3, 3), st.integers(-4, 4))
 def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> None:
     large = cells(seed, rows=20, columns=24, channels=24)
@@ -198,7 +198,7 @@ def test_a_shift_is_found_whatever_it_is(seed: int, down: int, across: int) -> N
     assert found.scores[0] ** 2 >= (8 - abs(down)) * (12 - abs(across)) / 96 - 0.1
 
 
-@settings(deadline=None)  # a crowded machine is no failure
+@settings(deadline=None)  # a busy machine is no failure
 @given(st.integers(0, 2**16), st.integers(0, 3))
 def test_scores_lie_in_their_range_and_do_not_depend_on_the_other_candidates(seed: int, count: int) -> None:
     query = cells(seed)

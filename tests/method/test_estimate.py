@@ -1,4 +1,4 @@
-"""Where a picture was taken, from the matches that agree."""
+"""The position of a query, from the matches that agree."""
 
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@ from worker.method import hough
 from worker.method.hough import Correspondences
 
 SIZES = st.sampled_from((1.0, 1.0, 0.5, 0.77, 1.3))
-"""Of a candidate's cells, in the query's: mostly the same."""
+"""Sides of a candidate's cells, in those of the query; mostly equal."""
 
 
 def largest_weight(
@@ -17,7 +17,7 @@ def largest_weight(
     tolerance: int,
     cell_aspect: tuple[float, float] = (1.0, 1.0),
 ) -> float:
-    """The heaviest window of the only candidate, displacement by displacement, as the equations have it."""
+    """Weight of the heaviest window of the only candidate, by trying each displacement."""
     reach, heaviest = [side // 2 for side in shape], 0.0
     for zoom in hough.ZOOMS:
         centre = (np.array(shape) - 1) / 2
@@ -42,7 +42,7 @@ def largest_weight(
 def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
     seed: int, shape: tuple[int, int], tolerance: int, cell_aspects: list[tuple[float, float]]
 ) -> None:
-    """Several candidates whose cells have other sizes, of the same pairs."""
+    """Several candidates with the same pairs and cells of other sizes."""
     rng = np.random.default_rng(seed)
     cells = shape[0] * shape[1]
     taken = np.flatnonzero(rng.random(cells) < 0.7)
@@ -68,7 +68,7 @@ def test_the_score_is_that_of_the_heaviest_window_found_one_by_one(
     )
 
 
-def test_cells_of_pictures_of_one_shape_are_equal_and_an_upright_one_has_narrow_and_high_ones() -> None:
+def test_images_of_one_shape_have_cell_aspect_1_and_an_upright_one_has_narrow_and_high_cells() -> None:
     landscape, upright, square = (1.0, 0.75), (0.75, 1.0), (1.0, 1.0)
     assert hough.cell_aspects(landscape, [landscape, (1.0, 0.76), square]).tolist()[:2] == [[1.0, 1.0]] * 2
     [[height, width]] = hough.cell_aspects(landscape, [upright])
@@ -79,8 +79,8 @@ def test_cells_of_pictures_of_one_shape_are_equal_and_an_upright_one_has_narrow_
 
 
 @given(height=st.integers(3, 9), width=st.integers(3, 9))
-def test_what_a_wider_picture_shows_moved_to_where_its_cells_say(height: int, width: int) -> None:
-    """Every cell of an upright grid finds its counterpart in a landscape grid by where both lie in the world."""
+def test_the_cell_aspect_aligns_an_upright_grid_with_a_landscape_one(height: int, width: int) -> None:
+    """Every cell of an upright grid corresponds to the cell of a landscape grid at the same place in the world."""
     shape = (2 * height + 1, 2 * width + 1)
     rows, columns = (np.arange(side) - side // 2 for side in shape)
     # The candidate's cells are twice as wide, so what the query shows lies in its middle half.
@@ -97,7 +97,7 @@ def test_what_a_wider_picture_shows_moved_to_where_its_cells_say(height: int, wi
 
 
 def test_a_map_of_many_shapes_needs_one_table_of_votes() -> None:
-    """A table for each shape was made anew in most queries, and took ten times as long as all the rest."""
+    """One table per shape would be made anew in most queries, and take ten times as long as the rest."""
     nothing = np.zeros(0, np.intp)
     pairs = Correspondences(nothing, nothing, nothing, np.zeros(0, np.float32))
     shapes = hough.cell_aspects((1.0, 0.75), [(1.0, height / 50) for height in range(5, 51)])

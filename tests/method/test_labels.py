@@ -7,7 +7,7 @@ from worker.method import labels
 E = np.eye(3, dtype=np.float32)
 
 
-def test_each_cell_takes_the_word_with_the_largest_inner_product() -> None:
+def test_each_cell_takes_the_label_with_the_largest_inner_product() -> None:
     embeddings = np.array([[[1, 0, 0], [0.6, 0.8, 0]], [[0, 0.6, 0.8], [0, 1, 0]]], np.float32)
 
     scores = labels.scores(embeddings, E)
@@ -16,11 +16,11 @@ def test_each_cell_takes_the_word_with_the_largest_inner_product() -> None:
     assert labels.label_map(scores).tolist() == [[0, 1], [2, 1]]
 
 
-def test_a_tie_goes_to_the_lowest_word() -> None:
+def test_a_tie_goes_to_the_lowest_label() -> None:
     scores = np.array([[[0.5, 0.7, 0.7]]], np.float32)
     assert labels.label_map(scores).tolist() == [[1]]
 
 
-def test_shares_count_absent_words_too() -> None:
+def test_shares_count_absent_labels_too() -> None:
     shares = labels.shares(np.array([[0, 0], [2, 0]], np.int16), words=4)
     assert shares.tolist() == [0.75, 0, 0.25, 0]

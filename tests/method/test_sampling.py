@@ -1,4 +1,4 @@
-"""K random static cells, the same ones whenever the same picture comes."""
+"""K random static cells, the same for the same image."""
 
 import numpy as np
 from hypothesis import given
@@ -18,7 +18,7 @@ def test_draws_are_static_distinct_and_as_many_as_wanted(static: np.ndarray, cou
     assert len(set(drawn.tolist())) == len(drawn) == min(count, int(static.sum()))
 
 
-def test_the_same_picture_and_seed_draw_the_same_cells_and_others_do_not() -> None:
+def test_the_same_image_and_seed_draw_the_same_cells_and_others_do_not() -> None:
     static = np.ones((20, 20), np.bool_)
 
     def draw(seed: int, digest: str) -> list[int]:

@@ -1,4 +1,4 @@
-"""Verification: matches that stand in the same arrangement, and what their number is worth."""
+"""Matches of local features, the transform they agree on, and the score of their number."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_four_matches_are_no_evidence() -> None:
 
 
 @pytest.mark.parametrize(("zoom", "turn"), [(1.0, np.pi / 2), (4.0, 0.0), (0.2, 0.0)])
-def test_a_picture_on_its_side_or_far_larger_is_an_accident(zoom: float, turn: float) -> None:
+def test_a_transform_that_turns_or_scales_too_much_is_no_evidence(zoom: float, turn: float) -> None:
     source = scattered(1, 20)
     transform, inliers = verification.consensus(source, moved(source, zoom, turn, (0.5, 0.1)))
     assert transform is None
@@ -94,9 +94,9 @@ def test_positions_that_coincide_propose_nothing() -> None:
     assert verification.consensus(same, same)[0] is None
 
 
-@settings(deadline=None)  # a crowded machine is no failure
+@settings(deadline=None)  # a busy machine is no failure
 @given(st.integers(0, 2**16), st.floats(0.6, 1.7), st.floats(-0.4, 0.4), st.floats(-0.3, 0.3))
-def test_a_moved_picture_keeps_its_keypoints(seed: int, zoom: float, turn: float, by: float) -> None:
+def test_a_moved_image_keeps_its_keypoints(seed: int, zoom: float, turn: float, by: float) -> None:
     positions = scattered(seed, 30)
     query, view = features(positions, seed), features(moved(positions, zoom, turn, (by, -by)), seed)
     [found] = verification.verify(query, [view])
@@ -107,8 +107,8 @@ def test_a_moved_picture_keeps_its_keypoints(seed: int, zoom: float, turn: float
     np.testing.assert_allclose(there, found.pairs[:, 2:], atol=verification.TOLERANCE)
 
 
-@settings(deadline=None)  # a crowded machine is no failure
-@example(10599)  # two matches were as strong but for rounding, which depended on how many views there were
+@settings(deadline=None)  # a busy machine is no failure
+@example(10599)  # two equally strong matches, but for rounding that depended on the number of views
 @given(st.integers(0, 2**16))
 def test_neither_chance_nor_the_other_views_change_a_verification(seed: int) -> None:
     query, view = features(scattered(seed, 25), seed), features(scattered(seed + 1, 25), seed)
@@ -126,7 +126,7 @@ def test_only_what_stands_out_counts() -> None:
     assert verification.gated_bonus([]).shape == (0,)
 
 
-@settings(deadline=None)  # a crowded machine is no failure
+@settings(deadline=None)  # a busy machine is no failure
 @given(st.lists(st.integers(0, 300), min_size=1, max_size=12))
 def test_the_bonus_lies_in_its_range_and_never_falls_with_the_count(inliers: list[int]) -> None:
     bonus = verification.gated_bonus(inliers)

@@ -1,4 +1,4 @@
-"""Words, histograms and their training."""
+"""Visual words, histograms, and their training."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_projection_decorrelates_and_half_whitens() -> None:
     np.testing.assert_allclose(covariance - np.diag(np.diag(covariance)), 0, atol=0.05)
 
 
-def test_too_few_pictures_for_a_projection_are_refused() -> None:
+def test_too_few_images_for_a_projection_are_refused() -> None:
     with pytest.raises(ValueError, match="4 pictures of 10 words cannot give 8"):
         vocabulary.fit_projection(np.zeros((4, 10), np.float32), 8)
 
@@ -125,7 +125,7 @@ def test_cell_directions_are_orthonormal_and_keep_what_varies_most() -> None:
     np.testing.assert_allclose(np.abs(directions[[1, 3], [0, 1]]), 1, atol=0.1)
 
 
-def test_cells_have_as_many_numbers_as_were_asked_for_even_if_the_layer_has_fewer() -> None:
+def test_cells_have_the_requested_number_of_components_even_if_the_layer_has_fewer() -> None:
     cells = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
     directions = vocabulary.fit_cells(cells, 5)
     assert directions.shape == (3, 5)

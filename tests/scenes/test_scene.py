@@ -1,4 +1,4 @@
-"""Drawn places are the same place each time, from wherever and whenever they are looked at."""
+"""Drawn places stay the same from every viewpoint and in every lighting."""
 
 import numpy as np
 import pytest

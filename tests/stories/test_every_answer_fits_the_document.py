@@ -72,7 +72,7 @@ def test_a_map_from_its_first_image_to_its_end(client: CheckedClient) -> None:
     assert client.get("/maps/campus").status_code == 404
 
 
-def test_a_image_that_nobody_waits_for_and_a_call_that_is_repeated(client: CheckedClient) -> None:
+def test_an_image_that_nobody_waits_for_and_a_call_that_is_repeated(client: CheckedClient) -> None:
     first = enroll(client, 3, "wait=false", **{"idempotency-key": "k1"})
     again = enroll(client, 3, "wait=false", **{"idempotency-key": "k1"})
     assert (first.status_code, again.content, again.headers["idempotent-replayed"]) == (202, first.content, "true")
