@@ -322,13 +322,23 @@ def _listed(error: ValidationError, model: type[BaseModel], name: str) -> list[P
     other: type[BaseModel] = RankingConfig if model is DescriptionParameters else DescriptionParameters
     listed = []
     for one in error.errors():
-        detail = f"{one['msg']}; seen: {one['input']!r}"
-        if one["type"] == "extra_forbidden" and len(one["loc"]) == 1:
-            detail = f"is unknown; known are {', '.join(model.model_fields)}"
-            if one["loc"][0] in other.model_fields:
-                detail = f"belongs to `{'ranking' if name == 'parameters' else 'parameters'}`, not to `{name}`"
+        detail = f"{one['msg'].removeprefix('Value error, ')} (got {_shown(one['input'])})"
+        if one["type"] == "extra_forbidden":
+            detail = "is unknown"
+            if len(one["loc"]) == 1:
+                detail = f"is unknown; known are {', '.join(model.model_fields)}"
+                if one["loc"][0] == "preset":
+                    detail = f"is set by `preset`, beside `{name}`"
+                elif one["loc"][0] in other.model_fields:
+                    detail = f"belongs to `{'ranking' if name == 'parameters' else 'parameters'}`, not to `{name}`"
         listed.append(ParameterError(".".join((name, *map(str, one["loc"]))), detail))
     return listed
+
+
+def _shown(value: object) -> str:
+    """A value as it was seen, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}…"
 
 
 def _label_errors(labels: Sequence[str], dynamic: Sequence[str]) -> list[ParameterError]:
