@@ -16,8 +16,8 @@ from tests.golden.cases import CASES
 from tests.golden.images import image
 from tests.golden.maps import MAPS, Map
 
-PAIRS = 2
-"""Pairs of a match that are kept whole; of all pairs, a digest."""
+PAIRS = 3
+"""Pairs of the best match that are kept as they are."""
 
 LABELS = ("query.labels", "query.label_shares")
 FIRST_LABELS = 3
@@ -99,11 +99,11 @@ class Gallery:
 
 
 def condensed(evidence: Evidence) -> Evidence:
-    """Evidence with only the first labels of the query and pairs of each match, and digests of all of them."""
+    """Evidence with the first of the query's labels and of the best match's pairs, and digests of all of them."""
     short: Evidence = {}
     for name, column in evidence.items():
         if name.endswith(".pairs"):
-            short[name] = [None if pairs is None else pairs[:PAIRS] for pairs in column]
+            short[f"{name} of the first"] = column[0] and column[0][:PAIRS]
         elif name in LABELS:
             short[name] = column[:FIRST_LABELS]
         else:

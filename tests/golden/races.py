@@ -22,6 +22,9 @@ QUERY = Query(image("strip 1, cut"), top=7)
 OTHER = MapOptions(numbers={"min_region_cells": 60})
 """Another recipe: graphs with fewer nodes."""
 
+FEWER_LABELS = MapOptions(labels=["sky", "building", "road", "other"], dynamic=[])
+"""Another recipe: shares of fewer labels."""
+
 
 def deleted_meanwhile(gallery: Gallery, stage: str, times: int) -> tuple[Answer, Answer, int]:
     """Query while a view is deleted at each of the first `times` calls of a stage.
@@ -43,10 +46,10 @@ def without(gallery: Gallery, deleted: int) -> Evidence:
     return condensed(service.query(called, QUERY).evidence)
 
 
-def changed_over_meanwhile(gallery: Gallery, stage: str) -> tuple[Answer, Answer, Answer]:
-    """Query while the map switches to OTHER at the first call of a stage; the answers then, before and after."""
+def changed_over_meanwhile(gallery: Gallery, stage: str, options: MapOptions) -> tuple[Answer, Answer, Answer]:
+    """Query while the map switches to other options at the first call of a stage; the answers then, before and after."""
     service, called = gallery.fresh(BUSY)
     before = service.query(gallery.map("busy, at rest")[1], QUERY)  # another map: a query brings the index up to date
-    with service.interrupted(stage, lambda: service.change_recipe(called, OTHER)):
+    with service.interrupted(stage, lambda: service.change_recipe(called, options)):
         answer = service.query(called, QUERY)
     return answer, before, service.query(called, QUERY)

@@ -149,7 +149,10 @@ def test_maps_of_a_build_before_the_first_release_are_refused(database_url: str,
     with database.writing() as connection:
         connection.execute(sa.text("INSERT INTO recipes (id, body) VALUES ('old', '{}')"))
         connection.execute(
-            sa.text("INSERT INTO maps (name, recipe, revision, anew, created_at) VALUES ('campus', 'old', 1, 1, 0)")
+            sa.text(
+                "INSERT INTO maps (name, recipe, revision, anew, created_at) VALUES ('campus', 'old', 1, 1, :moment)"
+            ),
+            {"moment": MOMENT},
         )
     with pytest.raises(SetupError, match="enrol the images again"):
         migrate(database_url, data)

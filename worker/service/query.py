@@ -232,10 +232,13 @@ class QueryService:
                     observe=watch.observe,
                 )
                 views = self._views.at([candidate.seq for candidate in ranked])
-                if len(views) < len(ranked):
+                shown = [view.description for view in views.values()]
+                if len(views) < len(ranked) or None in shown:
                     raise ViewGone
             except ViewGone:
                 continue
+            if any(of is not None and of.recipe != recipe.id for of in shown):
+                raise RecipeChanged  # while candidates were compared: views are shown by the map's present recipe
             return RankedResults(
                 views=tuple(ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in ranked),
                 revision=found.revision,
