@@ -175,7 +175,7 @@ def _audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[s
             if view.id not in best:
                 lost.append(view.id)
             step(view.id)
-    return {"asked": len(answers), "found": len(answers) - len(lost), "lost": lost}
+    return {"queried": len(answers), "found": len(answers) - len(lost), "lost": lost}
 
 
 def _tell(report: dict[str, Any]) -> None:

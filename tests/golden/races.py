@@ -47,7 +47,7 @@ def without(gallery: Gallery, deleted: int) -> Evidence:
 
 
 def changed_over_meanwhile(gallery: Gallery, stage: str, options: MapOptions) -> tuple[Answer, Answer, Answer]:
-    """Query while the map switches to other options at the first call of a stage; the answers then, before and after."""
+    """Query while the map switches to other options at the first call of a stage; the answers then, before, after."""
     service, called = gallery.fresh(BUSY)
     before = service.query(gallery.map("busy, at rest")[1], QUERY)  # another map: a query brings the index up to date
     with service.interrupted(stage, lambda: service.change_recipe(called, options)):
