@@ -49,4 +49,4 @@ def _told(report: "WeightsReport", as_json: bool) -> int:
         show(f"  tensors {report.digest or '-'}")
         for line in (*report.notes, *report.differences):
             show(f"  {line}")
-    return FAILED if report.differences else DONE
+    return DONE if report.usable else FAILED

@@ -65,8 +65,3 @@ class Catalogue:
         """Drop the index of a deleted map."""
         with self._lock:
             self._indexes.pop(name, None)
-
-    def lag(self, name: str) -> int:
-        """Difference between the revisions of a map and of its index; raises NotFound."""
-        held = self._indexes.get(name)
-        return self._maps.revision(name) - (0 if held is None else held.index.revision)

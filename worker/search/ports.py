@@ -46,10 +46,6 @@ class MapReader(Protocol):
         """One map; raises NotFound."""
         ...
 
-    def revision(self, name: str) -> int:
-        """The map's revision; raises NotFound."""
-        ...
-
 
 class DescriptionReader(Protocol):
     """Descriptions, in the parts that an index and a ranking read. Deleted views are absent."""

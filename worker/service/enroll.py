@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from schemas.errors import Busy, NothingStatic, RevisitError
-from schemas.image import Image, ImageFacts
+from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
+from worker.images.codec import facts
 from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
 from worker.service.settlements import Settlements
 
@@ -111,8 +112,9 @@ class EnrollService:
         waiting = self._queue.count_waiting()
         if waiting >= self._limit:
             raise Busy.queue(waiting, self._pace_s(), "enrolments")
-        facts = ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
-        submitted = self._enrolment.submit(map_name, data, facts, attributes, self._default_recipe, datetime.now(UTC))
+        submitted = self._enrolment.submit(
+            map_name, data, facts(image), attributes, self._default_recipe, datetime.now(UTC)
+        )
         if submitted.job_id is not None:
             self._wake()
         return Accepted(submitted, began, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
