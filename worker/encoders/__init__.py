@@ -1,1 +1,1 @@
-"""Networks and stand-ins that turn a picture into a field of embeddings."""
+"""Networks and stand-ins that turn an image into a field of embeddings."""

@@ -51,7 +51,7 @@ class ColorEncoder:
         self.known_labels: frozenset[str] | None = frozenset(COLORS)
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
-        """One field per picture; see `Encoder.encode`."""
+        """One field per image; see `Encoder.encode`."""
         return (self._encode(image) for image in images)
 
     def _encode(self, image: Image) -> PixelField:

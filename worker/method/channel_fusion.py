@@ -1,8 +1,8 @@
-"""The same dense cells read in more than one way: all channels joined, or one of them alone.
+"""Two similarities of dense cells, of all channels joined and of one channel alone, fused by their maximum.
 
-Joined cells find a place again by night and in snow, because the words in them stay the same. Where the light is the
-same the words only blur what the appearance alone would tell apart. Which of both a query needs shows in the
-candidates: a view of the right place stands out in one reading more than in the other.
+Joined cells recognise a place by night and in snow, because the semantic channel stays the same. In the same light it
+blurs what the detail channel tells apart. Which of the two suits a query shows in the candidates: the view of the right
+place stands out more from the other candidates by one similarity than by the other.
 """
 
 from collections.abc import Collection
@@ -15,12 +15,12 @@ from worker.method.byte_vectors import Product, float_product, scale
 from worker.method.hough import Doubles
 
 REFERENCE_QUANTILE = 0.85
-"""Share of the candidates that look less alike than what a candidate has to stand out from: enough for rare kinds of
+"""Quantile of the candidates' similarities that a candidate has to stand out from. High enough for rare kinds of
 places, and below the other views of the right place, which are few."""
 
 LARGEST_RATE = 2.0
-"""Of an `align_scale`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the query in one
-channel, as with a blank wall or thick fog, what little does would stand out without bound."""
+"""Upper bound of `align_scale`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the query in
+one channel, as with a blank wall or thick fog, the factor would grow without bound."""
 
 
 def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8s:
@@ -31,9 +31,9 @@ def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8
     cells : int8 of shape (..., dimensions)
         As `worker.method.dense_cells.join` makes them, of channels with equally many numbers each.
     channels : collection of str
-        All that were joined.
+        All channels that were joined.
     channel : str
-        One of them.
+        The channel to cut out.
 
     Returns
     -------
@@ -45,12 +45,12 @@ def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8
 
 
 def length(cells: Int8s) -> float:
-    """Root of the mean square length of cells, in units of whole ones; 1 where all are nothing.
+    """Root mean square length of cells, relative to unit length; 1 where all are zero.
 
     Notes
     -----
-    In full a channel's part is as long as the root of its share. At half size, where four cells were averaged, the
-    part of a channel that changes more from cell to cell is shorter.
+    At full resolution the slice of a channel has the length sqrt(its weight). At half resolution, where four cells were
+    averaged, the slice of a channel that changes more from cell to cell is shorter.
     """
     squares = np.square(cells.astype(np.float32)).sum(axis=-1)
     return float(np.sqrt(squares.mean())) * scale(cells) or 1.0
@@ -65,7 +65,7 @@ def single_channel_similarity(
     *,
     cell_aspect: Doubles | None = None,
 ) -> Floats:
-    """How well the cells of one channel agree by themselves.
+    """Similarity of candidates to a query by the cells of one channel alone.
 
     Parameters
     ----------
@@ -87,27 +87,26 @@ def single_channel_similarity(
 
 
 def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE) -> float:
-    """What a similarity in one reading is multiplied by to be held against one in another.
+    """Factor that makes the similarities of one channel comparable with those of all channels joined.
 
     Parameters
     ----------
     joined, alone : float32 of shape (candidates,)
-        Likenesses of the same candidates, at least one, in either reading.
+        Similarities of the same candidates, at least one.
     high : float
-        Share of the candidates that a right one is expected to stand out from.
+        Quantile that is made equal.
 
     Returns
     -------
     float
-        So much that what `high` of the candidates do not exceed is the same in both, at most `LARGEST_RATE`; 0 where
-        nothing is alike alone.
+        Quotient of the two `high` quantiles, at most `LARGEST_RATE`; 0 where that of `alone` is 0.
     """
     usual, other = (float(np.quantile(scores, high)) for scores in (joined, alone))
     return min(usual / other, LARGEST_RATE) if other > 0 else 0.0
 
 
 def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
-    """For each candidate the similarity in whichever reading has it stand out more.
+    """For each candidate the larger of both similarities, that of the single channel scaled by `align_scale`.
 
     Parameters
     ----------

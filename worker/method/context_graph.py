@@ -32,7 +32,7 @@ def build(
         Cells outside are in no region.
     embeddings : float32 of shape (rows, columns, channels)
     extent : (float, float)
-        (width, height) of the picture as fractions of its longer side.
+        (width, height) of the image as fractions of its longer side.
     components : Components
     min_region_cells : int
         Smaller regions are specks, not nodes.

@@ -3,7 +3,7 @@
 A cell joins the embeddings of all channels, so that one comparison weighs them where they disagree: cell by cell.
 
 Each cell of the query looks for its best counterpart anywhere in the candidate; pairs that are each other's best are
-correspondences. A picture of the same place gives correspondences that agree on how the picture moved (a shift, and
+correspondences. An image of the same place gives correspondences that agree on how the image moved (a shift, and
 a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
 """
 
@@ -25,14 +25,14 @@ BLOCK = 200_000
 """Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
 
 ROUNDING = 1e-6
-"""Cells no longer than this are what rounding left of nothing."""
+"""Vectors no longer than this are rounding errors, and count as zero."""
 
 APART = 2
-"""Cells further from one another than this, in rows or columns, show different things."""
+"""Cells further apart than this, in rows or columns, count as showing different things."""
 
 
 def grid(field: Floats, rows: int, columns: int) -> Floats:
-    """Average a field of embeddings over equal cells, and take the picture's mean away.
+    """Average a field of embeddings over equal cells, and take the image's mean away.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
     Returns
     -------
     float32 of shape (rows, columns, channels)
-        Unit length; zero where a cell equals the picture's mean.
+        Unit length; zero where a cell equals the image's mean.
 
     Notes
     -----
@@ -63,7 +63,7 @@ def reduce(cells: Floats, projection: Floats) -> Floats:
     ----------
     cells : float32 of shape (rows, columns, channels)
     projection : float32 of shape (channels, dimensions)
-        Orthonormal columns, the leading directions of general pictures' cells.
+        Orthonormal columns, the leading directions of general images' cells.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def halve(cells: Int8s | Floats) -> Floats:
 def burstiness_weight(
     cells: Int8s | Floats, apart: int = APART, product: Product = float_product, length: float = 1.0
 ) -> Floats:
-    """How unlike the rest of its own picture each cell is.
+    """How unlike the rest of its own image each cell is.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def burstiness_weight(
     Notes
     -----
     A stretch of sky or of bare floor is many cells, each of which finds a counterpart in any other sky. What is seen
-    once in a picture says more (burstiness: Jegou et al. 2009).
+    once in an image says more (burstiness: Jegou et al. 2009).
     """
     rows, columns = cells.shape[:2]
     flat = cells.reshape(rows * columns, cells.shape[2])
@@ -227,7 +227,7 @@ def compare(
         Height and width of the candidates' cells, in those of the query (`worker.method.hough.cell_aspects`); all 1
         where the images have one shape.
     measured : bool
-        Whether scales are asked for.
+        Whether scales are wanted.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where a picture was probably taken, from the positions of the views that match it."""
+"""Where an image was probably taken, from the positions of the views that match it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Hough voting: the displacement and zoom on which corresponding cells of two pictures agree."""
+"""Hough voting: the displacement and zoom on which corresponding cells of two images agree."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ ZOOMS = (1.0, 0.8, 1.25)
 """How much larger the candidate may show what the query shows; the earlier wins a tie."""
 
 LARGEST_SCALE = 2.0
-"""Scales are cut off here, and at its inverse: what few cells tell beyond is noise."""
+"""Bound of relative scales, and of their inverses: estimates from few cells beyond it are noise."""
 
 CERTAINTY = 250.0
-"""Weight of the cells that agree, times their squared distance from their centre, at which a scale is believed half."""
+"""Ridge of the scale regression: weight times squared distance from the centre at which a scale is half believed."""
 
 ASPECT_STEPS = 8
-"""How many stretches are told apart between one and twice it: pictures of nearly one shape are of one shape, and what
-others are off by is less than the tolerance."""
+"""Steps per octave to which cell aspects are rounded: images of nearly one shape count as one, and the rounding error
+stays below the tolerance."""
 
 TOLERANCE = 2
 """How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
@@ -58,7 +58,7 @@ class Agreement:
     Parameters
     ----------
     scores : float32 of shape (candidates,)
-        Root of the share of what the query's cells could weigh, 0..1; 1 for a picture against itself when no two of
+        Root of the share of what the query's cells could weigh, 0..1; 1 for an image against itself when no two of
         its cells are equal.
     shifts : intp of shape (candidates, 2)
         (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells of the query.
@@ -76,15 +76,15 @@ class Agreement:
 
 
 def cell_aspects(query: tuple[float, float], candidates: Sequence[tuple[float, float]]) -> Doubles:
-    """How large the cells of pictures of other shapes are, in those of the query.
+    """Height and width of candidates' cells relative to the query's, for images of other shapes.
 
-    A grid has as many rows and columns whatever the picture's shape, so the cells of an upright picture are narrow and
-    high where those of the same camera's landscape pictures are wide and low.
+    A grid has as many rows and columns whatever the image's shape, so the cells of an upright image are narrow and
+    high where those of the same camera's landscape images are wide and low.
 
     Parameters
     ----------
     query, candidates : (float, float)
-        Width and height of the pictures, as fractions of their longer sides.
+        Width and height of the images, as fractions of their longer sides.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def agreement(
     cell_aspect : float64 of shape (candidates, 2), optional
         Height and width of each candidate's cells, in those of the query: see `cell_aspects`. Without, all are 1.
     measured : bool
-        Whether scales are asked for; without, they are all 1.
+        Whether scales are wanted; without, they are all 1.
 
     Returns
     -------
@@ -134,8 +134,8 @@ def agreement(
     Notes
     -----
     A correspondence of cosine c weighs c^2 times the distinctness of its cell: one that fits half counts a quarter.
-    Displacements of more than half the picture are left out: too little of it would be common. With zoom z a query
-    cell p (from the picture's centre) belongs at z p + t; both sides are divided by sqrt(z) so
+    Displacements of more than half the image are left out: too little of it would be common. With zoom z a query
+    cell p (from the image's centre) belongs at z p + t; both sides are divided by sqrt(z) so
     that the tolerance is the same in either direction. The root brings channels together whose shares differ in size:
     without it the one with larger shares decides alone.
     """

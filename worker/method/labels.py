@@ -1,4 +1,4 @@
-"""Which word each cell of a picture takes (paper, eq. 1 and 2)."""
+"""The label of each cell of an image (paper, eq. 1 and 2)."""
 
 import numpy as np
 import numpy.typing as npt

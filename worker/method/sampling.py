@@ -9,14 +9,14 @@ Indices = npt.NDArray[np.intp]
 
 
 def generator(seed: int, digest: str) -> np.random.Generator:
-    """The randomness of one picture: the same seed and picture always draw the same cells.
+    """The randomness of one image: the same seed and image always draw the same cells.
 
     Parameters
     ----------
     seed : int
         Of the recipe.
     digest : str
-        SHA-256 of the picture, hexadecimal.
+        SHA-256 of the image, hexadecimal.
     """
     return np.random.default_rng([seed, int(digest, 16)])
 

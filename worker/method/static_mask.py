@@ -10,7 +10,7 @@ def static_cells(word_scores: Floats, dynamic: Booleans, margin: float = 0.0, mo
 
     With ``margin=0`` and ``most=1`` this is the paper's rule: a cell goes when its best word is on the dynamic list.
     A network outside its domain is easily wrong about that (an indoor wall called "train"), so a preset may ask for
-    certainty and spare most of the picture.
+    certainty and spare most of the image.
 
     Parameters
     ----------
@@ -21,12 +21,12 @@ def static_cells(word_scores: Floats, dynamic: Booleans, margin: float = 0.0, mo
     margin : float
         By how much the best dynamic word must exceed the best static one. 0..2.
     most : float
-        Largest share of the picture to drop; beyond it only the surest cells go. 0..1.
+        Largest share of the image to drop; beyond it only the most certain cells go. 0..1.
 
     Returns
     -------
     bool of shape (rows, columns)
-        True where the cell stays. A picture whose every cell takes a dynamic word keeps none, whatever `most` says:
+        True where the cell stays. An image whose every cell takes a dynamic word keeps none, whatever `most` says:
         it has no static content.
     """
     if not dynamic.any():

@@ -31,22 +31,22 @@ PROPOSERS = 32
 """Only the strongest matches propose transforms, two at a time: 496 proposals at most."""
 
 LARGEST_ZOOM = 3.0
-"""Of two pictures worth comparing; a stronger zoom is an accident of matching."""
+"""Largest relative scale of two images of one place; a stronger zoom comes from false matches."""
 
 LARGEST_TURN = np.radians(35)
-"""Cameras are held upright."""
+"""Largest rotation between two images of one place, in radians: cameras are held upright."""
 
 SLIM = 1e-10
-"""Points spread this little across their line, squared and against the whole, fix no affine transform."""
+"""Smallest ratio of the squared spreads of points across and along their line that determines an affine transform."""
 
 SHORTEST = 1e-9
-"""A descriptor shorter than this is nothing, and like nothing."""
+"""Descriptors shorter than this are zero, and match nothing."""
 
 UNREMARKABLE = 8
-"""By how many inliers a candidate must beat the median of the verified ones before they count."""
+"""Inliers above the median of the verified candidates that do not count yet."""
 
 SOFTENING = 20
-"""Inliers added to that median, so that small numbers over a median of none stay small evidence."""
+"""Inliers added to that median, so that few inliers over a median of 0 stay weak evidence."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -163,7 +163,7 @@ def train_words(
     Raises
     ------
     ValueError
-        Fewer distinct descriptors than words are asked for.
+        Fewer distinct descriptors than words are wanted.
     """
     # Distinct rows have distinct projections, almost surely; sorting numbers is far quicker than sorting rows.
     if len(np.unique(descriptors @ random.standard_normal(descriptors.shape[1]))) < count:
@@ -218,15 +218,15 @@ def fit_projection(histograms: Floats, dimensions: int) -> Projection:
 
     Parameters
     ----------
-    histograms : float32 of shape (pictures, words)
+    histograms : float32 of shape (images, words)
         Normalised as the channel does.
     dimensions : int
-        At most min(pictures - 1, words).
+        At most min(images - 1, words).
 
     Raises
     ------
     ValueError
-        Too few pictures for that many dimensions.
+        Too few images for that many dimensions.
     """
     if dimensions > min(len(histograms) - 1, histograms.shape[1]):
         raise ValueError(
@@ -242,7 +242,7 @@ def fit_projection(histograms: Floats, dimensions: int) -> Projection:
 
 
 def fit_cells(cells: Floats, dimensions: int) -> Floats:
-    """Principal directions of dense cells, without their mean (cells are centred per picture already).
+    """Principal directions of dense cells, without their mean (cells are centred per image already).
 
     Parameters
     ----------

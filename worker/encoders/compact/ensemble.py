@@ -100,7 +100,7 @@ def segment_with_ensemble(
         channels).
     vectors : float32 of shape (labels, channels)
         Text vectors of all labels that are known.
-    readers
+    members
         How many members there are, at least 1.
     longest
         Longer side, in pixels, that scales are relative to.

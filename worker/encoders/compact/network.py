@@ -1,8 +1,8 @@
 """The network of the built-in encoder: one forward pass, two channels of unit-length pixel embeddings.
 
-``CompactNetwork`` turns pictures into a *words* field (language-aligned: its cosines with text vectors say what a
+``CompactNetwork`` turns images into a semantic field (language-aligned: its cosines with text vectors say what a
 pixel shows, and it is trained to stay the same by night and in snow) and a *detail* field (the colour and texture
-that such invariance throws away), both at an eighth of the picture's size. The layers up to stride 16 and the context
+that such invariance throws away), both at an eighth of the image's size. The layers up to stride 16 and the context
 layers follow MobileNet-EdgeTPU (slim) with a DeepLab head; see ``docs/model-card.md`` for where the weights come from.
 
 The module does no I/O beyond ``load_state_dict``. All convolutions carry biases and there are no batch norms: those of
@@ -43,7 +43,7 @@ REDUCED_CHANNELS = FUSED_CHANNELS + 1
 
 DETAIL_CHANNELS = 64
 STRIDE = 8
-"""Pixels of the picture per cell of both fields, along each side."""
+"""Pixels of the image per cell of both fields, along each side."""
 
 
 class DeepWords(nn.Module):
@@ -98,7 +98,7 @@ def for_inference(network: Network, state: Mapping[str, Tensor]) -> Network:
 
 
 class ShallowLayers(nn.Module):
-    """Pictures to the layers at strides 2, 4 and 8."""
+    """Images to the layers at strides 2, 4 and 8."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -126,7 +126,7 @@ class ShallowLayers(nn.Module):
 
 
 class CompactNetwork(DeepWords, ShallowLayers):
-    """Pictures to two fields of unit-length embeddings at stride 8.
+    """Images to two fields of unit-length embeddings at stride 8.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ class Block(nn.Module):
 
 
 class Context(nn.Module):
-    """What surrounds a cell, and the whole picture's mean beside it: DeepLab's head without its classes."""
+    """What surrounds a cell, and the whole image's mean beside it: DeepLab's head without its classes."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()

@@ -22,7 +22,8 @@ class OnnxEngine:
     fields : Path
         Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
     fine : sequence of Path
-        Graphs with the output ``segmentation``, one for each reader, whose weights lie in safetensors files too.
+        Graphs with the output ``fine_words``, one for each member of the ensemble; their weights lie in safetensors files
+        too.
     threads : int
 
     Raises
@@ -60,7 +61,7 @@ def _session(graph: Path, threads: int) -> Any:
     options.inter_op_num_threads = 1
     # Threads that wait for work by spinning take the cores from whatever else the service does.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    # A plan of the memory is kept for every size of picture: it gains nothing measurable, and memory grows with sizes.
+    # A plan of the memory is kept for every size of image: it gains nothing measurable, and memory grows with sizes.
     options.enable_mem_pattern = False
     try:
         return runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])

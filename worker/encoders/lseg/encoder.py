@@ -36,7 +36,7 @@ class LsegEncoder:
     digest : str
         Of the weights.
     mode : {"windows", "single"}
-        How a picture is covered; see `worker.encoders.lseg.windows`.
+        How an image is covered; see `worker.encoders.lseg.windows`.
     device : str
         Where the image network runs. The text tower stays on the CPU in float32, so that a word's vector is the same
         whatever runs the network.
@@ -45,7 +45,7 @@ class LsegEncoder:
         where the GPU has no bfloat16.
     batch : int
         Inputs (windows) that go through the network together; 0: 1 on a CPU, 8 on a GPU. Fewer than this are filled
-        up: which product routine is taken, and so how sums round, depends on the shape of a batch, and a picture's
+        up: which product routine is taken, and so how sums round, depends on the shape of a batch, and an image's
         embeddings must not depend on what came with it.
 
     Raises
@@ -135,7 +135,7 @@ class LsegEncoder:
         return
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
-        """One field per picture, in order, each made when it is asked for.
+        """One field per image, in order, each made when it is asked for.
 
         In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before you ask for
         the next. In mode ``single`` it has half as many.
