@@ -22,8 +22,8 @@ class OnnxEngine:
     fields : Path
         Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
     fine : sequence of Path
-        Graphs with the output ``fine_words``, one for each member of the ensemble; their weights lie in safetensors files
-        too.
+        Graphs with the output ``fine_words``, one for each member of the ensemble; their weights lie in safetensors
+        files too.
     threads : int
 
     Raises
