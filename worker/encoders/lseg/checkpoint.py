@@ -150,7 +150,7 @@ def digest(tensors: Mapping[str, Tensor], layout: Layout) -> str:
     """SHA-256 (hex) over names and float32 values of all tensors in use, by name.
 
     It is that of the values, not of a file: half-precision and float32 storage of the same numbers, and a checkpoint
-    and its conversion, describe pictures alike, and so agree.
+    and its conversion, describe images alike, and so agree.
     """
     total = hashlib.sha256()
     for name in sorted(layout.used):

@@ -15,7 +15,7 @@ class ImageTower:
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of LSeg's networks and of the routine that covers a picture with them.
+    """Sizes of LSeg's networks and of the routine that covers an image with them.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Config:
     tokens : int
         Size of the token table.
     base, crop, stride : int
-        The picture's longer side, the side of a window, and the step between windows, in pixels.
+        The image's longer side, the side of a window, and the step between windows, in pixels.
     image_tower : ImageTower
     """
 

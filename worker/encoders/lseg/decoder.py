@@ -1,6 +1,6 @@
 """The DPT decoder (Ranftl et al., ICCV 2021) and LSeg's head: four taps of the transformer to unit-length embeddings.
 
-Maps run between layers as (pictures, channels, rows, columns) in channels-last memory, so that a convolution, a dense
+Maps run between layers as (images, channels, rows, columns) in channels-last memory, so that a convolution, a dense
 layer over cells and an enlargement all read them without a copy.
 """
 
@@ -34,7 +34,7 @@ class Readout(nn.Module):
         self.project = nn.Sequential(nn.Linear(2 * width, width))
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """(pictures, 1 + patches, width), class token first, to (pictures, patches, width)."""
+        """(images, 1 + patches, width), class token first, to (images, patches, width)."""
         weight, bias = self.project.get_parameter("0.weight"), self.project.get_parameter("0.bias")
         # W [patch, class] = W_left patch + W_right class, and the second term is the same for all patches.
         for_patch, for_class = weight.chunk(2, dim=1)
@@ -51,7 +51,7 @@ class Reassemble(nn.ModuleDict):
             self["4"] = resample
 
     def forward(self, tokens: Tensor, grid: Cells) -> Tensor:
-        """(pictures, 1 + rows * columns, width) to (pictures, channels, rows', columns')."""
+        """(images, 1 + rows * columns, width) to (images, channels, rows', columns')."""
         x: Tensor = self["0"](tokens)
         x = self["3"](x.view(-1, *grid, x.shape[-1]).permute(0, 3, 1, 2))
         return self["4"](x) if "4" in self else x
@@ -71,7 +71,7 @@ class FrozenBatchNorm(nn.Module):
             self.register_buffer(name, torch.empty(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(pictures, channels, rows, columns) to the same shape."""
+        """(images, channels, rows, columns) to the same shape."""
         return F.batch_norm(x, self.running_mean, self.running_var, self.weight, self.bias, eps=BATCH_NORM_EPS)
 
 
@@ -86,7 +86,7 @@ class ResidualUnit(nn.Module):
         self.bn2 = FrozenBatchNorm(channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(pictures, channels, rows, columns) to the same shape."""
+        """(images, channels, rows, columns) to the same shape."""
         y = self.bn1(self.conv1(F.relu(x)))
         change: Tensor = self.bn2(self.conv2(F.relu_(y)))
         return change.add_(x)
@@ -110,7 +110,7 @@ class Fusion(nn.Module):
         self.resConfUnit2 = ResidualUnit(channels)
 
     def forward(self, path: Tensor, tap: Tensor | None, rows: Axis, columns: Axis) -> Tensor:
-        """Path (and tap) of shape (pictures, channels, rows, columns) to the enlarged path."""
+        """Path (and tap) of shape (images, channels, rows, columns) to the enlarged path."""
         if tap is not None:
             path = self.resConfUnit1(tap).add_(path)
         # LSeg enlarges first. A 1x1 convolution with a bias and an enlargement, whose weights sum to 1, commute, and
@@ -135,14 +135,14 @@ class Decoder(nn.Module):
 
         Parameters
         ----------
-        maps : four of (pictures, channels, rows, columns)
+        maps : four of (images, channels, rows, columns)
             Finest first; the finest has half the output's rows and columns.
         keep : (int, int) or None
             Rows and columns of the output that are wanted, from the top left; None: all.
 
         Returns
         -------
-        (pictures, channels, rows, columns)
+        (images, channels, rows, columns)
             Twice the finest map's rows and columns, or what is kept of them.
         """
         sizes = [m.shape[2:] for m in maps]
@@ -167,11 +167,11 @@ def rounded_as_trained(embeddings: Tensor) -> Tensor:
 
     Parameters
     ----------
-    embeddings : (pictures, channels, rows, columns)
+    embeddings : (images, channels, rows, columns)
 
     Returns
     -------
-    float16 of shape (pictures, rows, columns, channels)
+    float16 of shape (images, rows, columns, channels)
     """
     cells = F.normalize(embeddings.permute(0, 2, 3, 1).float(), dim=-1)
     return cells.half().mul_(PIXEL_SCALE)

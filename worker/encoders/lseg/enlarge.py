@@ -69,5 +69,5 @@ def cell_aspect(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Ten
 
 
 def enlarge(maps: Tensor, rows: Axis, columns: Axis) -> Tensor:
-    """Enlarge maps of shape (pictures, rows, columns, channels) along both sides."""
+    """Enlarge maps of shape (images, rows, columns, channels) along both sides."""
     return cell_aspect(cell_aspect(maps, rows, 1), columns, 2)

@@ -25,13 +25,13 @@ class Backbone(nn.Module):
             self.add_module(f"act_postprocess{index}", Reassemble(config.width, channels, change))
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """(pictures, 3, height, width) to four maps, finest first: 4, 2, 1 and 1/2 times the grid of patches."""
+        """(images, 3, height, width) to four maps, finest first: 4, 2, 1 and 1/2 times the grid of patches."""
         taps, grid = self.model(images)
         return [self.get_submodule(f"act_postprocess{i}")(tap, grid) for i, tap in enumerate(taps, start=1)]
 
 
 class Network(nn.Module):
-    """Pictures to embeddings (`forward`), and words to text vectors (`clip_pretrained`)."""
+    """Images to embeddings (`forward`), and labels to text vectors (`clip_pretrained`)."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -41,18 +41,18 @@ class Network(nn.Module):
         self.scratch = Decoder(config)
 
     def forward(self, images: Tensor, keep: Cells | None = None) -> Tensor:
-        """Embeddings at the head's resolution, half that of the pictures.
+        """Embeddings at the head's resolution, half that of the images.
 
         Parameters
         ----------
-        images : (pictures, 3, height, width)
+        images : (images, 3, height, width)
             RGB in [-1, 1]; height and width multiples of the patch.
         keep : (int, int) or None
             Rows and columns of the result that are wanted, from the top left; None: all. The values do not change.
 
         Returns
         -------
-        float16 of shape (pictures, height/2, width/2, channels)
+        float16 of shape (images, height/2, width/2, channels)
             Of length 14.29 within rounding.
         """
         return rounded_as_trained(self.scratch(self.pretrained(images), keep))

@@ -1,4 +1,4 @@
-"""The vision transformer (Dosovitskiy et al., ICLR 2021) that LSeg reads pictures with: ViT-L/16 as timm 0.4.12 has it.
+"""The vision transformer (Dosovitskiy et al., ICLR 2021) that LSeg reads images with: ViT-L/16 as timm 0.4.12 has it.
 
 Attribute names are those of the checkpoint, so that its tensors load without a table of names. Constants that
 weights cannot show were read in timm: LayerNorm eps 1e-6, exact (erf) GELU, normalisation before each half of a block.
@@ -25,7 +25,7 @@ class Attention(nn.Module):
         self.proj = nn.Linear(width, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Tokens (pictures, tokens, width) to the same shape."""
+        """Tokens (images, tokens, width) to the same shape."""
         n, t, width = x.shape
         qkv = linear(x, self.qkv.weight, self.qkv.bias).view(n, t, 3, self.heads, width // self.heads)
         q, k, v = qkv.permute(2, 0, 3, 1, 4)
@@ -42,7 +42,7 @@ class Mlp(nn.Module):
         self.fc2 = nn.Linear(hidden, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Tokens (pictures, tokens, width) to the same shape."""
+        """Tokens (images, tokens, width) to the same shape."""
         return linear(linear(x, self.fc1.weight, self.fc1.bias, gelu=True), self.fc2.weight, self.fc2.bias)
 
 
@@ -57,7 +57,7 @@ class Block(nn.Module):
         self.mlp = Mlp(config.width, config.hidden)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Tokens (pictures, tokens, width) to the same shape."""
+        """Tokens (images, tokens, width) to the same shape."""
         x = x + self.attn(self.norm1(x))
         y: Tensor = x + self.mlp(self.norm2(x))
         return y
@@ -71,13 +71,13 @@ class PatchEmbedding(nn.Module):
         self.proj = nn.Conv2d(3, config.width, config.patch, stride=config.patch)
 
     def forward(self, images: Tensor) -> Tensor:
-        """(pictures, 3, height, width) to (pictures, height/patch, width/patch, channels)."""
+        """(images, 3, height, width) to (images, height/patch, width/patch, channels)."""
         patches: Tensor = self.proj(images)
         return patches.permute(0, 2, 3, 1)
 
 
 class VisionTransformer(nn.Module):
-    """Pictures to the outputs of four blocks."""
+    """Images to the outputs of four blocks."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -94,7 +94,7 @@ class VisionTransformer(nn.Module):
         Parameters
         ----------
         rows, columns : int
-            Patches of the picture.
+            Patches of the image.
 
         Returns
         -------
@@ -116,12 +116,12 @@ class VisionTransformer(nn.Module):
 
         Parameters
         ----------
-        images : (pictures, 3, height, width)
+        images : (images, 3, height, width)
             RGB in [-1, 1]; height and width multiples of the patch.
 
         Returns
         -------
-        list of (pictures, 1 + rows * columns, width)
+        list of (images, 1 + rows * columns, width)
             One per tap, not normalised (the checkpoint's last LayerNorm is not used); the class token first.
         (int, int)
             (rows, columns) of patches.

@@ -1,7 +1,7 @@
-"""Covering a picture with the network: by overlapping windows, as the paper's code does, or in a single pass.
+"""Covering an image with the network: by overlapping windows, as the paper's code does, or in a single pass.
 
-Windows: the picture is resized so that its longer side is `Config.base`, padded with black to at least one window,
-cut into windows `Config.stride` apart, and the windows' embeddings are averaged where they overlap. Single: the picture
+Windows: the image is resized so that its longer side is `Config.base`, padded with black to at least one window,
+cut into windows `Config.stride` apart, and the windows' embeddings are averaged where they overlap. Single: the image
 is resized to the nearest size that the network takes whole, and goes through it once.
 """
 
@@ -24,7 +24,7 @@ BLACK = -1.0
 """Value of a black pixel, (0 - 0.5)/0.5: what windows are padded with."""
 
 ROWS_AT_ONCE = 32
-"""Rows that are enlarged together: few enough that what lies between stays small beside the field itself."""
+"""Rows that are enlarged together: few enough that intermediate arrays stay small beside the field."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Input:
     pixels : float32 of shape (3, height, width)
         RGB in [-1, 1].
     keep : (int, int)
-        Rows and columns of the network's output that will be looked at.
+        Rows and columns of the network's output that are used.
     """
 
     pixels: Tensor
@@ -44,14 +44,14 @@ class Input:
 
 
 class Covering(Protocol):
-    """How a picture is taken to the network's inputs, and their outputs to the picture's field."""
+    """Turns an image into inputs of the network, and the outputs into the image's field."""
 
     def inputs(self, pixels: Bytes2D) -> Iterator[Input]:
-        """The inputs for a picture of shape (height, width, 3)."""
+        """The inputs for an image of shape (height, width, 3)."""
         ...
 
     def join(self, size: Cells, outputs: Iterator[Tensor]) -> Tensor:
-        """The field of a picture of (height, width), from as many outputs as it had inputs.
+        """The field of an image of (height, width), from as many outputs as it had inputs.
 
         Parameters
         ----------
@@ -62,13 +62,13 @@ class Covering(Protocol):
         Returns
         -------
         float32 of shape (rows, columns, channels)
-            Raw: neither of unit length nor of any other.
+            Raw, not normalised.
         """
         ...
 
 
 def resized(pixels: Bytes2D, size: Cells) -> Tensor:
-    """A picture of another size, as the network reads it.
+    """An image of another size, as the network reads it.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Windows:
         self.base, self.crop, self.stride = config.base, config.crop, config.stride
 
     def grid(self, size: Cells) -> Cells:
-        """(rows, columns) of the field of a picture of (height, width): its longer side is the base."""
+        """(rows, columns) of the field of an image of (height, width): its longer side is the base."""
         height, width = size
         if height > width:
             return self.base, max(1, rounded(width * self.base / height))
@@ -157,7 +157,7 @@ class Windows:
 
 
 class Single:
-    """One unpadded pass at the picture's own aspect: not the reference's numbers, for a fraction of its work.
+    """One unpadded pass at the image's own aspect: not the reference's numbers, for a fraction of its work.
 
     The field stays at the head's resolution, half the base: nothing is known at finer cells, and the reference's
     last enlargement multiplies memory by four.
