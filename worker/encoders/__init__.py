@@ -1,1 +1,1 @@
-"""Networks and stand-ins that turn an image into a field of embeddings."""
+"""Encoders: an image in, a field of embeddings out."""

@@ -1,4 +1,4 @@
-"""The encoder without weights: colours stand in for meaning. For tests and for trying the service out."""
+"""An encoder without weights that takes colours for labels, for tests and for trying out the service."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ COLORS: Mapping[str, tuple[int, int, int]] = {
     "sky": (140, 185, 235),
     "other": (240, 230, 60),
 }
-"""RGB that stands for each of the paper's labels."""
+"""RGB colour of each of the paper's labels."""
 
 CELL = 8
 """Pixels per cell, at a longer side of LONGEST."""
@@ -39,8 +39,8 @@ LONGEST = 480
 class ColorEncoder:
     """Embeds a cell by its mean colour and its contrast to its neighbours.
 
-    The layer ``semantic`` is the colour as a unit vector of eight numbers; ``detail`` adds local gradients. A label's
-    vector is that of its colour.
+    The layer ``semantic`` is the colour as a unit vector of eight numbers; ``detail`` adds local gradients. The text
+    vector of a label is that of its colour.
     """
 
     name = "color"

@@ -1,4 +1,4 @@
-"""Weights files: what one is, and turning a published checkpoint into a safe one."""
+"""Weights files: their identification, and conversion of a published checkpoint to safetensors."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ COMPACT_TENSORS = frozenset({"words.weight", "detail.weight"})
 
 
 def check(path: Path) -> WeightsReport:
-    """Say what a file is: LSeg's checkpoint, its conversion, revisit's own weights, or none of them.
+    """Identify a file: LSeg's checkpoint, its conversion, revisit's own weights, or none of them.
 
     Raises
     ------
@@ -27,12 +27,12 @@ def check(path: Path) -> WeightsReport:
 
 
 def convert(source: Path, target: Path) -> WeightsReport:
-    """Turn LSeg's checkpoint into a safetensors file; see `worker.encoders.lseg.checkpoint.convert`."""
+    """Convert LSeg's checkpoint to a safetensors file; see `worker.encoders.lseg.checkpoint.convert`."""
     return checkpoint.convert(source, target)
 
 
 def _safetensors_names(path: Path) -> frozenset[str]:
-    """Names of the tensors in a safetensors file (a length in eight bytes, then JSON); none if it is no such file."""
+    """Names of the tensors in a safetensors file (header length in eight bytes, then JSON); empty for other files."""
     try:
         with path.open("rb") as file:
             length = int.from_bytes(file.read(8), "little")

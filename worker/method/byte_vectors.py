@@ -1,4 +1,4 @@
-"""Vectors of unit length kept as one byte a component, and their inner products."""
+"""Vectors of unit length quantised to one byte a component, and their inner products."""
 
 from collections.abc import Callable
 
@@ -10,19 +10,19 @@ from schemas.description import Floats, Int8s
 Numbers = npt.NDArray[np.float32] | npt.NDArray[np.int32]
 
 Product = Callable[[Int8s | Floats, Int8s | Floats], Numbers]
-"""Inner products of (n, d) and (m, d) as (n, m). Those of bytes are whole numbers: every way gives the same."""
+"""Inner products of (n, d) and (m, d) as (n, m). Those of bytes are exact whole numbers in every implementation."""
 
 FULL_SCALE = 127
-"""What a component of 1 becomes."""
+"""Byte that a component of 1 is quantised to."""
 
 
 def quantise(vectors: Floats) -> Int8s:
-    """Vectors no longer than 1 as bytes: each component times 127, rounded."""
+    """Quantise vectors of length at most 1: each component times 127, rounded, int8 of the same shape."""
     return np.rint(vectors * FULL_SCALE).astype(np.int8)
 
 
 def scale(vectors: Int8s | Floats) -> float:
-    """What a component of 1 in the vectors stands for: bytes are multiplied as they are, which is exact."""
+    """Value of one unit of a component: 1 / 127 for bytes, whose products are taken unscaled and so exact; else 1."""
     return 1 / FULL_SCALE if vectors.dtype == np.int8 else 1.0
 
 

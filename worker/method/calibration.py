@@ -1,8 +1,8 @@
 """From evidence to a probability, and from a probability to a verdict.
 
-A score orders candidates; a user needs to know how often an answer like this one is right. A curve learned from
-labelled queries (`lab.fitting`) turns what the ranking saw (score, lead over the next place, inliers) into that
-probability, and two thresholds turn the probability into exactly one of three verdicts.
+A score only orders candidates. A curve fitted to labelled queries (`lab.fitting`) maps features of a match (score, lead
+over the next, inliers) to the probability that it is right, and two thresholds turn the probability into exactly one of
+three verdicts.
 """
 
 import json
@@ -19,7 +19,7 @@ Verdict = Literal["matched", "ambiguous", "no_match"]
 
 
 class Curve(Protocol):
-    """Anything that turns features into probabilities, never falling when a feature grows."""
+    """Maps features to probabilities; never falls when a feature grows."""
 
     def probability(self, features: Doubles) -> Doubles:
         """Probability of being right, float64 (n,), for features of shape (n, features)."""
@@ -65,7 +65,7 @@ class Logistic:
 
 @dataclass(frozen=True, eq=False)
 class Isotonic:
-    """The best curve that never falls, over one feature; straight between its knots, level outside.
+    """Isotonic regression over one feature: linear between its knots, constant outside.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Isotonic:
 
 
 def curve_from_json(data: Mapping[str, Any]) -> Curve:
-    """The curve that `as_json` wrote; ValueError for an unknown kind."""
+    """Read a curve that `as_json` wrote; ValueError for an unknown kind."""
     if data.get("kind") == "logistic":
         mean, scale, weights = (np.asarray(data[name], np.float64) for name in ("mean", "scale", "weights"))
         return Logistic(mean, scale, weights, float(data["bias"]))
@@ -99,14 +99,14 @@ def curve_from_json(data: Mapping[str, Any]) -> Curve:
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Where one verdict ends and the next begins, as probabilities.
+    """Probabilities that separate the three verdicts.
 
     Parameters
     ----------
     matched : float
-        At least this: matched.
+        From this probability on: matched.
     ambiguous : float
-        At least this, but less than `matched`: ambiguous. Below: no match.
+        From this probability on and below `matched`: ambiguous. Below: no match.
     """
 
     matched: float = 0.75
@@ -117,7 +117,7 @@ class Thresholds:
             raise ValueError(f"thresholds must rise from ambiguous to matched: {self.ambiguous}, {self.matched}")
 
     def verdict(self, probability: float) -> Verdict:
-        """The one verdict of a probability; ValueError when it is none (NaN, or outside 0..1)."""
+        """The verdict for a probability; ValueError for NaN or a value outside 0..1."""
         if not 0 <= probability <= 1:
             raise ValueError(f"{probability} is no probability")
         if probability >= self.matched:
@@ -127,7 +127,7 @@ class Thresholds:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A curve, what it reads, and the thresholds: all that turns a ranking into a decision.
+    """A curve, the features it reads, and the thresholds of the verdict.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class Calibration:
     curve : Curve
     thresholds : Thresholds
     learned_from : str
-        Which queries; for the report and for whoever wonders years later.
+        Which labelled queries, in words; for reports.
     """
 
     features: tuple[str, ...]
@@ -145,14 +145,14 @@ class Calibration:
     learned_from: str = ""
 
     def to_json(self) -> str:
-        """A small JSON text, kept with a map or with the weights."""
+        """The calibration as JSON, kept with a map or with the weights."""
         limits = {"matched": self.thresholds.matched, "ambiguous": self.thresholds.ambiguous}
         data = {"features": list(self.features), "curve": self.curve.as_json(), "thresholds": limits}
         return json.dumps(data | {"learned_from": self.learned_from}, sort_keys=True, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> "Calibration":
-        """What `to_json` wrote."""
+        """Read what `to_json` wrote."""
         data = json.loads(text)
         limits = Thresholds(**data["thresholds"])
         return cls(tuple(data["features"]), curve_from_json(data["curve"]), limits, data["learned_from"])

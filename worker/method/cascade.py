@@ -1,12 +1,12 @@
-"""The ranking of a query's candidates: every stage, in order, on what was described and fetched.
+"""Ranking of a query's candidates: every stage, in order.
 
-1. Histogram similarity of all candidates (the search has measured the distances).
-2. Of the best of each channel: dense cells at half size and the context graph (paper, "Context Graph").
-3. Of the best so far: dense cells in full.
-4. Of the best so far: geometric verification by local features.
+1. Histogram similarity of all candidates, from the distances that the search measured.
+2. For the best of each channel: dense cells at half resolution and the context graph (paper, "Context Graph").
+3. For the best so far: dense cells at full resolution.
+4. For the best so far: geometric verification by local features.
 5. Fusion of all terms into a score and an order.
 
-Nothing here reads or writes anything: what lies in a database comes through `Fetch`.
+No I/O: stored data of candidates comes through `Fetch`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,14 +32,14 @@ class ViewGone(Exception):
 
 
 class Fetch(Protocol):
-    """What re-ranking reads of candidates, by sequence number. Each raises `ViewGone` when one is missing."""
+    """Reads stored data of candidates by sequence number. Every method raises `ViewGone` when a view is missing."""
 
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
-        """Cells at half size, graphs and extents, in the order of `seqs`."""
+        """Half-resolution cells, graphs and extents, in the order of `seqs`."""
         ...
 
     def cells(self, seqs: Sequence[int]) -> list[Int8s]:
-        """Cells in full, int8 (rows, columns, dimensions) each, in the order of `seqs`."""
+        """Full-resolution cells, int8 (rows, columns, dimensions) each, in the order of `seqs`."""
         ...
 
     def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
@@ -54,15 +54,15 @@ class DenseEvidence:
     Parameters
     ----------
     similarity : float
-        Of the cells at half size, of all channels or of detail alone, whichever has the view stand out more; 0..1.
+        Of the half-resolution cells, 0..1: the larger of all channels' and the aligned detail channel's.
     median_similarity : float
-        Over all candidates that were compared: what a wrong view gets for this query.
+        Median over all compared candidates: typical of a wrong view.
     p85_similarity : float
-        85th percentile over the candidates: what the wrong views get that look most like the query.
+        85th percentile over all compared candidates: typical of the wrong views most like the query.
     shift : (int, int)
-        (rows, columns) by which the view's grid moved, in cells of the query's whole grid.
+        (rows, columns) by which the view's grid is displaced, in full-resolution cells of the query.
     scale : float or None
-        How much larger the view shows the place than the query does, 0.5..2; None where not compared in full.
+        How much larger the view shows the place than the query does, 0.5..2; None without full-resolution comparison.
     """
 
     similarity: float
@@ -79,7 +79,7 @@ class GraphEvidence:
     Parameters
     ----------
     similarity : float
-        S of the paper, 0..1.
+        S of `worker.method.context_graph.compare`, 0..1.
     view : ContextGraph
     pairs : tuple of (int, int)
         Corresponding nodes of query and view.
@@ -111,9 +111,9 @@ class RankedCandidate:
     distances : mapping of channel to float
         L2 between histogram vectors.
     ranks : mapping of channel to int or None
-        In that channel's search, from 1; None when the channel did not find it.
+        Rank in that channel's search, from 1; None when that search did not return the view.
     dense, graph, verified
-        Evidence; None where the recipe or the rank asks for none.
+        None where the recipe has no such stage or the rank is too low for it.
     """
 
     seq: int
@@ -128,7 +128,7 @@ class RankedCandidate:
 
 @dataclass(eq=False)
 class Evidence:
-    """What is known about the candidates of one query so far.
+    """Evidence about the candidates of one query, filled in by one stage after another.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ class Evidence:
     appearances : list of Appearance
         Of `rows`.
     cell_aspect : float64 of shape (reranked, 2)
-        Size of their cells, in those of the query.
+        Height and width of their cells, relative to the query's.
     shifts : intp of shape (reranked, 2), or None without dense cells
-        Of their grids, in cells of the query's whole grid.
+        Displacements (rows, columns) of their grids, in full-resolution cells of the query.
     align_scale : float
-        Factor between similarities of detail alone and of all channels.
+        Factor that brings similarities of detail alone to the level of those of all channels.
     scales : dict of candidate to float
-        Relative size, of those compared in full.
+        How much larger a candidate shows the place; only of those compared at full resolution.
     graph : GraphComparison or None
         Of `rows`.
     verified : dict of candidate to Verified
@@ -179,19 +179,19 @@ class Evidence:
         return [int(seq) for seq in self.candidates.seqs[rows]]
 
     def best(self, count: int) -> Rows:
-        """At most `count` of the re-ranked candidates, best first by what is known so far."""
+        """At most `count` of the re-ranked candidates, best first by the evidence so far."""
         score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
         return score_fusion.order(score, self.distance, self.rows)[: min(count, len(self.rows))]
 
     @property
     def distance(self) -> Floats:
-        """Sum of the channels' histogram distances, float32 (candidates,): settles equal scores."""
+        """Sum of the channels' histogram distances, float32 (candidates,): breaks ties of scores."""
         total: Floats = np.sum(list(self.candidates.distances.values()), axis=0, dtype=np.float32)
         return total
 
 
 Observe = Callable[[str, Evidence], None]
-"""Called after each stage with its name, for who measures stages."""
+"""Called after each stage with its name and the evidence so far, for measurements."""
 
 STAGES = ("histograms", "coarse", "full", "verification")
 """Names that `Observe` is called with, in order."""
@@ -215,7 +215,7 @@ def rank(
     ----------
     query : Description
     candidates : Candidates
-        What the channels' searches found.
+        Results of all channels' searches.
     recipe : DescriptionRecipe
         By which query and candidates were described.
     config : RankingConfig
@@ -223,16 +223,16 @@ def rank(
     top : int
         How many are returned at most.
     reranked : int, optional
-        How many of each channel are re-ranked, instead of the config's number; 0 ranks by histograms alone.
+        How many of each channel are re-ranked, in place of ``config.candidates``; 0 ranks by histograms alone.
     product : Product
-        Multiplies dense cells; how changes the time it takes, not the result.
+        Inner products of dense cells; every implementation gives the same result.
     observe : function
         Called after each of `STAGES`.
 
     Raises
     ------
     ViewGone
-        A candidate is no longer there.
+        A candidate was deleted after the search.
     """
     evidence = compare_histograms(candidates, recipe, config, config.candidates if reranked is None else reranked)
     observe("histograms", evidence)
@@ -249,7 +249,7 @@ def rank(
 def compare_histograms(
     candidates: Candidates, recipe: DescriptionRecipe, config: RankingConfig, reranked: int
 ) -> Evidence:
-    """Stage 1: histogram similarity of all candidates, and which of them are re-ranked: the best of each channel."""
+    """Stage 1: histogram similarity of all candidates; the best `reranked` of each channel go on to the next stages."""
     terms = {
         f"histogram.{name}": score_fusion.histogram_similarity(candidates.distances[name], channel)
         for name, channel in recipe.parameters.channels.items()
@@ -263,7 +263,7 @@ def compare_histograms(
 def compare_coarse(
     query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
 ) -> None:
-    """Stage 2: cells at half size, by all channels and by detail alone, and the context graph, of the re-ranked."""
+    """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone) and context graphs."""
     evidence.appearances = fetch.appearances(evidence.seqs(evidence.rows))
     ours, config = query.appearance, evidence.config
     if ours.coarse.size:
@@ -288,7 +288,7 @@ def compare_coarse(
 def compare_full(
     query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
 ) -> None:
-    """Stage 3: cells in full, of the best so far."""
+    """Stage 3: full-resolution cells of the best so far."""
     config = evidence.config
     if evidence.shifts is None or config.full_resolution_top_k == 0:
         return
@@ -320,7 +320,7 @@ def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
 
 
 def fuse(evidence: Evidence, top: int) -> list[RankedCandidate]:
-    """Stage 5: the first `top` candidates by score; those that were re-ranked come first."""
+    """Stage 5: the first `top` candidates by score, re-ranked ones before all others."""
     candidates = evidence.candidates
     score, parts = score_fusion.score(evidence.terms, evidence.config, evidence.rows)
     order = score_fusion.order(score, evidence.distance, evidence.rows)[:top]
@@ -340,7 +340,7 @@ def fuse(evidence: Evidence, top: int) -> list[RankedCandidate]:
 
 
 def _dense_of(evidence: Evidence, row: int) -> DenseEvidence | None:
-    """The comparison of one candidate's dense cells, if it was made."""
+    """Dense evidence of one candidate; None where its cells were not compared."""
     if row not in evidence.place or evidence.shifts is None:
         return None
     down, across = evidence.shifts[evidence.place[row]].tolist()
@@ -350,7 +350,7 @@ def _dense_of(evidence: Evidence, row: int) -> DenseEvidence | None:
 
 
 def _graph_of(evidence: Evidence, row: int) -> GraphEvidence | None:
-    """The comparison of one candidate's graph, if it was made."""
+    """Graph evidence of one candidate; None where its graph was not compared."""
     if row not in evidence.place or evidence.graph is None:
         return None
     place = evidence.place[row]

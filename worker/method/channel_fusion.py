@@ -1,8 +1,8 @@
-"""Two similarities of dense cells, of all channels joined and of one channel alone, fused by their maximum.
+"""Fusion of two similarities of dense cells: of all channels joined, and of one channel alone.
 
-Joined cells recognise a place by night and in snow, because the semantic channel stays the same. In the same light it
-blurs what the detail channel tells apart. Which of the two suits a query shows in the candidates: the view of the right
-place stands out more from the other candidates by one similarity than by the other.
+Joined cells find a place again by night and in snow, because the semantic channel stays the same. Under the same light
+the detail channel alone separates places better. Which of the two suits a query shows in its candidates: a view of the
+right place stands out more in one of them.
 """
 
 from collections.abc import Collection
@@ -15,12 +15,12 @@ from worker.method.byte_vectors import Product, float_product, scale
 from worker.method.hough import Doubles
 
 REFERENCE_QUANTILE = 0.85
-"""Quantile of the candidates' similarities that a candidate has to stand out from. High enough for rare kinds of
-places, and below the other views of the right place, which are few."""
+"""Quantile over the candidates at which two similarities are aligned: high enough to hold for rare kinds of places, and
+below the few other views of the right place."""
 
 LARGEST_RATE = 2.0
-"""Upper bound of `align_scale`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the query in
-one channel, as with a blank wall or thick fog, the factor would grow without bound."""
+"""Upper limit of `align_scale`, which is 0.9 to 1.5 on photographs. Where hardly any candidate agrees with the query in
+one channel (a blank wall, thick fog), the factor would otherwise amplify noise without bound."""
 
 
 def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8s:
@@ -29,11 +29,11 @@ def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8
     Parameters
     ----------
     cells : int8 of shape (..., dimensions)
-        As `worker.method.dense_cells.join` makes them, of channels with equally many numbers each.
+        From `worker.method.dense_cells.join`; every channel has the same number of dimensions.
     channels : collection of str
-        All channels that were joined.
+        All joined channels.
     channel : str
-        The channel to cut out.
+        The channel to cut out, one of `channels`.
 
     Returns
     -------
@@ -45,12 +45,12 @@ def slice_channel(cells: Int8s, channels: Collection[str], channel: str) -> Int8
 
 
 def length(cells: Int8s) -> float:
-    """Root mean square length of cells, relative to unit length; 1 where all are zero.
+    """Root mean square length of cells, where joined cells have length 1; 1 where all are zero.
 
     Notes
     -----
-    At full resolution the slice of a channel has the length sqrt(its weight). At half resolution, where four cells were
-    averaged, the slice of a channel that changes more from cell to cell is shorter.
+    At full resolution the slice of a channel is as long as the root of its weight. At half resolution, where four
+    cells were averaged, the slice of a channel that varies more from cell to cell is shorter.
     """
     squares = np.square(cells.astype(np.float32)).sum(axis=-1)
     return float(np.sqrt(squares.mean())) * scale(cells) or 1.0
@@ -65,14 +65,14 @@ def single_channel_similarity(
     *,
     cell_aspect: Doubles | None = None,
 ) -> Floats:
-    """Similarity of candidates to a query by the cells of one channel alone.
+    """Similarity of query and candidates by the cells of one channel.
 
     Parameters
     ----------
     query : int8 of shape (rows, columns, dimensions)
     candidates : int8 of shape (candidates, rows, columns, dimensions)
     channels, channel
-        As `slice_channel` takes them.
+        As in `slice_channel`.
     product : Product
     cell_aspect : float64 of shape (candidates, 2), optional
         As in `worker.method.dense_cells.compare`.
@@ -87,39 +87,39 @@ def single_channel_similarity(
 
 
 def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE) -> float:
-    """Factor that makes the similarities of one channel comparable with those of all channels joined.
+    """Factor that makes similarities of one channel alone comparable with those of all channels.
 
     Parameters
     ----------
     joined, alone : float32 of shape (candidates,)
-        Similarities of the same candidates, at least one.
+        Similarities of the same candidates, at least one, by all channels and by one channel.
     high : float
-        Quantile that is made equal.
+        Quantile at which the two are aligned, 0..1.
 
     Returns
     -------
     float
-        Quotient of the two `high` quantiles, at most `LARGEST_RATE`; 0 where that of `alone` is 0.
+        Ratio of the two `high` quantiles, joined over alone, at most `LARGEST_RATE`; 0 where that of `alone` is 0.
     """
     usual, other = (float(np.quantile(scores, high)) for scores in (joined, alone))
     return min(usual / other, LARGEST_RATE) if other > 0 else 0.0
 
 
 def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
-    """For each candidate the larger of both similarities, that of the single channel scaled by `align_scale`.
+    """For each candidate the larger of its joined and its scaled single-channel similarity.
 
     Parameters
     ----------
     joined : float32 of shape (n,)
     alone : float32 of shape (m,)
-        Of the first m candidates, m at most n.
+        Single-channel similarities of the first m candidates, m at most n.
     rate : float
-        As `align_scale` gives it.
+        From `align_scale`.
 
     Returns
     -------
     float32 of shape (n,)
-        At most 1 where `joined` is.
+        At most 1 where `joined` is at most 1.
     """
     merged = joined.copy()
     merged[: len(alone)] = np.maximum(joined[: len(alone)], np.minimum(alone * np.float32(rate), 1))

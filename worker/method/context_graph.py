@@ -1,4 +1,4 @@
-"""Context graphs and how alike two of them are (paper, "Context Graph", eq. 3-5; similarity: docs/method.md)."""
+"""Context graphs and their similarity (paper, "Context Graph", eq. 3-5; similarity: docs/method.md)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,24 +23,24 @@ def build(
     components: Components,
     min_region_cells: int = 1,
 ) -> ContextGraph:
-    """One node per connected region of each word, at the region's centroid.
+    """Context graph of an image: one node per connected region of each label, at the region's centroid.
 
     Parameters
     ----------
     labels : int16 of shape (rows, columns)
     static : bool of shape (rows, columns)
-        Cells outside are in no region.
+        Other cells belong to no region.
     embeddings : float32 of shape (rows, columns, channels)
     extent : (float, float)
         (width, height) of the image as fractions of its longer side.
     components : Components
     min_region_cells : int
-        Smaller regions are specks, not nodes.
+        Smaller regions do not become nodes.
 
     Notes
     -----
-    A centroid may lie outside its region (a ring, an arch) or between cells: the coordinate stays, the embedding is
-    that of the region's cell nearest to it (ties: lowest row, then column).
+    A centroid may lie outside its region (a ring, an arch) or between cells. It remains the node's position; the node's
+    embedding is that of the region's cell nearest to it (ties: lowest row, then column).
     """
     rows, columns = labels.shape
     region = np.zeros(labels.shape, np.int64)
@@ -83,19 +83,19 @@ def _first_of_each(numbers: npt.NDArray[np.int64], order: npt.NDArray[np.intp], 
 
 
 TOGETHER = 4_000_000
-"""Pairs of nodes whose cosines are held at once."""
+"""Pairs of nodes whose cosines are held in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class GraphComparison:
-    """How one graph compares with several.
+    """Comparison of one graph with several candidates.
 
     Parameters
     ----------
     similarity : float32 of shape (candidates,)
-        S in [0, 1].
+        S of `compare`, 0..1.
     matched : intp of shape (candidates, nodes of the query)
-        The candidate's node that corresponds to each node of the query; -1 for none.
+        For each node of the query the corresponding node of the candidate; -1 for none.
     cosines : float32 of shape (candidates, nodes of the query)
         Of the corresponding pairs; 0 elsewhere.
     edges_agreeing : int64 of shape (candidates,)
@@ -126,12 +126,12 @@ def compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: flo
     query : ContextGraph
     candidates : sequence of ContextGraph
     cosine : float
-        t; a pair needs strictly more.
+        Threshold t on the cosine of a pair, exclusive.
     tau : float
-        In fractions of the longer side.
+        Longest edge, as a fraction of the longer side.
     """
     most = max((len(c) for c in candidates), default=0)
-    # A preset that keeps every speck makes thousands of nodes: memory is bounded by comparing fewer graphs at a time.
+    # With `min_region_cells=1` a graph may have thousands of nodes: memory is bounded by comparing fewer at a time.
     together = max(1, TOGETHER // max(1, len(query) * most))
     portions = [
         _compare(query, candidates[start : start + together], cosine, tau)

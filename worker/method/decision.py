@@ -1,4 +1,4 @@
-"""How sure an answer is: calibrated confidence, and one verdict for every answer."""
+"""Calibrated confidence of each match, and one verdict for every answer."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ UNCALIBRATED = Calibration(
 )
 
 ALONE = 0.2
-"""What the only match has to beat: about the score that the best of a few wrong views gets."""
+"""Score that stands in for a second match where there is only one: about that of the best of a few wrong views."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Decision:
     ----------
     status : {"matched", "ambiguous", "no_match"}
     confidence : float
-        Of the first match; 0 when there is none.
+        Of the first match; 0 without a match.
     confidences : tuple of float
         Of each match, never rising with rank.
     """
@@ -39,12 +39,11 @@ class Decision:
 
 
 def features(found: Sequence[RankedCandidate]) -> Mapping[str, npt.NDArray[np.float64]]:
-    """What a calibration may read of each match, float64 (matches,) each.
+    """Features of each match that a calibration may read, float64 (matches,) each.
 
-    ``score``; ``lead``, by how much it beats the best other match (negative for all but the first); ``standing``, by
-    how much its dense cells beat those of the median candidate, which tells a place from places that merely look like
-    it; ``margin``, by how much they beat those that most candidates stay below, which tells it from the few that look
-    most like it; ``inliers``, log(1 + inliers) of verification; and ``part.TERM`` for each part of the score.
+    ``score``; ``lead``, score minus that of the best other match (for all but the first, minus that of the first: 0 or
+    less); ``standing`` and ``margin``, dense similarity minus its median and minus its 85th percentile over the
+    candidates; ``inliers``, log(1 + inliers) of verification; and ``part.TERM``, each weighted term of the score.
     """
     scores = np.array([f.score for f in found], np.float64)
     best, second = [*np.sort(scores)[::-1].tolist(), ALONE][:2]

@@ -1,10 +1,10 @@
 """Dense cells: a coarse grid of embeddings, compared by mutually best cells that agree on one displacement.
 
-A cell joins the embeddings of all channels, so that one comparison weighs them where they disagree: cell by cell.
+A cell joins the embeddings of all channels, so that one comparison weighs the channels cell by cell.
 
 Each cell of the query looks for its best counterpart anywhere in the candidate; pairs that are each other's best are
-correspondences. An image of the same place gives correspondences that agree on how the image moved (a shift, and
-a zoom when the camera stepped forward), so the similarity is the largest weight of correspondences that do.
+correspondences. Those with an image of the same place agree on one displacement (a shift, and a zoom when the camera
+moved forward), so the similarity is the largest weight of correspondences that agree.
 """
 
 from collections.abc import Mapping
@@ -22,17 +22,17 @@ from worker.method.unit_length import unit
 Indices = npt.NDArray[np.intp]
 
 BLOCK = 200_000
-"""Cosines computed at once: more would leave the processor's cache between the product and the search in it."""
+"""Cosines computed at once: a larger block would leave the processor's cache before its maxima are found."""
 
 ROUNDING = 1e-6
-"""Vectors no longer than this are rounding errors, and count as zero."""
+"""Cells of at most this length count as zero: the rest is rounding error."""
 
 APART = 2
 """Cells further apart than this, in rows or columns, count as showing different things."""
 
 
 def grid(field: Floats, rows: int, columns: int) -> Floats:
-    """Average a field of embeddings over equal cells, and take the image's mean away.
+    """Average a field of embeddings over equal cells, and subtract the image's mean.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
 
     Notes
     -----
-    Without centring, what all cells have in common (the light, the camera) drowns what tells them apart.
+    Without centring, the component common to all cells (light, camera) dominates every cosine.
     """
     height, width, channels = field.shape
     down = (_coverage(height, rows) @ field.reshape(height, -1)).reshape(rows, width, channels)
@@ -63,7 +63,7 @@ def reduce(cells: Floats, projection: Floats) -> Floats:
     ----------
     cells : float32 of shape (rows, columns, channels)
     projection : float32 of shape (channels, dimensions)
-        Orthonormal columns, the leading directions of general images' cells.
+        Orthonormal columns, the principal directions of cells of a training set (`worker.method.vocabulary.fit_cells`).
 
     Returns
     -------
@@ -127,33 +127,33 @@ def halve(cells: Int8s | Floats) -> Floats:
 def burstiness_weight(
     cells: Int8s | Floats, apart: int = APART, product: Product = float_product, length: float = 1.0
 ) -> Floats:
-    """How unlike the rest of its own image each cell is.
+    """Burstiness weight: how unlike the rest of its own image each cell is.
 
     Parameters
     ----------
     cells : int8 or float32 of shape (rows, columns, dimensions)
         Of unit length, or as `quantise` stores them.
     apart : int
-        Cells up to so many rows and columns away are no rest: neighbours share what they show.
+        Cells up to this many rows and columns away are left out: neighbours show the same thing.
     product : Product
     length : float
-        Of the vectors, where they are part of longer ones.
+        Length of the vectors, less than 1 where they are slices of joined cells.
 
     Returns
     -------
     float32 of shape (rows * columns,)
-        1 less the largest cosine with a cell further away, 0..1; 1 where there is none.
+        1 minus the largest cosine with a cell further away, 0..1; 1 where there is no such cell.
 
     Notes
     -----
-    A stretch of sky or of bare floor is many cells, each of which finds a counterpart in any other sky. What is seen
-    once in an image says more (burstiness: Jegou et al. 2009).
+    Sky or bare floor fills many cells, each of which has a counterpart in any other sky. Structure that occurs once in
+    an image is more distinctive (burstiness: Jegou et al. 2009).
     """
     rows, columns = cells.shape[:2]
     flat = cells.reshape(rows * columns, cells.shape[2])
     products = product(flat, flat)
     products *= _far(rows, columns, apart)
-    # Along columns, which is quicker: the matrix is symmetric.
+    # The matrix is symmetric; the maximum along columns is quicker.
     closest = products.max(axis=0).astype(np.float32) * np.float32((scale(cells) / length) ** 2)
     unlike: Floats = 1 - np.clip(closest, 0, 1)
     return unlike
@@ -171,19 +171,19 @@ def correspondences(
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
     product : Product
     length : float
-        Of the vectors of both, where they are part of longer ones.
+        Length of the vectors of both, less than 1 where they are slices of joined cells.
 
     Returns
     -------
     Correspondences
-        Of equally good cells the first is the best; pairs without a positive cosine are left out.
+        Only pairs of positive cosine; ties go to the first cell.
 
     Raises
     ------
     DescriptorMismatch
         Query and candidates differ in dimensions.
     ValueError
-        They differ in rows or columns.
+        Query and candidates differ in rows or columns.
     """
     if query.shape[-1] != candidates.shape[-1]:
         raise DescriptorMismatch(got=query.shape[-1], want=candidates.shape[-1])
@@ -195,7 +195,7 @@ def correspondences(
     best, largest, highest = _best(ours, theirs, product)
     which, cell = np.nonzero((largest == np.take_along_axis(highest, best, axis=1)) & (largest > 0))
     counterpart = best[which, cell]
-    # Of equal cells of the query that share a best counterpart, the first has it: it is written last.
+    # Among equal query cells with one best counterpart the first keeps it: in reversed order it is written last.
     taken = which * cells + counterpart
     owner = np.empty(len(candidates) * cells, np.intp)
     owner[taken[::-1]] = cell[::-1]
@@ -222,12 +222,12 @@ def compare(
     candidates : int8 or float32 of shape (candidates, rows, columns, dimensions)
     product : Product
     length : float
-        Of the vectors of both, where they are part of longer ones.
+        Length of the vectors of both, less than 1 where they are slices of joined cells.
     cell_aspect : float64 of shape (candidates, 2), optional
-        Height and width of the candidates' cells, in those of the query (`worker.method.hough.cell_aspects`); all 1
-        where the images have one shape.
+        Height and width of the candidates' cells relative to the query's (`worker.method.hough.cell_aspects`); without
+        it, all 1.
     measured : bool
-        Whether scales are wanted.
+        Whether to estimate scales; if not, they are all 1.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def compare(
 
 
 def scale_penalty(scales: Floats, exponent: float) -> Floats:
-    """What a similarity is multiplied by for showing the place larger or smaller than the query does.
+    """Factor on the similarity of candidates that show the place larger or smaller than the query does.
 
     Parameters
     ----------
@@ -256,8 +256,8 @@ def scale_penalty(scales: Floats, exponent: float) -> Floats:
 
     Notes
     -----
-    Along a path several views show the same things, and their cells agree nearly as well. The one taken nearest to the
-    query is the one that shows them at the same size.
+    Successive views along a path show the same structures, and their cells agree nearly equally well. The view taken
+    nearest to the query shows them at the same size.
     """
     near: Floats = np.minimum(scales, 1 / scales) ** np.float32(exponent)
     return near
@@ -288,11 +288,11 @@ def _best(ours: Int8s | Floats, theirs: Int8s | Floats, product: Product) -> tup
     Returns
     -------
     best : intp of shape (candidates, cells)
-        For each query cell the candidate's cell with the largest product; of equals the first.
+        For each query cell the candidate's cell with the largest product; ties go to the first.
     largest : float32 of shape (candidates, cells)
-        That product.
+        The largest product of each query cell.
     highest : float32 of shape (candidates, cells)
-        For each candidate cell its largest product with any query cell.
+        The largest product of each candidate cell with any query cell.
     """
     count, cells = theirs.shape[:2]
     best = np.empty((count, cells), np.intp)

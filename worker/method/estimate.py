@@ -1,4 +1,4 @@
-"""Where an image was probably taken, from the positions of the views that match it."""
+"""Estimated position of a query image, from the positions of the views that match it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ EARTH_M = 6_371_008.8
 """Mean radius of the earth (IUGG), metres."""
 
 AGREE_M = 25.0
-"""Matches further than this from the best one are not about the same spot."""
+"""Matches further than this from the best one do not count for the estimate, metres."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Fix:
     position : Position
         Without heading.
     radius_m : float
-        Root mean square distance of the agreeing views from it, weighted as they are; 0 for a single one.
+        Weighted root mean square horizontal distance of the agreeing views from `position`; 0 for a single view.
     agreeing : tuple of int
-        Which of the matches agreed.
+        Indices of the matches within `AGREE_M` of the best one, the best included.
     """
 
     position: Position
@@ -35,14 +35,14 @@ class Fix:
 
 
 def locate(positions: Sequence[Position], weights: Sequence[float]) -> Fix | None:
-    """The weighted mean of the best match's position and those that agree with it.
+    """Weighted mean of the positions within `AGREE_M` of the best match's.
 
     Parameters
     ----------
     positions : sequence of Position
-        Of the matches, best first.
+        Positions of the matches, best first.
     weights : sequence of float
-        Of each match, at least 0.
+        Weight of each match, at least 0; all zero count as all equal.
 
     Returns
     -------

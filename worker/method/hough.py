@@ -16,25 +16,26 @@ Along = tuple[Doubles, Doubles]
 """Rows and columns of cells, from the grid's centre."""
 
 ZOOMS = (1.0, 0.8, 1.25)
-"""How much larger the candidate may show what the query shows; the earlier wins a tie."""
+"""Zooms that are tried: size in the candidate relative to the query. Ties go to the earlier."""
 
 LARGEST_SCALE = 2.0
-"""Bound of relative scales, and of their inverses: estimates from few cells beyond it are noise."""
+"""Scales are clipped to this and its inverse: larger estimates rest on few cells and are noise."""
 
 CERTAINTY = 250.0
-"""Ridge of the scale regression: weight times squared distance from the centre at which a scale is half believed."""
+"""Ridge of the scale regression: at a spread (sum of weight times squared distance from the centre, in cells) of this
+size the estimate is pulled halfway to 1."""
 
 ASPECT_STEPS = 8
-"""Steps per octave to which cell aspects are rounded: images of nearly one shape count as one, and the rounding error
-stays below the tolerance."""
+"""Cell aspects are rounded to this many steps an octave: images of nearly one shape count as one shape, and the
+rounding error stays below the tolerance."""
 
 TOLERANCE = 2
-"""How many cells a correspondence may lie off the common displacement: room for parallax and perspective."""
+"""Largest deviation of a correspondence from the common displacement, in cells: room for parallax and perspective."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """Mutually best cells of a query and of several candidates, one row per pair.
+    """Mutually nearest cells of a query and several candidates, one row per pair.
 
     Rows are ordered by candidate, then by query cell. Cells are numbered row by row.
 
@@ -58,15 +59,15 @@ class Agreement:
     Parameters
     ----------
     scores : float32 of shape (candidates,)
-        Root of the share of what the query's cells could weigh, 0..1; 1 for an image against itself when no two of
-        its cells are equal.
+        Root of the weight that agrees over the largest possible weight, 0..1; 1 for an image against itself when no
+        two of its cells are equal.
     shifts : intp of shape (candidates, 2)
-        (rows, columns) by which the query's centre moves: the mean over the cells that agree, in cells of the query.
+        (rows, columns) by which the query's centre moves: the mean over the pairs that agree, in cells of the query.
     zooms : float32 of shape (candidates,)
         The zoom that fits best; 1 where nothing corresponds.
     scales : float32 of shape (candidates,)
-        How much larger the candidate shows what the query shows, by the cells that agree, 0.5..2: as `zooms`, but of
-        any size, and the nearer to 1 the less the cells can tell.
+        Size in the candidate relative to the query, 0.5..2: as `zooms`, but estimated continuously from the pairs that
+        agree, and shrunk towards 1 where they are few or close together.
     """
 
     scores: Floats
@@ -76,10 +77,10 @@ class Agreement:
 
 
 def cell_aspects(query: tuple[float, float], candidates: Sequence[tuple[float, float]]) -> Doubles:
-    """Height and width of candidates' cells relative to the query's, for images of other shapes.
+    """Cell aspects: height and width of the candidates' cells relative to those of the query.
 
-    A grid has as many rows and columns whatever the image's shape, so the cells of an upright image are narrow and
-    high where those of the same camera's landscape images are wide and low.
+    A grid has the same rows and columns whatever the image's shape, so the cells of a portrait image are narrow and
+    high, and those of a landscape image wide and low.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def cell_aspects(query: tuple[float, float], candidates: Sequence[tuple[float, f
     Returns
     -------
     float64 of shape (candidates, 2)
-        Heights and widths, rounded to `ASPECT_STEPS` steps from one to twice it; 1 where the shapes are the same.
+        Heights and widths, rounded to `ASPECT_STEPS` steps an octave; 1 where the shapes are the same.
     """
     ratios = np.array(candidates, np.float64).reshape(-1, 2)[:, ::-1] / np.array(query, np.float64)[::-1]
     rounded: Doubles = np.exp2(np.rint(np.log2(ratios) * ASPECT_STEPS) / ASPECT_STEPS)
@@ -113,19 +114,19 @@ def agreement(
     ----------
     pairs : Correspondences
     distinct : float32 of shape (rows * columns,)
-        What each of the query's cells counts for, at least 0.
+        Burstiness weight of each query cell, at least 0.
     shape : (int, int)
         Rows and columns of the grids.
     candidates : int
-        How many candidates there are, those without a correspondence included.
+        Number of candidates, including those without a correspondence.
     zooms : sequence of float
         Greater than 0.
     tolerance : int
         In cells, at least 0.
     cell_aspect : float64 of shape (candidates, 2), optional
-        Height and width of each candidate's cells, in those of the query: see `cell_aspects`. Without, all are 1.
+        Height and width of each candidate's cells relative to the query's, see `cell_aspects`; without it, all 1.
     measured : bool
-        Whether scales are wanted; without, they are all 1.
+        Whether to estimate scales; if not, they are all 1.
 
     Returns
     -------
@@ -133,11 +134,11 @@ def agreement(
 
     Notes
     -----
-    A correspondence of cosine c weighs c^2 times the distinctness of its cell: one that fits half counts a quarter.
-    Displacements of more than half the image are left out: too little of it would be common. With zoom z a query
-    cell p (from the image's centre) belongs at z p + t; both sides are divided by sqrt(z) so
-    that the tolerance is the same in either direction. The root brings channels together whose shares differ in size:
-    without it the one with larger shares decides alone.
+    A correspondence of cosine c weighs c^2 times the burstiness weight of its query cell. Displacements of more than
+    half the image are left out: the overlap would be too small. With zoom z a query cell p (from the image's centre)
+    is expected at z p + t; both sides are divided by sqrt(z) so that the tolerance is the same in either direction.
+    The root brings similarities of different channels closer in size: without it the channel with larger ones would
+    decide alone.
     """
     weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
     cell_aspect = np.ones((candidates, 2)) if cell_aspect is None else cell_aspect
@@ -169,9 +170,9 @@ def agreement(
 
 
 def _scale(candidate: Indices, ours: Along, theirs: Along, weight: Doubles, candidates: int) -> Doubles:
-    """By how much distances between cells grow, float64 (candidates,): ridge regression of `theirs` on `ours`.
+    """Scale of each candidate, float64 (candidates,): slope of the ridge regression of `theirs` on `ours`.
 
-    Both are rows and columns of cells. The ridge pulls towards 1.
+    Both are rows and columns of cells. The ridge `CERTAINTY` pulls the slope towards 1.
     """
 
     def total(values: Doubles) -> Doubles:
@@ -194,14 +195,14 @@ def _centred(cell: Indices, shape: tuple[int, int]) -> Along:
 
 @dataclass(frozen=True, eq=False)
 class _Slots:
-    """Where a correspondence votes: rounded displacements, row by row, and a last row for what moved too far.
+    """Bins of the Hough transform: rounded displacements, row by row, and a last row for those out of range.
 
     Parameters
     ----------
     rows, columns : int
-        Without that last row.
+        Number of bins along each axis, the last row not counted.
     of : int32 of shape (zooms, cells * cells)
-        The slot of every query cell with every candidate cell, the query's first.
+        Bin of every pair of cells, at index query cell * cells + candidate cell.
     tolerance : int
     """
 
@@ -211,7 +212,7 @@ class _Slots:
     tolerance: int
 
     def near(self, slots: Int32s, peaks: Indices) -> npt.NDArray[np.bool_]:
-        """Say which slots lie within the tolerance of the slots `peaks`, whose windows hold no displacement too far."""
+        """Whether each bin lies within the tolerance of its peak; windows around peaks never reach the last row."""
         down, across = (a - b for a, b in zip(divmod(slots, self.columns), divmod(peaks, self.columns), strict=True))
         close: npt.NDArray[np.bool_] = (np.abs(down) <= self.tolerance) & (np.abs(across) <= self.tolerance)
         return close
@@ -220,7 +221,7 @@ class _Slots:
 def _votes(
     pairs: Correspondences, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int, cell_aspect: Doubles
 ) -> tuple[_Slots, Int32s]:
-    """Slots, and which of them each pair votes for under each zoom: int32 (zooms, pairs)."""
+    """The bins, and the bin that each pair votes for under each zoom: int32 (zooms, pairs)."""
     slots = _slots(shape, zooms, tolerance)
     voted = slots.of[:, pairs.query_cell * (shape[0] * shape[1]) + pairs.candidate_cell]
     other = np.flatnonzero((cell_aspect != 1).any(axis=1)[pairs.candidate])
@@ -234,7 +235,7 @@ def _votes(
 
 @lru_cache(maxsize=16)
 def _slots(shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> _Slots:
-    """Displacements of at most half of a grid of `shape`, and as much more as the tolerance reaches."""
+    """Bins for displacements of at most half a grid of `shape` plus the tolerance."""
     down, across = _centred(np.arange(shape[0] * shape[1]), shape)
     slots = _displaced((down[:, None], across[:, None]), (down, across), shape, zooms, tolerance)
     rows, columns = _extremes(shape, tolerance)
@@ -242,7 +243,7 @@ def _slots(shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> 
 
 
 def _displaced(ours: Along, theirs: Along, shape: tuple[int, int], zooms: tuple[float, ...], tolerance: int) -> Int32s:
-    """Slots of pairs of positions under each zoom, int32 (zooms, ...); positions are spread against one another."""
+    """Bins of pairs of positions under each zoom, int32 (zooms, ...); positions are broadcast against each other."""
     rows, columns = _extremes(shape, tolerance)
     roots = np.sqrt(np.array(zooms, np.float64)).reshape(-1, *(1 for _ in np.broadcast(ours[0], theirs[0]).shape))
     down, across = (
@@ -255,20 +256,20 @@ def _displaced(ours: Along, theirs: Along, shape: tuple[int, int], zooms: tuple[
 
 
 def _extremes(shape: tuple[int, int], tolerance: int) -> tuple[int, int]:
-    """The largest displacement that has a slot, in rows and columns."""
+    """The largest displacement that has a bin, in rows and columns."""
     return shape[0] // 2 + tolerance, shape[1] // 2 + tolerance
 
 
 def _peaks(
     candidate: Indices, voted: Int32s, weight: Doubles, candidates: int, slots: _Slots, tolerance: int
 ) -> tuple[Doubles, Indices]:
-    """Largest weight within `tolerance` of one displacement of at most half the grid, and where; of equals the first.
+    """Largest weight within `tolerance` of one displacement of at most half the grid, and its bin; ties: the first.
 
     Parameters
     ----------
     candidate : intp of shape (pairs,)
     voted : int32 of shape (zooms, pairs)
-        The slot of each pair under each zoom.
+        Bin of each pair under each zoom.
     weight : float64 of shape (pairs,)
     candidates : int
     slots : _Slots
@@ -278,10 +279,10 @@ def _peaks(
     -------
     heights : float64 of shape (zooms, candidates)
     peaks : intp of shape (zooms, candidates)
-        Slots.
+        Bins.
     """
     count = len(voted) * candidates
-    # Candidates lie side by side, so that windows are summed along memory.
+    # Candidates are the last axis, so that windows are summed over contiguous memory.
     index = voted * count + (np.arange(len(voted))[:, None] * candidates + candidate)
     votes = np.bincount(index.ravel(), np.tile(weight, len(voted)), (slots.rows + 1) * slots.columns * count)
     kept = np.asarray(votes, np.float64).reshape(slots.rows + 1, slots.columns, count)[: slots.rows]
@@ -296,7 +297,7 @@ def _peaks(
 
 
 def _running(values: Doubles, window: int) -> Doubles:
-    """Sums of `window` neighbours along the first axis, from sums of 1, 2, 4, ... of them."""
+    """Sums of `window` neighbours along the first axis, put together from sums of 1, 2, 4, ... neighbours."""
     count = len(values) - window + 1
     total, done, sums, size = np.zeros(()), 0, values, 1
     while True:

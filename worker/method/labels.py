@@ -1,4 +1,4 @@
-"""The label of each cell of an image (paper, eq. 1 and 2)."""
+"""Labels of the cells of an image (paper, eq. 1 and 2)."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,18 +9,18 @@ LabelMap = npt.NDArray[np.int16]
 
 
 def scores(embeddings: Floats, text_vectors: Floats) -> Floats:
-    """Inner products of cells and words: f_ijk = <I_ij, T_k>.
+    """Inner products of cells and labels: f_ijk = <I_ij, T_k>.
 
     Parameters
     ----------
     embeddings : float32 of shape (rows, columns, channels)
         Unit length.
-    text_vectors : float32 of shape (words, channels)
-        Unit length.
+    text_vectors : float32 of shape (labels, channels)
+        Length at most 1, see `Encoder.text_vectors`.
 
     Returns
     -------
-    float32 of shape (rows, columns, words)
+    float32 of shape (rows, columns, labels)
         Cosines.
     """
     product: Floats = embeddings @ text_vectors.T
@@ -28,11 +28,11 @@ def scores(embeddings: Floats, text_vectors: Floats) -> Floats:
 
 
 def label_map(word_scores: Floats) -> LabelMap:
-    """The word with the largest score, per cell; ties go to the lowest index.
+    """Index of the label with the largest score, per cell; ties go to the lowest index.
 
     Parameters
     ----------
-    word_scores : float32 of shape (rows, columns, words)
+    word_scores : float32 of shape (rows, columns, labels)
 
     Returns
     -------
@@ -43,7 +43,13 @@ def label_map(word_scores: Floats) -> LabelMap:
 
 
 def shares(labels: LabelMap, words: int) -> Floats:
-    """Share of the cells that carry each label.
+    """Share of the cells that have each label.
+
+    Parameters
+    ----------
+    labels : int16 of shape (rows, columns)
+    words : int
+        Number of labels.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Random pixel descriptors (paper, "Visual-Language Vocabulary": K of the remaining coordinates)."""
+"""Sampling of descriptors among static cells (paper, "Visual-Language Vocabulary": K remaining coordinates)."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,12 +9,12 @@ Indices = npt.NDArray[np.intp]
 
 
 def generator(seed: int, digest: str) -> np.random.Generator:
-    """The randomness of one image: the same seed and image always draw the same cells.
+    """Random generator of one image: the same seed and image always draw the same cells.
 
     Parameters
     ----------
     seed : int
-        Of the recipe.
+        Seed of the recipe.
     digest : str
         SHA-256 of the image, hexadecimal.
     """
@@ -28,7 +28,7 @@ def draw(static: Booleans, count: int | None, random: np.random.Generator) -> In
     ----------
     static : bool of shape (rows, columns)
     count : int or None
-        K; when fewer are static, or with None, all of them are taken.
+        K; all static cells are drawn when there are no more than `count`, or with None.
 
     Returns
     -------

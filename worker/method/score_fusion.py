@@ -1,4 +1,4 @@
-"""From evidence to an order: named terms, weighted into a score, ties settled by enrolment."""
+"""From evidence to an order: a weighted sum of named terms; ties go to the earlier enrolled."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ Rows = npt.NDArray[np.intp]
 
 
 def histogram_similarity(distances: Floats, channel: Channel) -> Floats:
-    """How alike histogram vectors are, from their distance.
+    """Similarity of histogram vectors, from their distance.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def weigh(terms: Mapping[str, Floats], weights: Mapping[str, float]) -> tuple[Fl
     Parameters
     ----------
     terms : mapping of term to float32 of shape (n,)
-        0..1 each; one that is missing counts as 0.
+        0..1 each; a missing term counts as 0.
     weights : mapping of term to float
-        Scaled to sum to 1, so that the score stays in 0..1.
+        At least 0; divided by their sum, so that the score stays in 0..1.
 
     Returns
     -------
@@ -56,9 +56,9 @@ def weigh(terms: Mapping[str, Floats], weights: Mapping[str, float]) -> tuple[Fl
 
 
 def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) -> tuple[Floats, dict[str, Floats]]:
-    """Score of every candidate, and the parts it is made of.
+    """Score of every candidate, and its weighted terms.
 
-    With ``mode="graph"`` (the paper) the graph similarity is the score, and the histogram only settles ties; with
+    With ``mode="graph"`` (the paper) the graph similarity is the score, and the histogram only breaks ties; with
     nothing re-ranked the histograms are the score. A candidate that was not re-ranked never scores above one that was.
 
     Parameters
@@ -89,7 +89,7 @@ def score(terms: Mapping[str, Floats], config: RankingConfig, reranked: Rows) ->
 
 
 def order(total: Floats, distance: Floats, reranked: Rows) -> Rows:
-    """Best first: re-ranked candidates by score, then histogram distance, then enrolment; behind them the others.
+    """Best first: re-ranked candidates by score, then histogram distance, then enrolment; the others follow.
 
     Parameters
     ----------

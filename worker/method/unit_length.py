@@ -1,4 +1,4 @@
-"""Unit length: what makes an inner product a cosine."""
+"""Scaling to unit length, at which an inner product is a cosine."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ def unit(vectors: npt.NDArray[np.floating], negligible: float = 1e-12) -> Floats
     ----------
     vectors : float of shape (..., channels)
     negligible : float
-        A vector no longer than this has no direction worth keeping, and becomes zero.
+        A vector of at most this length becomes zero.
 
     Returns
     -------

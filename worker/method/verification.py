@@ -1,8 +1,8 @@
-"""Geometric verification: do the same keypoints stand in the same arrangement?
+"""Geometric verification: do matched keypoints lie in the same arrangement?
 
-Matches are each other's best descriptor and clearly better than the second best. A similarity transform proposed by
-any two of the strongest matches and supported by most of the others is refined to an affine one; the matches that
-follow it are the inliers. Everything is computed at once over all proposals, and nothing is drawn at random.
+Matches are mutually nearest descriptors that pass the ratio test. Each two of the strongest matches propose a
+similarity transform; the proposal with most inliers is refined to an affine transform, whose inliers count. All
+proposals are computed at once, and none is drawn at random.
 """
 
 from collections.abc import Sequence
@@ -19,46 +19,47 @@ Pairs = npt.NDArray[np.intp]
 Doubles = npt.NDArray[np.float64]
 
 RATIO = 0.8
-"""A match must be this much nearer than the second best (Lowe 2004)."""
+"""Largest ratio of the distances to the best and to the second-best descriptor (Lowe 2004)."""
 
 TOLERANCE = 8 / 480
-"""How far an inlier may lie from where the transform puts it, in fractions of the longer side."""
+"""Largest distance of an inlier from its transformed position, as a fraction of the longer side."""
 
 LEAST = 5
-"""Fewer matches, or fewer inliers, are no evidence."""
+"""Fewer matches or inliers than this are no evidence."""
 
 PROPOSERS = 32
-"""Only the strongest matches propose transforms, two at a time: 496 proposals at most."""
+"""How many of the strongest matches propose transforms, two at a time: 496 proposals at most."""
 
 LARGEST_ZOOM = 3.0
-"""Largest relative scale of two images of one place; a stronger zoom comes from false matches."""
+"""Largest plausible zoom between two images; a stronger one comes from wrong matches."""
 
 LARGEST_TURN = np.radians(35)
-"""Largest rotation between two images of one place, in radians: cameras are held upright."""
+"""Largest plausible rotation, radians: cameras are held upright."""
 
 SLIM = 1e-10
-"""Smallest ratio of the squared spreads of points across and along their line that determines an affine transform."""
+"""Determinant of the scatter matrix over its squared trace; up to this, points lie on a line and fix no affine
+transform."""
 
 SHORTEST = 1e-9
-"""Descriptors shorter than this are zero, and match nothing."""
+"""A descriptor shorter than this counts as zero; its cosine with any other is 0."""
 
 UNREMARKABLE = 8
-"""Inliers above the median of the verified candidates that do not count yet."""
+"""By how many inliers a candidate must exceed the median of the verified ones before they count."""
 
 SOFTENING = 20
-"""Inliers added to that median, so that few inliers over a median of 0 stay weak evidence."""
+"""Inliers added to that median, so that a few inliers over a median of 0 stay weak evidence."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verified:
-    """What verification of one view found.
+    """Result of the geometric verification of one view.
 
     Parameters
     ----------
     inliers : int
-        Matches that follow the transform; 0 when there is none.
+        Matches that follow the transform; 0 without one.
     matches : int
-        Before geometry.
+        Before geometric verification.
     transform : float32 of shape (2, 3), or None
         Maps the query's positions (x, y, 1) to the view's, in fractions of the longer side.
     pairs : float32 of shape (inliers, 4)
@@ -72,15 +73,15 @@ class Verified:
 
 
 def match(query: Int8s | Floats, views: Sequence[Int8s | Floats], ratio: float = RATIO) -> list[Pairs]:
-    """Descriptors that are each other's best and pass the ratio test, for each view.
+    """Mutually nearest descriptors that pass the ratio test, for each view.
 
     Parameters
     ----------
     query : int8 or float32 of shape (n, channels)
-        Near equal lengths, none zero.
+        Of nearly equal length, none zero.
     views : sequence of int8 or float32 of shape (m, channels)
     ratio : float
-        Of Euclidean distances between descriptors of unit length, 0..1.
+        Largest ratio of nearest to second-nearest Euclidean distance at unit length, 0..1.
 
     Returns
     -------
@@ -98,8 +99,8 @@ def match(query: Int8s | Floats, views: Sequence[Int8s | Floats], ratio: float =
     ends = np.cumsum([len(view) for view in views]).tolist()
     if len(query) == 0 or not ends or ends[-1] == 0:
         return [np.zeros((0, 2), np.intp) for _ in views]
-    # The views side by side: one matrix product for all. Products of bytes are whole numbers, which float32 adds up
-    # exactly, so that no view's matches depend on the others; lengths are divided by afterwards.
+    # One matrix product for all views. Products of bytes are whole numbers, which float32 sums exactly, so that no
+    # view's matches depend on the other views; the division by lengths comes afterwards.
     ours, theirs = query.astype(np.float32), np.concatenate(views).astype(np.float32)
     cosines = ours @ theirs.T
     cosines *= 1 / np.maximum(np.linalg.norm(ours, axis=1, keepdims=True), SHORTEST)
@@ -119,12 +120,12 @@ def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> t
     source, target : float32 of shape (matches, 2)
         Positions of matched keypoints, the strongest match first, in fractions of the longer side.
     tolerance : float
-        In the same unit.
+        In fractions of the longer side.
 
     Returns
     -------
     transform : float64 of shape (2, 3), or None
-        Affine; None when no plausible proposal finds `LEAST` followers.
+        Affine; None when no plausible proposal has `LEAST` inliers.
     inliers : bool of shape (matches,)
         Which matches follow it.
     """
@@ -146,12 +147,12 @@ def consensus(source: Floats, target: Floats, tolerance: float = TOLERANCE) -> t
 
 
 def verify(query: LocalFeatures, views: Sequence[LocalFeatures]) -> list[Verified]:
-    """Match the keypoints of a query with those of each view, and count those in the same arrangement.
+    """Match the keypoints of a query with those of each view, and count the inliers.
 
     Raises
     ------
     DescriptorMismatch
-        Their descriptors have different lengths.
+        Descriptors of the query and of a view differ in channels.
     """
     found = []
     matched = match(query.descriptors, [view.descriptors for view in views])
@@ -170,19 +171,18 @@ def verify(query: LocalFeatures, views: Sequence[LocalFeatures]) -> list[Verifie
 
 
 def gated_bonus(inliers: npt.ArrayLike) -> Floats:
-    """How much more each candidate's inliers say than those of the others.
+    """Bonus for inliers beyond the median of all verified candidates.
 
     Parameters
     ----------
     inliers : array-like of int, shape (candidates,)
-        Of the candidates verified for one query.
+        Inliers of the candidates verified for one query.
 
     Returns
     -------
     float32 of shape (candidates,)
-        max(0, n - m - 8) / (n + 12) with m the median: 0 for a candidate that does not stand out, towards 1 for one
-        that does by far, never falling as its inliers grow. Where keypoints find nothing (night, snow) all
-        candidates are near the median and the others' evidence decides.
+        max(0, n - m - 8) / (n + 12) for n inliers and their median m: 0..1, and never falls as n grows. Where
+        keypoints do not match (night, snow) all candidates are near the median, get 0, and other evidence decides.
     """
     counts = np.asarray(inliers, np.float32)
     if counts.size == 0:
@@ -194,7 +194,7 @@ def gated_bonus(inliers: npt.ArrayLike) -> Floats:
 
 
 def _mutual(cosines: Floats, highest: Floats, ratio: float) -> Pairs:
-    """Matches with one view, intp (matches, 2), from cosines (n, m), which it spoils, and their maxima (m,)."""
+    """Matches with one view, intp (matches, 2), from cosines (n, m), overwritten, and their column maxima (m,)."""
     if cosines.shape[1] == 0:
         return np.zeros((0, 2), np.intp)
     rows = np.arange(len(cosines))
@@ -204,7 +204,7 @@ def _mutual(cosines: Floats, highest: Floats, ratio: float) -> Pairs:
     second = cosines.max(axis=1)
     # |a - b|^2 = 2 - 2 cos for unit vectors.
     kept = np.flatnonzero((strength == highest[best]) & (1 - strength < ratio**2 * (1 - second)))
-    # Of equal rows that share a best counterpart, the first has it.
+    # Among equal rows with one best counterpart the first keeps it.
     kept = kept[np.unique(best[kept], return_index=True)[1]]
     kept = kept[np.lexsort((kept, -strength[kept]))]
     return np.stack([kept, best[kept]], axis=1)
@@ -218,7 +218,7 @@ def _couples(count: int) -> tuple[Pairs, Pairs]:
 
 
 def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Booleans:
-    """Followers of the similarity transform with most of them, bool (matches,); of equals the first proposed."""
+    """Inliers of the proposed similarity with most inliers, bool (matches,); ties go to the first proposed."""
     # As complex numbers a similarity is w = a z + b, and two points fix it.
     z = source[:, 0].astype(np.complex64) + 1j * source[:, 1]
     w = target[:, 0].astype(np.complex64) + 1j * target[:, 1]
@@ -232,7 +232,7 @@ def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Boolea
     if len(a) == 0:
         return np.zeros(len(z), np.bool_)
     b = w[first] - a * z[first]
-    # The parts of a z + b - w, for all proposals and matches, as matrix products.
+    # Real and imaginary part of a z + b - w, for all proposals and matches, as matrix products.
     one, minus = np.ones(len(z), np.float32), np.full(len(a), -1, np.float32)
     across = np.stack([a.real, -a.imag, b.real, minus], axis=1) @ np.stack([z.real, z.imag, one, w.real])
     down = np.stack([a.imag, a.real, b.imag, minus], axis=1) @ np.stack([z.real, z.imag, one, w.imag])
@@ -246,7 +246,7 @@ def _best_similarity(source: Floats, target: Floats, tolerance: float) -> Boolea
 def _affine(matched: Doubles) -> Doubles:
     """Least-squares affine transform, float64 (2, 3); a linear part of zeros for points on one line.
 
-    Of matches (n, 5): x, y, 1 of the source, x, y of the target.
+    `matched`, float64 (n, 5): x, y, 1 of the source and x, y of the target.
     """
     (xx, xy, x, xu, xv), (_, yy, y, yu, yv), (_, _, n, u, v), _, _ = (matched.T @ matched).tolist()
     xx, xy, yy = xx - x * x / n, xy - x * y / n, yy - y * y / n
@@ -262,7 +262,7 @@ def _affine(matched: Doubles) -> Doubles:
 
 
 def _follow(transform: Doubles, matched: Doubles) -> Doubles:
-    """Distance of each target from where the transform puts its source, float64 (matches,); columns of `_affine`."""
+    """Distance of each target from its transformed source, float64 (matches,); `matched` as in `_affine`."""
     apart = matched[:, :3] @ transform.T - matched[:, 3:]
     distance: Doubles = np.sqrt(np.einsum("ij,ij->i", apart, apart))
     return distance

@@ -11,10 +11,10 @@ from schemas.recipe import Channel
 from worker.method.byte_vectors import Product, float_product, quantise, scale
 from worker.method.unit_length import unit
 
-_LEAST = -(2**30)  # less than any closeness, of bytes or of floats
+_LEAST = -(2**30)  # below any value of `closeness` in `histogram`, for bytes and for floats
 
 BLOCK = 8192
-"""Descriptors compared with all words at once in training: bounds memory at BLOCK x words floats."""
+"""Descriptors compared with all words at once in training: memory is at most BLOCK x words floats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class Projection:
     ----------
     mean : float32 of shape (words,)
     matrix : float32 of shape (words, dimensions)
-        Column i is component i divided by the square root of its standard deviation: full whitening would blow up
-        the noise of rare words, none would let the commonest words decide alone.
+        Column i is component i divided by the square root of its standard deviation: full whitening would
+        amplify the noise of rare words; without any the commonest words would decide alone.
     """
 
     mean: Floats
@@ -35,7 +35,7 @@ class Projection:
 
 @dataclass(frozen=True, eq=False)
 class ChannelVocabulary:
-    """What one channel needs to turn descriptors into its vector.
+    """Trained arrays of one channel: visual words, projection of histograms, reduction of dense cells.
 
     Parameters
     ----------
@@ -73,34 +73,34 @@ def histogram(
     Parameters
     ----------
     descriptors : float32 of shape (n, channels), or int8 as `quantise` gives them
-        Embeddings at the drawn static cells, unit length.
+        Embeddings at the sampled static cells, unit length.
     words : float32 or int8 of shape (words, channels)
-        As the descriptors.
+        Of the same dtype as the descriptors.
     assignments : int
-        1 counts the nearest word, a(x) = argmin_v |x - c_v|. More shares a descriptor among its nearest words in
-        proportion to exp(-|x - c|^2 / (2 temperature)), which for unit vectors is exp(cosine / temperature).
+        1 counts the nearest word, a(x) = argmin_v |x - c_v|. A larger number shares a descriptor among as many nearest
+        words in proportion to exp(-|x - c|^2 / (2 temperature)), for unit vectors exp(cosine / temperature).
     temperature : float
     product : Product
 
     Returns
     -------
     float32 of shape (words,)
-        Frequencies, summing to 1; all zero when there is no descriptor. Ties go to the lower word.
+        Frequencies, summing to 1; all zero without descriptors. Ties go to the word of lower index.
 
     Raises
     ------
     DescriptorMismatch
-        When the two disagree on the number of channels.
+        Descriptors and words differ in channels.
     """
     if descriptors.shape[1] != words.shape[1]:
         raise DescriptorMismatch(got=descriptors.shape[1], want=words.shape[1])
     count = len(descriptors)
     if count == 0:
         return np.zeros(len(words), np.float32)
-    # |x|^2 does not change which word is nearest, so it is left out; what remains is negated to look for maxima.
+    # Closeness is x . c - |c|^2 / 2: its maximum over c is the minimum of |x - c|^2.
     closeness = product(descriptors, words)
     half = (words.astype(np.float32, copy=False) ** 2).sum(axis=1) / 2
-    # Bytes stay with whole numbers, by whichever product.
+    # Bytes stay whole numbers, whichever product computes them.
     closeness -= (np.floor(half) if words.dtype == np.int8 else half).astype(closeness.dtype)
     kept = min(assignments, len(words))
     nearest = np.empty((count, kept), np.intp)
@@ -120,9 +120,9 @@ def histogram(
 def vector(
     descriptors: Floats, vocabulary: ChannelVocabulary, channel: Channel, product: Product = float_product
 ) -> Floats:
-    """The vector of one channel: histogram, normalised, projected.
+    """Histogram of one channel, normalised and projected.
 
-    Descriptors and words are compared as bytes: in whole numbers, so that every machine finds the same nearest words.
+    Descriptors and words are compared as bytes, in whole numbers, so that every machine finds the same nearest words.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def train_words(
         V.
     random : numpy.random.Generator
     iterations : int
-        At most; it stops when no descriptor changes its word.
+        Largest number of iterations; training stops when no descriptor changes its word.
     spherical : bool
         Keep words at unit length (cosine k-means).
 
@@ -163,7 +163,7 @@ def train_words(
     Raises
     ------
     ValueError
-        Fewer distinct descriptors than words are wanted.
+        Fewer distinct descriptors than `count`.
     """
     # Distinct rows have distinct projections, almost surely; sorting numbers is far quicker than sorting rows.
     if len(np.unique(descriptors @ random.standard_normal(descriptors.shape[1]))) < count:
@@ -181,7 +181,7 @@ def train_words(
         sums = np.zeros_like(words, dtype=np.float64)
         sums[used] = np.add.reduceat(descriptors[np.argsort(nearest, kind="stable")], starts, axis=0, dtype=np.float64)
         words = (sums / np.maximum(sizes, 1)[:, None]).astype(np.float32)
-        for empty in np.flatnonzero(sizes == 0):  # a word that nobody uses moves to the descriptor served worst
+        for empty in np.flatnonzero(sizes == 0):  # an empty cluster restarts at the descriptor furthest from its word
             worst = int(distance.argmax())
             words[empty] = descriptors[worst]
             distance[worst] = -1
@@ -191,7 +191,7 @@ def train_words(
 
 
 def _spread(descriptors: Floats, count: int, random: np.random.Generator) -> Floats:
-    """k-means++ (Arthur and Vassilvitskii 2007): each next start is drawn in proportion to its squared distance."""
+    """k-means++ (Arthur and Vassilvitskii 2007): starts drawn in proportion to squared distance from earlier ones."""
     chosen = [int(random.integers(len(descriptors)))]
     closest = squared_distances(descriptors, descriptors[chosen])[:, 0].astype(np.float64)
     while len(chosen) < count:
@@ -219,14 +219,14 @@ def fit_projection(histograms: Floats, dimensions: int) -> Projection:
     Parameters
     ----------
     histograms : float32 of shape (images, words)
-        Normalised as the channel does.
+        Normalised as the channel's recipe says.
     dimensions : int
         At most min(images - 1, words).
 
     Raises
     ------
     ValueError
-        Too few images for that many dimensions.
+        Too few images or words for that many dimensions.
     """
     if dimensions > min(len(histograms) - 1, histograms.shape[1]):
         raise ValueError(
@@ -242,7 +242,7 @@ def fit_projection(histograms: Floats, dimensions: int) -> Projection:
 
 
 def fit_cells(cells: Floats, dimensions: int) -> Floats:
-    """Principal directions of dense cells, without their mean (cells are centred per image already).
+    """Principal directions of dense cells, without their mean (cells are already centred per image).
 
     Parameters
     ----------
@@ -251,8 +251,8 @@ def fit_cells(cells: Floats, dimensions: int) -> Floats:
     Returns
     -------
     float32 of shape (channels, dimensions)
-        Orthonormal columns; beyond as many as there are channels they are zero, so that every layer gives cells of as
-        many numbers.
+        Orthonormal columns; columns beyond the number of channels are zero, so that cells of every layer have
+        `dimensions` dimensions.
     """
     # The eigenvectors of the channels x channels moment matrix are the right singular vectors of `cells`.
     _, vectors = np.linalg.eigh((cells.T @ cells).astype(np.float64))

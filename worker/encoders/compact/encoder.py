@@ -27,15 +27,15 @@ class CompactEncoder:
     device : str
         ``cpu``: ONNX Runtime; ``cuda``, ...: torch.
     weights : Path
-        Beside it lie a JSON file of the same name with its SHA-256 and its labels, and the files that this one names:
-        graphs, and the members of the ensemble that segmentations are drawn from.
+        Safetensors file. Beside it lies a JSON file of the same name with its SHA-256, its labels, and the names of the
+        other files: graphs for ONNX Runtime, and the members of the segmentation ensemble.
     threads : int
-        Of ONNX Runtime; torch has a setting of its own for the whole process.
+        Threads of ONNX Runtime; those of torch are set for the whole process.
 
     Raises
     ------
     SetupError
-        A file is missing or is not the one the JSON file describes, or ONNX Runtime cannot be used.
+        A file is missing or does not have the SHA-256 of the JSON file, or ONNX Runtime cannot be used.
     """
 
     name = "compact"
@@ -55,14 +55,14 @@ class CompactEncoder:
         self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._labels = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
         self.known_labels: frozenset[str] | None = frozenset(self._labels)
-        channels = facts["channels"]  # the file calls the semantic layer "words"
+        channels = facts["channels"]  # the file calls the layer semantic "words"
         self.layers: Mapping[str, int] = {SEMANTIC: channels["words"], DETAIL: channels["detail"]}
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         """One field per image; see `Encoder.encode`.
 
-        On a CPU images go through one by one: that is as quick, and the arithmetic of an image then cannot depend
-        on its neighbours. On a GPU, runs of images of one size go together.
+        On a CPU images are encoded one by one: that is as quick, and the result of an image then cannot depend on
+        others in the batch. On a GPU, consecutive images of one size form a batch.
         """
         if self._one_by_one:
             for image in images:
@@ -77,7 +77,7 @@ class CompactEncoder:
             yield PixelField({SEMANTIC: semantic, DETAIL: detail}, image.extent)
 
     def segmenter(self) -> CompactSegmenter | None:
-        """The ensemble that segmentations are drawn from; None where its weights are not there."""
+        """The segmentation ensemble; None without its weights."""
         return CompactSegmenter(self._engine, self._vectors, self._members) if self._members else None
 
     def text_vectors(self, labels: Sequence[str]) -> Floats:

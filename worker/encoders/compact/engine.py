@@ -1,4 +1,4 @@
-"""What runs the compact network: ONNX Runtime on a CPU, torch on anything else, from files that are verified."""
+"""Engines that run the compact network from verified files: ONNX Runtime on a CPU, torch on any other device."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -14,16 +14,22 @@ class Engine(Protocol):
     """Runs the network on images of one size: uint8 (n, height, width, 3), sides multiples of `input_size.MULTIPLE`."""
 
     def fields(self, images: Bytes2D) -> tuple[Floats, Floats]:
-        """Layers semantic and detail, float32 of shapes (n, height / 8, width / 8, channels), unit length."""
+        """Layers semantic and detail, float32 of shape (n, height / 8, width / 8, channels) each, unit length."""
         ...
 
     def segment(self, images: Bytes2D, member: int) -> Floats:
-        """Semantic layer of one member of the ensemble, float32 (n, height / 4, width / 4, channels), unit length."""
+        """Semantic layer of one ensemble member, float32 (n, height / 4, width / 4, channels), unit length."""
         ...
 
 
 def on_cpu(facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], described: Path, threads: int) -> Engine:
-    """The network in ONNX Runtime; raises SetupError."""
+    """Build the engine on ONNX Runtime.
+
+    Raises
+    ------
+    SetupError
+        The JSON file names no graph, a graph is missing or changed, or ONNX Runtime cannot load it.
+    """
     from worker.encoders.compact.onnx import OnnxEngine
 
     if "graph" not in facts:
@@ -36,14 +42,20 @@ def on_cpu(facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], descr
 
 
 def on_gpu(content: bytes, fine: Sequence[bytes], device: str) -> Engine:
-    """The network in torch."""
+    """Build the engine on torch."""
     from worker.encoders.compact.torch import TorchEngine
 
     return TorchEngine(content, fine, device)
 
 
 def verified(described: Path, named: Mapping[str, str]) -> bytes:
-    """Read a file whose name and SHA-256 the JSON file `described` gives."""
+    """Content of a file beside the JSON file `described`, which gives its name and SHA-256.
+
+    Raises
+    ------
+    SetupError
+        The file is missing or has another SHA-256.
+    """
     path, sha256 = described.with_name(named["file"]), named["sha256"]
     if not path.exists():
         raise SetupError(f"the encoder's file {path.name} is not in {path.parent}")

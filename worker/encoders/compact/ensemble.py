@@ -1,7 +1,7 @@
-"""An ensemble of segmentation networks, for segmentations that people look at.
+"""An ensemble of segmentation networks, for segmentations that are shown to people.
 
-Each member sees the image at two sizes, once mirrored (test-time augmentation). The mean of what they see is finer and
-errs less than the layer that descriptions are made of; nothing that is stored is made of it.
+Each member sees the image at two sizes, once mirrored (test-time augmentation). The mean over all is finer and more
+accurate than the layer ``semantic`` of descriptions; it is never stored.
 """
 
 from collections.abc import Callable
@@ -17,10 +17,10 @@ from worker.encoders.compact.input_size import LONGEST, network_size, resized
 from worker.method.unit_length import unit
 
 SEGMENTATION_STRIDE = 4
-"""Pixels, along either side, for each cell of a segmentation."""
+"""Pixels per cell of a segmentation, along each side."""
 
 ENSEMBLE = ("fine", "second", "third")
-"""Members by their names in the JSON file, each with weights and a graph; the later ones may be missing."""
+"""Names of the members in the JSON file, each with weights and a graph; the last ones may be missing."""
 
 
 @dataclass(frozen=True)
@@ -50,29 +50,29 @@ AUGMENTATIONS = (
     *(Augmentation(1, 1.25, False, 1.4), Augmentation(1, 1.5, True, 1.4)),
     *(Augmentation(2, 1.25, False, 1.4), Augmentation(2, 1.5, True, 1.4)),
 )
-"""What each member sees of an image; the mean over all of them is the segmentation."""
+"""Inputs of all members; the weighted mean of the outputs is the segmentation."""
 
 CONFIDENCE_POWER = 6
-"""Power of its confidence that a member is weighted by: the later members know streets better than rooms."""
+"""Exponent of the label confidence in an output's weight: the later members are better on streets than on rooms."""
 
 
 class CompactSegmenter:
-    """Segments an image with as many members of the ensemble as there are weights for.
+    """Segments an image with the members of the ensemble whose weights are there.
 
     Parameters
     ----------
     engine : Engine
     vectors : float32 of shape (labels, channels)
-        Text vectors of all labels that are known.
+        Text vectors of all known labels.
     members : int
-        At least 1.
+        Number of members, at least 1.
     """
 
     def __init__(self, engine: Engine, vectors: Floats, members: int) -> None:
         self._engine, self._vectors, self._members = engine, vectors, members
 
     def segment(self, image: Image) -> PixelField:
-        """The layer ``semantic`` alone, a cell for every 4 x 4 pixels; see `Segmenter.segment`."""
+        """The layer ``semantic`` only, one cell per 4 x 4 pixels; see `Segmenter.segment`."""
 
         def one(pixels: Bytes2D, member: int) -> Floats:
             layer: Floats = self._engine.segment(pixels[None], member)[0]
@@ -95,20 +95,19 @@ def segment_with_ensemble(
     Parameters
     ----------
     pixels : uint8 of shape (height, width, 3)
-    segment
-        From pixels of a size of `resized`, and a member, to float32 of shape (height / 4, width / 4,
-        channels).
+    segment : function
+        Maps pixels, as from `resized`, and a member's index to float32 of shape (height / 4, width / 4, channels).
     vectors : float32 of shape (labels, channels)
-        Text vectors of all labels that are known.
-    members
-        How many members there are, at least 1.
-    longest
+        Text vectors of all known labels.
+    members : int
+        Number of members, at least 1.
+    longest : float
         Longer side, in pixels, that scales are relative to.
 
     Returns
     -------
     float32 of shape (rows, columns, channels)
-        Unit length; a cell for every 4 x 4 pixels of the image ``resized`` to `longest`.
+        Unit length; one cell per 4 x 4 pixels of the image resized to `longest`.
     """
     across, down = (side // SEGMENTATION_STRIDE for side in network_size(pixels.shape[1], pixels.shape[0], longest))
     total = np.zeros(())

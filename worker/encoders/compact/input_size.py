@@ -1,4 +1,4 @@
-"""The size at which the compact network sees an image."""
+"""Input size of the compact network."""
 
 import cv2
 import numpy as np
@@ -6,21 +6,21 @@ import numpy as np
 from schemas.image import Bytes2D
 
 LONGEST = 480
-"""Images are brought to this many pixels on the longer side: smaller ones too, since labels need the scale."""
+"""Pixels to which the longer side is resized; small images are enlarged, since labels depend on the scale."""
 
 MULTIPLE = 32
-"""Sides become multiples of the network's deepest stride, so that nothing is padded."""
+"""Sides of the input are multiples of this many pixels, so that images need no padding."""
 
 
 def network_size(width: int, height: int, longest: float = LONGEST) -> tuple[int, int]:
-    """(width, height) at which the network sees an image: longer side about `longest`, both multiples of MULTIPLE."""
+    """Input (width, height) for an image: longer side about `longest`, both at least 96 and multiples of `MULTIPLE`."""
     scale = longest / max(width, height)
     across, down = (max(3, round(side * scale / MULTIPLE)) * MULTIPLE for side in (width, height))
     return across, down
 
 
 def resized(pixels: Bytes2D, longest: float = LONGEST) -> Bytes2D:
-    """Bring an image, uint8 of shape (height, width, 3), to the size at which the network sees it."""
+    """Resize an image, uint8 of shape (height, width, 3), to `network_size`."""
     height, width = pixels.shape[:2]
     size = network_size(width, height, longest)
     how = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR

@@ -1,26 +1,27 @@
 """The network of the built-in encoder: one forward pass, two channels of unit-length pixel embeddings.
 
-``CompactNetwork`` turns images into a semantic field (language-aligned: its cosines with text vectors say what a
-pixel shows, and it is trained to stay the same by night and in snow) and a *detail* field (the colour and texture
-that such invariance throws away), both at an eighth of the image's size. The layers up to stride 16 and the context
-layers follow MobileNet-EdgeTPU (slim) with a DeepLab head; see ``docs/model-card.md`` for where the weights come from.
+``CompactNetwork`` maps images to a *semantic* field (language-aligned: its cosines with text vectors give the label of
+a pixel, and it is trained to be invariant to night and snow) and a *detail* field (the colour and texture that this
+invariance discards), both at stride 8. In this code and in the files the semantic field is named ``words``. The layers
+up to stride 16 and the context layers follow MobileNet-EdgeTPU (slim) with a DeepLab head; ``docs/model-card.md`` says
+where the weights come from.
 
 The module does no I/O beyond ``load_state_dict``. All convolutions carry biases and there are no batch norms: those of
-the starting point were folded before training.
+the pretrained network were folded before training.
 
-What ships lies in ``weights/``, written by ``training/export.py``:
+Files in ``weights/``, written by ``training/commands/export.py``:
 
 ``compact.safetensors``
-    float16: the state dict that ``CompactNetwork.loaded`` takes, and beside it, under names that begin with ``text.``
-    and are not the network's, ``text.vectors`` (n_words, 97), ``text.basis`` (512, 97) and ``text.centre`` (512,).
-    The cosine of a cell's words embedding z with word i is ``text.vectors[i] @ z``: do not scale the rows, whose
-    lengths below 1 belong to it. ``text.basis @ z`` is the embedding in CLIP's own 512 dimensions, and any other unit
+    float16: the state dict for ``CompactNetwork.loaded``, and three tensors that are not the network's:
+    ``text.vectors`` (labels, 97), ``text.basis`` (512, 97) and ``text.centre`` (512,).
+    The cosine of a cell's semantic embedding z with label i is ``text.vectors[i] @ z``: the rows have lengths below 1
+    and must not be normalised. ``text.basis @ z`` is the embedding in CLIP's own 512 dimensions, and any other unit
     vector t of CLIP ViT-B/16 becomes a row as ``unit(t - text.centre) @ text.basis``.
 ``compact.onnx``
-    The same network for ONNX Runtime, without weights: it reads them in that file. See ``training/export_onnx.py``.
+    The same network for ONNX Runtime; its weights are read from that file. See ``training/models/onnx_graphs.py``.
 ``compact.json``
-    SHA-256 of these files; ``words``, in the order of the rows, each with the CLIP words it stands for; provenance;
-    and the files of the segmentation network, which ``worker/encoders/compact/segmentation.py`` describes.
+    SHA-256 of these files; labels (``words``) in the order of the rows, each with the CLIP words it stands for;
+    provenance; and the files of the segmentation networks, see ``worker/encoders/compact/segmentation.py``.
 """
 
 from collections.abc import Mapping
@@ -33,21 +34,21 @@ from torch import Tensor, nn
 Network = TypeVar("Network", bound=nn.Module)
 
 CLIP_CHANNELS = 512
-"""Channels of CLIP's text vectors, and of the words head while it is trained."""
+"""Channels of CLIP's text vectors, and of the semantic head during training."""
 
 FUSED_CHANNELS = 96
-"""Channels of the layer that both the words head and its exact reduction start from."""
+"""Input channels of the semantic head, in training and as shipped."""
 
 REDUCED_CHANNELS = FUSED_CHANNELS + 1
-"""Channels of the words field as shipped: a 512-d embedding W y + b of a 96-d y spans 97 dimensions at most."""
+"""Channels of the semantic field as shipped: 512-d embeddings W y + b of a 96-d y span at most 97 dimensions."""
 
 DETAIL_CHANNELS = 64
 STRIDE = 8
-"""Pixels of the image per cell of both fields, along each side."""
+"""Pixels per cell of both fields, along each side."""
 
 
 class DeepWords(nn.Module):
-    """The layers below stride 8, and how the words are read from them and from the shallow layers together."""
+    """The layers beyond stride 8, their fusion with the shallow layers, and the semantic head."""
 
     def __init__(self, word_channels: int) -> None:
         super().__init__()
@@ -72,7 +73,7 @@ class DeepWords(nn.Module):
         self.words = nn.Conv2d(FUSED_CHANNELS, word_channels, 1)
 
     def fused(self, at4: Tensor, at8: Tensor) -> Tensor:
-        """Join depth to the shallow layers.
+        """Fuse the deep layers with those at strides 4 and 8.
 
         Returns
         -------
@@ -103,17 +104,17 @@ class ShallowLayers(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stride2 = nn.Sequential(Convolution(3, 24, 3, stride=2), Convolution(24, 16, activate=False))
-        # The trunk had three residual blocks here: at stride 4 they cost most, and training on heals the gap.
+        # The pretrained trunk has three residual blocks here; at stride 4 they cost most, and training closes the gap.
         self.stride4 = nn.Sequential(fused(16, 128, 24, stride=2), *(fused(24, 96, 24) for _ in range(2)))
         self.stride8 = nn.Sequential(fused(24, 192, 40, stride=2), *(fused(40, 160, 40) for _ in range(3)))
 
     def levels(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Run the layers that everything else reads.
+        """Run the shallow layers.
 
         Parameters
         ----------
         images : float of shape (n, 3, height, width)
-            RGB in 0..1; any height and width from 32 on.
+            RGB in 0..1; height and width at least 32.
 
         Returns
         -------
@@ -130,8 +131,8 @@ class CompactNetwork(DeepWords, ShallowLayers):
 
     Parameters
     ----------
-    word_channels
-        512 while training, in CLIP's own space; 97 as shipped, where every length and cosine is the same.
+    word_channels : int
+        Channels of the semantic field: 512 in training (CLIP's space), 97 as shipped, with equal lengths and cosines.
     """
 
     def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
@@ -139,12 +140,12 @@ class CompactNetwork(DeepWords, ShallowLayers):
         self.detail = nn.Conv2d(40 + 24, DETAIL_CHANNELS, 1)
 
     def shallow(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Give the `levels` that the fields are read from: strides 4 and 8."""
+        """The layers at strides 4 and 8, see `levels`."""
         _, at4, at8 = self.levels(images)
         return at4, at8
 
     def appearance(self, at4: Tensor, at8: Tensor) -> Tensor:
-        """Read the detail field, not yet of unit length, from the shallow layers."""
+        """The detail field before normalisation, from the layers at strides 4 and 8."""
         pooled = F.avg_pool2d(at4, 2, ceil_mode=True, count_include_pad=False)
         appearance: Tensor = self.detail(torch.cat([at8, pooled], dim=1))
         return appearance
@@ -160,7 +161,7 @@ class CompactNetwork(DeepWords, ShallowLayers):
         Returns
         -------
         words : float of shape (n, word_channels, ceil(height / 8), ceil(width / 8))
-            Unit length over the channels.
+            The semantic field, unit length over the channels.
         detail : float of shape (n, 64, ceil(height / 8), ceil(width / 8))
             Unit length over the channels.
         """
@@ -211,7 +212,7 @@ class Convolution(nn.Module):
 
 
 class Block(nn.Module):
-    """Convolutions one after the other, added to their own input when `residual`."""
+    """A sequence of convolutions, added to its input when `residual`."""
 
     def __init__(self, *convolutions: nn.Module, residual: bool) -> None:
         super().__init__()
@@ -225,7 +226,7 @@ class Block(nn.Module):
 
 
 class Context(nn.Module):
-    """What surrounds a cell, and the whole image's mean beside it: DeepLab's head without its classes."""
+    """Context of each cell and the mean of the whole image: DeepLab's head without its classifier."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
@@ -261,7 +262,7 @@ def inverted(
     dilation: int = 1,
     residual: bool = True,
 ) -> Block:
-    """1x1 to `middle` channels, depthwise, 1x1 back; residual where the shapes allow it unless told not to."""
+    """1x1 to `middle` channels, depthwise, 1x1 back; residual where the shapes allow it and `residual` is set."""
     return Block(
         Convolution(inputs, middle),
         Convolution(middle, middle, kernel, stride=stride, dilation=dilation, depthwise=True),

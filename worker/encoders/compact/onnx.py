@@ -1,4 +1,4 @@
-"""The compact network in ONNX Runtime: how it runs on a CPU."""
+"""The compact network in ONNX Runtime, for CPUs."""
 
 import importlib
 from collections.abc import Sequence
@@ -13,18 +13,19 @@ _ONLY_ERRORS = 3
 
 
 class OnnxEngine:
-    """Runs the exported graphs. No result depends on the number of threads or on neighbours in a batch.
+    """Runs the exported graphs. No result depends on the number of threads or on other images in a batch.
 
-    There are several graphs because ONNX Runtime computes all outputs of a graph, also those that nobody asks for.
+    There are several graphs because ONNX Runtime computes every output of a graph, also unused ones.
 
     Parameters
     ----------
     fields : Path
-        Graph with the outputs ``words`` and ``detail``. Its weights lie in the safetensors file beside it.
+        Graph with the outputs ``words`` (the layer semantic) and ``detail``; its weights lie in the safetensors file
+        beside it.
     fine : sequence of Path
-        Graphs with the output ``fine_words``, one for each member of the ensemble; their weights lie in safetensors
-        files too.
+        Graphs with the output ``fine_words``, one for each ensemble member, with weights beside them likewise.
     threads : int
+        Threads for one image.
 
     Raises
     ------
@@ -59,12 +60,12 @@ def _session(graph: Path, threads: int) -> Any:
     options.log_severity_level = _ONLY_ERRORS
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    # Threads that wait for work by spinning take the cores from whatever else the service does.
+    # Threads that spin while they wait for work take CPU time from the rest of the service.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    # A plan of the memory is kept for every size of image: it gains nothing measurable, and memory grows with sizes.
+    # Memory patterns are kept for every input size: no measurable gain, and memory grows with the number of sizes.
     options.enable_mem_pattern = False
     try:
         return runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime's errors have no base class of their own
+    except Exception as error:  # ONNX Runtime's errors have no common base class
         reason = str(error).strip().splitlines()[0]
         raise SetupError(f"ONNX Runtime {runtime.__version__} cannot load {graph.name}: {reason}") from error

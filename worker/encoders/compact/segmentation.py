@@ -1,15 +1,15 @@
-"""Networks that segmentations are drawn from: the semantic layer of every 4 x 4 pixels.
+"""Segmentation networks: the semantic layer at stride 4.
 
-`SegmentationNetwork` shares the shallow layers of `CompactNetwork` and has deep layers of its own, so that what tells
-road from pavement need not be what stays the same by night and in snow. Its embeddings lie in the space of the semantic
-layer: the same text vectors belong to both. It runs when somebody looks at a segmentation, never for a description.
+`SegmentationNetwork` shares the shallow layers of `CompactNetwork` and has deep layers of its own, so that features for
+segmentation need not be invariant to night and snow. Its embeddings lie in the space of the semantic layer: both use
+the same text vectors. It runs only for segmentations that are shown, never for a description.
 
-`IndependentSegmentationNetwork` shares no layer with `CompactNetwork`, so it errs elsewhere, and the mean of several
+`IndependentSegmentationNetwork` shares no layer with `CompactNetwork`, so its errors differ, and the mean of several
 members is better than each.
 
-What ships lies in ``weights/compact-fine.safetensors`` (float16: the state dict of ``SegmentationNetwork(97)``) and, of
-two ``IndependentSegmentationNetwork(97)``, in ``compact-second.safetensors`` and ``compact-third.safetensors`` beside
-it, written by ``training/commands/export_segmentation.py``.
+Weights lie in ``weights/compact-fine.safetensors`` (float16: the state dict of ``SegmentationNetwork(97)``) and, of two
+``IndependentSegmentationNetwork(97)``, in ``compact-second.safetensors`` and ``compact-third.safetensors`` beside it,
+written by ``training/commands/export_segmentation.py``.
 """
 
 from collections.abc import Mapping
@@ -22,28 +22,28 @@ from torch import Tensor, nn
 from worker.encoders.compact.network import FUSED_CHANNELS, REDUCED_CHANNELS, DeepWords, ShallowLayers, for_inference
 
 EDGE_CHANNELS = 32
-"""Channels that the layers at stride 2 and at stride 4 each give to what sharpens the segmentation network."""
+"""Channels to which `Sharpening` maps the layer at stride 2, and that at stride 4."""
 
 
 class SegmentationNetwork(DeepWords):
-    """The shallow layers of `CompactNetwork` to unit-length embeddings at stride 4, in the space of its words field."""
+    """Maps the shallow layers of `CompactNetwork` to embeddings at stride 4, in the space of its semantic field."""
 
     def __init__(self, word_channels: int = REDUCED_CHANNELS) -> None:
         super().__init__(word_channels)
         self.sharpen = Sharpening()
 
     def joined(self, at2: Tensor, at4: Tensor, at8: Tensor) -> Tensor:
-        """Give what the words are read from: float of shape (n, 96, height / 4, width / 4)."""
+        """Input of the semantic head: float of shape (n, 96, height / 4, width / 4)."""
         joined: Tensor = self.sharpen(at2, at4, self.fused(at4, at8))
         return joined
 
     def forward(self, at2: Tensor, at4: Tensor, at8: Tensor) -> Tensor:
-        """Embed every 4 x 4 pixels.
+        """Embed every cell of 4 x 4 pixels.
 
         Parameters
         ----------
         at2, at4, at8
-            As `CompactNetwork.levels` gives them.
+            From `CompactNetwork.levels`.
 
         Returns
         -------
@@ -62,7 +62,7 @@ class IndependentSegmentationNetwork(nn.Module):
         self.fine = SegmentationNetwork(word_channels)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Embed every 4 x 4 pixels of RGB images in 0..1; see `SegmentationNetwork.forward`."""
+        """Embed every cell of 4 x 4 pixels of RGB images in 0..1; see `SegmentationNetwork.forward`."""
         words: Tensor = self.fine(*self.shallow.levels(images))
         return words
 
@@ -73,9 +73,9 @@ class IndependentSegmentationNetwork(nn.Module):
 
 
 class Sharpening(nn.Module):
-    """Enlarges what the words are read from to stride 4, with the edges that strides 2 and 4 still show.
+    """Upsamples the input of the semantic head to stride 4, guided by the edges in the layers at strides 2 and 4.
 
-    It adds to a bilinear enlargement, and adds nothing before training.
+    A residual on bilinear upsampling, initialised to zero.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The compact network in torch: how it runs on a GPU, and what ONNX Runtime is compared with."""
+"""The compact network in torch, for GPUs and as the reference for ONNX Runtime."""
 
 from collections.abc import Callable, Sequence
 
@@ -18,9 +18,9 @@ class TorchEngine:
     Parameters
     ----------
     content : bytes
-        Of ``compact.safetensors``.
+        Content of ``compact.safetensors``.
     fine : sequence of bytes
-        Of the weights of each of `worker.encoders.compact.encoder.ENSEMBLE`, as far as there are such.
+        Contents of the weights of the members of `worker.encoders.compact.ensemble.ENSEMBLE` that are there.
     device : str
         ``cuda``, ``cpu``, ...
     """

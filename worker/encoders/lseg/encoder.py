@@ -26,7 +26,7 @@ BATCH_ON_GPU = 8
 
 
 class LsegEncoder:
-    """LSeg's pixels and CLIP's words.
+    """LSeg's pixel embeddings and CLIP's text vectors.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class LsegEncoder:
     mode : {"windows", "single"}
         How an image is covered; see `worker.encoders.lseg.windows`.
     device : str
-        Where the image network runs. The text tower stays on the CPU in float32, so that a word's vector is the same
+        Where the image network runs. The text tower stays on the CPU in float32, so that a label's vector is the same
         whatever runs the network.
     dtype : torch.dtype or None
         Of the image network; None: float32 on a CPU; on a GPU bfloat16, which cannot overflow, or float16
@@ -135,10 +135,10 @@ class LsegEncoder:
         return
 
     def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
-        """One field per image, in order, each made when it is asked for.
+        """One field per image, in order, each computed on demand.
 
-        In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before you ask for
-        the next. In mode ``single`` it has half as many.
+        In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before taking the
+        next. In mode ``single`` it has half as many.
         """
         raw = self.raw(images)
         for image in images:
@@ -175,14 +175,14 @@ class LsegEncoder:
         return list(self._network(pixels, keep)[: len(batch)])
 
     def text_vectors(self, words: Sequence[str]) -> Floats:
-        """Unit-length vectors of words, float32 of shape (words, channels).
+        """Unit-length vectors of labels, float32 of shape (labels, channels).
 
-        Bare words, no sentence around them, as in LSeg.
+        Labels enter the text tower bare, without a sentence around them, as in LSeg.
 
         Raises
         ------
         InvalidParameters
-            Names each word that is empty, or longer than the text tower's context.
+            Names each label that is empty, or longer than the text tower's context.
         """
         ids = self._ids(words)
         if not ids:
@@ -192,7 +192,7 @@ class LsegEncoder:
         return vectors
 
     def meanings(self, words: Sequence[str]) -> list[Meaning]:
-        """Every word stands for itself: the text tower reads any. None is known to have been trained on.
+        """Every label stands for itself: the text tower reads any text. None is known to have been trained on.
 
         The published checkpoint does not say which labels its pixels carried; see docs/lseg.md.
         """
@@ -200,7 +200,7 @@ class LsegEncoder:
         return [Meaning(word, (word,), trained=False) for word in words]
 
     def _ids(self, words: Sequence[str]) -> list[list[int]]:
-        """Token ids of words; all that cannot be used are refused at once."""
+        """Token ids of labels; InvalidParameters names every unusable label."""
         ids, errors = [], []
         for index, word in enumerate(words):
             try:

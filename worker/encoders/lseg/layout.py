@@ -96,7 +96,7 @@ def differences(tensors: Mapping[str, Tensor], layout: Layout) -> tuple[str, ...
     """How a file's tensors depart from the layout, one sentence each, by name.
 
     A surplus tensor is a fault like a missing one: LSeg's variants with further head blocks differ from the published
-    network by nothing else, and leaving those blocks out would change every embedding without a word.
+    network by nothing else, and leaving those blocks out would change every embedding without an error.
     """
     if not layout.used.keys() & tensors.keys():
         some = ", ".join(sorted(tensors)[:SHOWN]) or "none"

@@ -24,7 +24,7 @@ def onednn_is_faster() -> bool:
 
 
 def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None, *, gelu: bool = False) -> Tensor:
-    """``x W^T + b``, and the exact (erf) GELU of it if asked.
+    """``x W^T + b``, followed by the exact (erf) GELU if `gelu`.
 
     Parameters
     ----------

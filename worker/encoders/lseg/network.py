@@ -31,7 +31,7 @@ class Backbone(nn.Module):
 
 
 class Network(nn.Module):
-    """Images to embeddings (`forward`), and words to text vectors (`clip_pretrained`)."""
+    """Images to embeddings (`forward`), and labels to text vectors (`clip_pretrained`)."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()

@@ -24,7 +24,7 @@ BLACK = -1.0
 """Value of a black pixel, (0 - 0.5)/0.5: what windows are padded with."""
 
 ROWS_AT_ONCE = 32
-"""Rows that are enlarged together: few enough that what lies between stays small beside the field itself."""
+"""Rows that are enlarged together: few enough that intermediate arrays stay small beside the field."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Input:
     pixels : float32 of shape (3, height, width)
         RGB in [-1, 1].
     keep : (int, int)
-        Rows and columns of the network's output that will be looked at.
+        Rows and columns of the network's output that are used.
     """
 
     pixels: Tensor
@@ -44,7 +44,7 @@ class Input:
 
 
 class Covering(Protocol):
-    """How an image is taken to the network's inputs, and their outputs to the image's field."""
+    """Turns an image into inputs of the network, and the outputs into the image's field."""
 
     def inputs(self, pixels: Bytes2D) -> Iterator[Input]:
         """The inputs for an image of shape (height, width, 3)."""
@@ -62,7 +62,7 @@ class Covering(Protocol):
         Returns
         -------
         float32 of shape (rows, columns, channels)
-            Raw: neither of unit length nor of any other.
+            Raw, not normalised.
         """
         ...
 
