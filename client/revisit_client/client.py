@@ -5,9 +5,10 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 import httpx
 
@@ -20,6 +21,8 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 
 Image = bytes | str | os.PathLike[str]
 """The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF), or its path."""
+
+Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
 
 class Revisit:
@@ -207,15 +210,9 @@ class Revisit:
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
         params = texts({"map": map, "state": state, "sort": sort, "limit": page, **chosen})
-        given = 0
-        while limit is None or given < limit:
-            answer = self._connection.receive(wire.Views, "GET", "/views", params=params)
-            views = answer.views if limit is None else answer.views[: limit - given]
-            yield from views
-            given += len(views)
-            if answer.next is None:
-                return
-            params = {**params, "cursor": answer.next}
+        yield from islice(
+            (view for answer in self._pages(wire.Views, "/views", params) for view in answer.views), limit
+        )
 
     def view(self, view_id: str) -> wire.View:
         """One view."""
@@ -299,13 +296,8 @@ class Revisit:
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
         """Iterate over all places, fetched in pages as needed."""
-        params = texts({"map": map})
-        while True:
-            answer = self._connection.receive(wire.Places, "GET", "/places", params=params)
-            yield from answer.places
-            if answer.next is None:
-                return
-            params = {**params, "cursor": answer.next}
+        for page in self._pages(wire.Places, "/places", texts({"map": map})):
+            yield from page.places
 
     def job(self, job_id: str) -> wire.Job:
         """One job."""
@@ -313,13 +305,8 @@ class Revisit:
 
     def jobs(self, map: str | None = None, *, kind: str | None = None, state: str | None = None) -> Iterator[wire.Job]:
         """Iterate over jobs, newest first, fetched in pages as needed."""
-        params = texts({"map": map, "kind": kind, "state": state})
-        while True:
-            answer = self._connection.receive(wire.Jobs, "GET", "/jobs", params=params)
-            yield from answer.jobs
-            if answer.next is None:
-                return
-            params = {**params, "cursor": answer.next}
+        for page in self._pages(wire.Jobs, "/jobs", texts({"map": map, "kind": kind, "state": state})):
+            yield from page.jobs
 
     def cancel_job(self, job_id: str) -> wire.Job:
         """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
@@ -346,6 +333,15 @@ class Revisit:
                 raise TimeoutError(f"job {job_id} is still {job.state} after {timeout:g} s")
             self._sleep(pause)
             pause = min(1.0, pause * 1.5)
+
+    def _pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:
+        """Iterate over the pages of a list, fetched as needed."""
+        while True:
+            page = self._connection.receive(model, "GET", path, params=params)
+            yield page
+            if page.next is None:
+                return
+            params = {**params, "cursor": page.next}
 
     # the service
 
