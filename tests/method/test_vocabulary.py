@@ -113,7 +113,7 @@ def test_projection_decorrelates_and_half_whitens() -> None:
 
 
 def test_too_few_images_for_a_projection_are_refused() -> None:
-    with pytest.raises(ValueError, match="4 pictures of 10 words cannot give 8"):
+    with pytest.raises(ValueError, match="4 images of 10 words cannot give 8"):
         vocabulary.fit_projection(np.zeros((4, 10), np.float32), 8)
 
 

@@ -229,9 +229,7 @@ def fit_projection(histograms: Floats, dimensions: int) -> Projection:
         Too few images or words for that many dimensions.
     """
     if dimensions > min(len(histograms) - 1, histograms.shape[1]):
-        raise ValueError(
-            f"{len(histograms)} pictures of {histograms.shape[1]} words cannot give {dimensions} components"
-        )
+        raise ValueError(f"{len(histograms)} images of {histograms.shape[1]} words cannot give {dimensions} components")
     mean = histograms.mean(axis=0)
     _, lengths, components = np.linalg.svd(histograms - mean, full_matrices=False)
     deviations = np.maximum(lengths[:dimensions] / np.sqrt(len(histograms)), 1e-6)

@@ -174,7 +174,7 @@ class LsegEncoder:
         keep = batch[0].keep if self._batch == 1 else None
         return list(self._network(pixels, keep)[: len(batch)])
 
-    def text_vectors(self, words: Sequence[str]) -> Floats:
+    def text_vectors(self, labels: Sequence[str]) -> Floats:
         """Unit-length vectors of labels, float32 of shape (labels, channels).
 
         Labels enter the text tower bare, without a sentence around them, as in LSeg.
@@ -184,32 +184,32 @@ class LsegEncoder:
         InvalidParameters
             Names each label that is empty, or longer than the text tower's context.
         """
-        ids = self._ids(words)
+        ids = self._ids(labels)
         if not ids:
             return np.zeros((0, self.layers[SEMANTIC]), np.float32)
         with torch.inference_mode():
             vectors: Floats = self._network.clip_pretrained(ids).numpy()
         return vectors
 
-    def meanings(self, words: Sequence[str]) -> list[Meaning]:
+    def meanings(self, labels: Sequence[str]) -> list[Meaning]:
         """Every label stands for itself: the text tower reads any text. None is known to have been trained on.
 
         The published checkpoint does not say which labels its pixels carried; see docs/lseg.md.
         """
-        self._ids(words)
-        return [Meaning(word, (word,), trained=False) for word in words]
+        self._ids(labels)
+        return [Meaning(label, (label,), trained=False) for label in labels]
 
-    def _ids(self, words: Sequence[str]) -> list[list[int]]:
+    def _ids(self, labels: Sequence[str]) -> list[list[int]]:
         """Token ids of labels; InvalidParameters names every unusable label."""
         ids, errors = [], []
-        for index, word in enumerate(words):
+        for index, label in enumerate(labels):
             try:
-                ids.append(self._tokenizer.encode(word))
+                ids.append(self._tokenizer.encode(label))
             except TooLong as error:
-                errors.append(ParameterError(f"labels[{index}]", f"{word[:40]!r}... is too long: {error}"))
+                errors.append(ParameterError(f"labels[{index}]", f"{label[:40]!r}... is too long: {error}"))
                 continue
             if len(ids[-1]) == 2:
-                errors.append(ParameterError(f"labels[{index}]", f"{word!r} is empty; expected a word"))
+                errors.append(ParameterError(f"labels[{index}]", f"{label!r} is empty; expected a label"))
         if errors:
             raise InvalidParameters(errors)
         return ids

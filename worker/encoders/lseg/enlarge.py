@@ -48,7 +48,7 @@ class Axis:
         return next(there), next(there), next(there)
 
 
-def cell_aspect(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Tensor:
+def interpolate_axis(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Tensor:
     """Enlarge along one dimension.
 
     Parameters
@@ -70,4 +70,4 @@ def cell_aspect(maps: Tensor, axis: Axis, dimension: int, first: int = 0) -> Ten
 
 def enlarge(maps: Tensor, rows: Axis, columns: Axis) -> Tensor:
     """Enlarge maps of shape (images, rows, columns, channels) along both sides."""
-    return cell_aspect(cell_aspect(maps, rows, 1), columns, 2)
+    return interpolate_axis(interpolate_axis(maps, rows, 1), columns, 2)

@@ -18,7 +18,7 @@ from torch import Tensor
 from schemas.image import Bytes2D
 from worker.encoders.lseg.config import Config
 from worker.encoders.lseg.decoder import Cells
-from worker.encoders.lseg.enlarge import Axis, cell_aspect
+from worker.encoders.lseg.enlarge import Axis, interpolate_axis
 
 BLACK = -1.0
 """Value of a black pixel, (0 - 0.5)/0.5: what windows are padded with."""
@@ -86,7 +86,7 @@ def resized(pixels: Bytes2D, size: Cells) -> Tensor:
     top, bottom, down = rows.neighbours(torch.device("cpu"))
     # Rows are picked before they become floats: a photo of 50 megapixels would take 600 MB as floats.
     between = torch.lerp(_floats(pixels[top.numpy()]), _floats(pixels[bottom.numpy()]), down[:, None, None])
-    return cell_aspect(between, columns, 1).permute(2, 0, 1)
+    return interpolate_axis(between, columns, 1).permute(2, 0, 1)
 
 
 def _floats(pixels: Bytes2D) -> Tensor:
@@ -153,7 +153,7 @@ class Windows:
             band = Axis(rows.source, rows.target, start, min(start + ROWS_AT_ONCE, rows.stop))
             first = int(band.step * np.float32(start))
             near = output[first : band.reach, : columns.reach].float()
-            field[band.start : band.stop] += cell_aspect(cell_aspect(near, band, 0, first), columns, 1)
+            field[band.start : band.stop] += interpolate_axis(interpolate_axis(near, band, 0, first), columns, 1)
 
 
 class Single:
