@@ -145,14 +145,18 @@ class Loop:
         self._map_thread.start()
 
     def wake(self) -> None:
-        """End the sleep: check for jobs at once."""
+        """Look for images to describe at once."""
         self._awake.set()
+
+    def wake_all(self) -> None:
+        """Look for images to describe and for jobs of maps at once."""
+        self.wake()
         self._map_awake.set()
 
     def stop(self) -> None:
         """Finish the images that are being encoded, put the other jobs back, and stop."""
         self._stopping.set()
-        self.wake()
+        self.wake_all()
         if self._thread.is_alive():
             self._thread.join()
         if self._map_thread.is_alive():  # a job in a long step is claimed again after its lease

@@ -229,7 +229,7 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
             settlements=settlements,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, decode, product, settlements,
-                default_recipe, _nothing if loop is None else loop.wake,
+                default_recipe, loop,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -253,7 +253,7 @@ def _services(
     product: Product,
     settlements: Settlements,
     default_recipe: MapRecipe,
-    wake: Callable[[], None],
+    loop: Loop | None,
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
@@ -269,7 +269,7 @@ def _services(
             default_recipe=default_recipe,
             limit=settings.queue,
             pace_s=lambda: scheduler.pace_s,
-            wake=wake,
+            wake=_nothing if loop is None else loop.wake,
         ),
         query=QueryService(
             maps=store.maps,
@@ -303,7 +303,7 @@ def _services(
             describers=describers,
             catalogue=catalogue,
             preset=settings.preset,
-            wake=wake,
+            wake=_nothing if loop is None else loop.wake_all,
         ),
         jobs=JobService(store.jobs),
     )

@@ -3,20 +3,21 @@
 import sqlalchemy as sa
 
 from worker.storage.part import Part
-from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, RECIPES, VIEWS, VOCABULARIES
+from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, RECIPES, VOCABULARIES
 
 PORTION = 200
 """Descriptions removed in one transaction; more would keep other writers waiting."""
 
-_STALE = (
-    sa.select(DESCRIPTIONS.c.seq, DESCRIPTIONS.c.recipe)
-    .join(VIEWS, VIEWS.c.seq == DESCRIPTIONS.c.seq)
-    .join(MAPS, MAPS.c.id == VIEWS.c.map_id)
+_STALE = (  # by the recipes, which are few, not by the descriptions
+    sa.select(MAPS.c.id, RECIPES.c.id.label("recipe"))
+    .join(RECIPES, sa.true())
     .where(
-        DESCRIPTIONS.c.recipe != MAPS.c.recipe,
-        sa.or_(MAPS.c.next_recipe.is_(None), DESCRIPTIONS.c.recipe != MAPS.c.next_recipe),
-        sa.or_(MAPS.c.previous_recipe.is_(None), DESCRIPTIONS.c.recipe != MAPS.c.previous_recipe),
+        RECIPES.c.id != MAPS.c.recipe,
+        sa.or_(MAPS.c.next_recipe.is_(None), RECIPES.c.id != MAPS.c.next_recipe),
+        sa.or_(MAPS.c.previous_recipe.is_(None), RECIPES.c.id != MAPS.c.previous_recipe),
+        sa.exists().where(DESCRIPTIONS.c.map_id == MAPS.c.id, DESCRIPTIONS.c.recipe == RECIPES.c.id),
     )
+    .limit(1)
 )
 
 
@@ -26,18 +27,18 @@ class Pruning(Part):
     def prune(self) -> int:
         """Remove one portion of unused descriptions; returns how many, 0 when none is left."""
         with self._database.reading() as connection:
-            if connection.execute(_STALE.limit(1)).first() is None:
+            if connection.execute(_STALE).first() is None:
                 return 0
         with self._database.writing() as connection:
-            stale = connection.execute(_STALE.limit(PORTION)).all()
-            for recipe in {row.recipe for row in stale}:
-                seqs = [row.seq for row in stale if row.recipe == recipe]
-                connection.execute(
-                    sa.delete(DESCRIPTIONS).where(DESCRIPTIONS.c.recipe == recipe, DESCRIPTIONS.c.seq.in_(seqs))
-                )
-            if len(stale) < PORTION:
+            stale = connection.execute(_STALE).one_or_none()
+            if stale is None:
+                return 0
+            of = DESCRIPTIONS.c.map_id == stale.id, DESCRIPTIONS.c.recipe == stale.recipe
+            seqs = list(connection.scalars(sa.select(DESCRIPTIONS.c.seq).where(*of).limit(PORTION)))
+            connection.execute(sa.delete(DESCRIPTIONS).where(*of, DESCRIPTIONS.c.seq.in_(seqs)))
+            if len(seqs) < PORTION:
                 self._forget_recipes(connection)
-            return len(stale)
+            return len(seqs)
 
     @staticmethod
     def _forget_recipes(connection: sa.Connection) -> None:

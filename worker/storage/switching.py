@@ -22,8 +22,14 @@ _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
 )
 _CHANGING = (  # no row for most maps
     sa.select(MAPS.c.recipe, MAPS.c.next_recipe, MAPS.c.next_ranking, JOBS.c.number)
-    .join(JOBS, (JOBS.c.map_id == MAPS.c.id) & (JOBS.c.kind != "describe") & (JOBS.c.state == "running"))
-    .where(MAPS.c.id == sa.bindparam("of"), JOBS.c.recipe.is_not(None))
+    .outerjoin(
+        JOBS,
+        (JOBS.c.map_id == MAPS.c.id)
+        & (JOBS.c.kind != "describe")
+        & (JOBS.c.state == "running")
+        & JOBS.c.recipe.is_not(None),
+    )
+    .where(MAPS.c.id == sa.bindparam("of"), JOBS.c.number.is_not(None) | MAPS.c.next_recipe.is_not(None))
 )
 
 
