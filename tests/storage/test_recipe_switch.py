@@ -1,11 +1,13 @@
 """What a store promises while a map's views are described anew: no answer mixes two recipes."""
 
 import pytest
+import sqlalchemy as sa
 
 from schemas.errors import Conflict
 from schemas.records import Filters, JobRecord
 from tests.storage.material import LEASE, NOW, RECIPE, Follower, describe_all, enroll, finish, recipe, vector
 from worker.storage.store import SqlStore
+from worker.storage.tables import JOBS
 
 PAPER = recipe("paper")
 PRESETS = {r.description.id: r.ranking.preset for r in (RECIPE, PAPER)}
@@ -44,6 +46,18 @@ def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_
     described = store.views.get(views[0].id).description
     assert described is not None
     assert described.recipe == PAPER.description.id
+
+
+def test_a_switch_that_a_build_without_jobs_of_maps_began_ends(store: SqlStore) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    job = store.jobs.switch_recipe("campus", PAPER, NOW)
+    with store.maps._database.writing() as connection:
+        connection.execute(sa.delete(JOBS).where(JOBS.c.id == job.id))
+
+    describe_all(store)
+
+    assert recipe_of(store) == "paper"
 
 
 def test_a_roll_back_uses_the_descriptions_that_are_there(store: SqlStore) -> None:
