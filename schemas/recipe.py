@@ -183,6 +183,13 @@ class RankingConfig(Identified):
         10, description="How many of the best are verified by local features; 0: none."
     )
 
+    same_place_m: Annotated[float, Field(ge=0, le=100_000)] = Field(
+        5.0, description="Views whose positions are at most this far apart show one place, metres."
+    )
+    precision: Annotated[float, Field(ge=0.5, le=0.999)] = Field(
+        0.97, description="Share of answers with the status matched that must be right; a query may ask for another."
+    )
+
     def detail_only(self, recipe: DescriptionRecipe) -> int:
         """`detail_only_top_k` when the recipe's cells join the channel detail with others; otherwise 0."""
         channels = recipe.parameters.cell_channels()

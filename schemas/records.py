@@ -191,6 +191,80 @@ class MapClaim:
 
 
 @dataclass(frozen=True)
+class KnownView:
+    """What is known of a view besides its image.
+
+    Parameters
+    ----------
+    name : str or None
+        The user's name for the place.
+    position : Position
+        Where it was taken, if that was given.
+    same_spot : frozenset of int
+        Sequence numbers of views that show the same spot by the map's own comparison.
+    """
+
+    name: str | None = None
+    position: Position = Position()
+    same_spot: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a view found when the map was queried with it, its own place left out.
+
+    Parameters
+    ----------
+    seq : int
+        Sequence number of the view.
+    level : float or None
+        Score of the best view of another place, 0..1; None when the map has no other place.
+    gap : float or None
+        By how much that exceeds the best view of yet another place, at least 0; None when there is none.
+    same_spot : tuple of int
+        Sequence numbers of views that show the same spot, whatever the user said of them.
+    among : int
+        Number of views of the map at that time.
+    """
+
+    seq: int
+    level: float | None
+    gap: float | None
+    same_spot: tuple[int, ...]
+    among: int
+
+
+@dataclass(frozen=True)
+class Uncompared:
+    """Views of a map whose comparison is missing or was made when the map was less than half as large."""
+
+    map: str
+    recipe: str
+    seqs: tuple[int, ...]
+    among: int
+
+
+@dataclass(frozen=True)
+class MapLevels:
+    """Means over the compared views of a map: what wrong answers get there.
+
+    Parameters
+    ----------
+    compared : int
+        Number of compared views, those without another place left out.
+    level, gap : float
+        Means of `Comparison`'s; 0 without compared views.
+    updated_at : datetime or None
+        Of the latest comparison.
+    """
+
+    compared: int = 0
+    level: float = 0.0
+    gap: float = 0.0
+    updated_at: datetime | None = None
+
+
+@dataclass(frozen=True)
 class Submitted:
     """A durably stored view; `created` is False when the same bytes were in the map already."""
 

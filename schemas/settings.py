@@ -33,6 +33,7 @@ class Settings(BaseSettings):
     threads: int = Field(0, ge=0, le=256, description="Threads of the network; 0 takes one per core.")
     batch: int = Field(0, ge=0, le=256, description="Images encoded together; 0: 1 on a CPU, 8 on a GPU.")
     inline_worker: bool = Field(True, description="Describe enrolled images inside `serve`.")
+    compare: bool = Field(True, description="Compare the views of each map with one another in the background.")
     lease_s: float = Field(60, gt=0, description="Seconds after which an unfinished job is claimed again.")
     max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
     max_megapixels: float = Field(50, gt=0, description="Largest image, in 10^6 pixels.")

@@ -222,12 +222,65 @@ class Estimate(Answer):
     """Estimated position of the query, from the positions of matches that agree."""
 
     position: Position
-    radius_m: float
+    radius_m: float | None = Field(
+        description="How far off it may be: spread of the views, or of one view the usual distance to its neighbours; "
+        "null when that is not known."
+    )
     views: list[str]
 
 
+class Rival(Answer):
+    """The best view of another place than the first one's."""
+
+    view: View
+    score: float
+
+
+class Reason(Answer):
+    """Why the status is what it is."""
+
+    code: Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"] = Field(
+        description="sure: one place stands out; look-alike: another place is nearly as good; weak: nothing stands out "
+        "from what wrong places get in this map; few-views: too little is enrolled to tell; poor-picture: the image "
+        "shows too little; empty: there was nothing to search."
+    )
+    detail: str = Field(description="What was seen.")
+    remedy: str = Field(description="What to do.")
+    rival: Rival | None = Field(None, description="With look-alike.")
+
+
+class ScoredId(Answer):
+    """A view by its id, and its score."""
+
+    id: str
+    score: float
+
+
+class PlaceProbability(Answer):
+    """A place that the query may show: views with one name, near each other, or alike by the map's own comparison."""
+
+    place: str | None = Field(description="Name of its best view's place.")
+    position: Position | None = Field(description="Of its best view.")
+    probability: float = Field(ge=0, le=1)
+    views: list[ScoredId] = Field(description="Best first.")
+
+
+class DecisionFacts(Answer):
+    """What the verdict was made from."""
+
+    precision: float = Field(description="Share of matched answers that must be right.")
+    threshold: float = Field(description="From this confidence on: matched.")
+    features: dict[str, float] = Field(
+        description="What the probability was computed from. gap: log(1 + lead over the best view of another place, in "
+        "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0."
+    )
+    wrong_score: float = Field(description="What wrong answers score in this map.")
+    wrong_gap: float = Field(description="By how much wrong answers lead over the next place in this map.")
+    views_compared: int = Field(description="Views of the map that these two were measured with.")
+
+
 class QueryAnswer(Answer):
-    """The answer to a query: views of the map that may show the place, best first."""
+    """The answer to a query: places and views of the map that it may show, best first."""
 
     query: QueryFacts
     map: str
@@ -235,8 +288,13 @@ class QueryAnswer(Answer):
     recipe: str = Field(description="Id of the description recipe.")
     ranking: str = Field(description="Id of the ranking.")
     searched: int
+    pending: int = Field(description="Views of the map that were acknowledged and are not described yet.")
     status: Literal["matched", "ambiguous", "no_match"]
-    confidence: float
+    confidence: float = Field(description="Probability that the first place is right.", ge=0, le=1)
+    reason: Reason
+    places: list[PlaceProbability] = Field(description="Best first; with `nowhere` their probabilities sum to 1.")
+    nowhere: float = Field(description="Probability that the image shows none of the places.", ge=0, le=1)
+    decision: DecisionFacts
     matches: list[Match]
     estimate: Estimate | None
     timing_ms: dict[str, float]
@@ -260,6 +318,25 @@ class Extent(Answer):
     maximum: Position
 
 
+class ExpectedDecisions(Answer):
+    """What may be expected of answers with the status matched."""
+
+    precision: float = Field(description="Share of them that are right.")
+    matched_share: float = Field(description="Share of right first answers that are matched.")
+
+
+class MapDecision(Answer):
+    """What verdicts on queries of a map rest on."""
+
+    source: Literal["cohort", "own-views"] = Field(
+        description="cohort: mostly what wrong answers get in other maps, while few views are compared; own-views: "
+        "mostly what they get in this one."
+    )
+    views_compared: int
+    expected: ExpectedDecisions
+    updated_at: Moment | None = Field(description="Of the latest comparison of its views.")
+
+
 class MapFacts(Answer):
     """A map: its recipe, counts and size."""
 
@@ -270,6 +347,7 @@ class MapFacts(Answer):
     bytes: int = Field(description="Of all images.")
     recipe: dict[str, Any] = Field(description="Description recipe, with its `id`.")
     ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
+    decision: MapDecision
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None

@@ -2,6 +2,7 @@
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -21,7 +22,10 @@ AHEAD = 2
 """Batches claimed ahead: one is decoded while the other is encoded."""
 
 PRUNE_EVERY_S = 5.0
-"""Seconds between checks for jobs of maps and for unused descriptions."""
+"""Seconds between checks for unused descriptions."""
+
+MAP_WORK_EVERY_S = 1.0
+"""Seconds between checks for jobs of maps and for views to compare."""
 
 MAP_JOB_PATIENCE_S = 10.0
 """Seconds that `Loop.stop` waits for a job of a map to be put back."""
@@ -88,6 +92,9 @@ class Loop:
     describers : Describers
     train : function
         Runs a job of a map; its second argument returns whether to stop.
+    compare : function
+        Compares a portion of views with the others of their map, and returns whether there was anything to do; its
+        argument says whether images wait to be described.
     decode : function
         Bytes to Image; raises BadImage.
     name : str
@@ -108,6 +115,7 @@ class Loop:
         scheduler: Scheduler,
         describers: Describers,
         train: Callable[[MapClaim, Callable[[], bool]], None],
+        compare: Callable[[bool], bool] = lambda busy: False,
         decode: Decode,
         name: str,
         batch: int,
@@ -117,7 +125,7 @@ class Loop:
         self._jobs, self._views, self._pruning = jobs, views, pruning
         self._scheduler = scheduler
         self._describers = describers
-        self._train = train
+        self._train, self._compare = train, compare
         self._decode = decode
         self._name = name
         self._batch = batch
@@ -128,6 +136,7 @@ class Loop:
         self._thread = threading.Thread(target=self.run, name="revisit-worker", daemon=True)
         self._map_thread = threading.Thread(target=self._run_map_jobs, name="revisit-map-jobs", daemon=True)
         self._map_awake = threading.Event()
+        self._idle = threading.Event()
         self._on_finish: list[Callable[[str], None]] = []
 
     def on_finish(self, notify: Callable[[str], None]) -> None:
@@ -169,8 +178,10 @@ class Loop:
             try:
                 underway += self._take(AHEAD * self._batch - len(underway))
                 if underway:
+                    self._idle.clear()
                     self._settle(underway.pop(0))
                 else:
+                    self._idle.set()
                     self._awake.wait(self._idle_s)
                     self._awake.clear()
             except Exception:
@@ -183,14 +194,20 @@ class Loop:
                 self._settle(item)
 
     def _run_map_jobs(self) -> None:
-        """Run jobs of maps, and prune when none waits, until `stop`."""
+        """Run jobs of maps; when none waits, compare views and prune; until `stop`."""
+        pruned = -PRUNE_EVERY_S
         while not self._stopping.is_set():
             try:
                 claim = self._jobs.claim_map_job(self._name, self._lease, _now())
                 if claim is not None:
                     self._train(claim, self._stopping.is_set)
-                elif not self._pruning.prune():
-                    self._map_awake.wait(max(self._idle_s, PRUNE_EVERY_S))
+                    continue
+                if time.monotonic() - pruned >= PRUNE_EVERY_S:
+                    if self._pruning.prune():
+                        continue
+                    pruned = time.monotonic()
+                if not self._compare(not self._idle.is_set()):
+                    self._map_awake.wait(max(self._idle_s, MAP_WORK_EVERY_S))
                     self._map_awake.clear()
             except Exception:
                 log.exception("the worker goes on after a failure of its own")

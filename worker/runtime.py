@@ -5,7 +5,7 @@ import platform
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from functools import partial
+from functools import lru_cache, partial
 
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
@@ -21,9 +21,9 @@ from worker.images import codec
 from worker.loop import Loop
 from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
-from worker.method.decision import UNCALIBRATED
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
+from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.jobs import JobService
@@ -37,6 +37,8 @@ from worker.storage.migrating import newest
 from worker.storage.store import SqlStore, open_store
 
 GPU_BATCH = 8
+
+GENERAL_CALIBRATION = "compact-default.calibration.json"
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Runtime:
         Owns the encoder.
     describers : Describers
     catalogue : Catalogue
+    comparer : MapComparer
+        Compares views in the background.
         Of the maps' indexes.
     loop : Loop or None
         None when only other processes describe images.
@@ -91,6 +95,7 @@ class Runtime:
     scheduler: Scheduler
     describers: Describers
     catalogue: Catalogue
+    comparer: MapComparer
     loop: Loop | None
     settlements: Settlements
     services: Services
@@ -199,6 +204,9 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
             decode=decode,
             lease=lease,
         )
+        comparer = MapComparer(
+            comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
+        )
         loop = None
         if settings.inline_worker or not serving:
             loop = Loop(
@@ -208,6 +216,7 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
                 scheduler=scheduler,
                 describers=describers,
                 train=trainer.run,
+                compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
                 decode=decode,
                 name=f"{platform.node()}:{os.getpid()}",
                 batch=batch,
@@ -225,6 +234,7 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
             scheduler=scheduler,
             describers=describers,
             catalogue=catalogue,
+            comparer=comparer,
             loop=loop,
             settlements=settlements,
             services=_services(
@@ -276,6 +286,8 @@ def _services(
             views=store.views,
             listings=store.listings,
             descriptions=store.descriptions,
+            comparisons=store.comparisons,
+            queue=store.jobs,
             describers=describers,
             scheduler=scheduler,
             catalogue=catalogue,
@@ -299,6 +311,8 @@ def _services(
             maps=store.maps,
             removals=store.removals,
             jobs=store.jobs,
+            comparisons=store.comparisons,
+            calibration=shipped_calibration,
             encoder=encoder,
             describers=describers,
             catalogue=catalogue,
@@ -310,13 +324,24 @@ def _services(
 
 
 def shipped_calibration(recipe: MapRecipe) -> Calibration:
-    """The calibration shipped for a recipe's encoder and preset, or one by the score alone."""
-    path = SHIPPED / f"{recipe.description.encoder}-{recipe.ranking.preset}.calibration.json"
-    return Calibration.from_json(path.read_text()) if path.exists() else UNCALIBRATED
+    """The calibration shipped for a recipe's encoder and preset, or the general one: its features are relative to what
+    wrong answers get in a map, and so mean nearly the same for all of them."""
+    name = f"{recipe.description.encoder}-{recipe.ranking.preset}.calibration.json"
+    return _calibration(name if (SHIPPED / name).exists() else GENERAL_CALIBRATION)
+
+
+@lru_cache
+def _calibration(name: str) -> Calibration:
+    return Calibration.from_json((SHIPPED / name).read_text())
 
 
 def _empty_index(recipe: DescriptionRecipe) -> FlatIndex:
     return FlatIndex({name: channel.length for name, channel in recipe.parameters.channels.items()}, recipe.id)
+
+
+def _never(busy: bool) -> bool:
+    """Has nothing to do: views are not compared."""
+    return False
 
 
 def _nothing() -> None:

@@ -170,6 +170,13 @@ class QueryParameters(FilterParameters):
         le=500,
         description="Candidates of each channel to re-rank; 0: rank by histograms alone. Default: the map's.",
     )
+    precision: float | None = Field(
+        None,
+        ge=0.5,
+        le=0.999,
+        description="Share of answers with the status matched that must be right: the higher, the more often the "
+        "status is ambiguous. Default: the map's, 0.97 unless it was changed.",
+    )
     explain: bool = Field(False, description="List and draw the regions and local features that matched.")
 
 

@@ -10,14 +10,14 @@ from schemas.recipe import DescriptionRecipe
 from schemas.records import JobRecord, Position, Removal, ViewRecord
 from worker.images.palette import colour
 from worker.method.cascade import GraphEvidence
-from worker.method.decision import Decision
+from worker.method.decision import PRIOR, Decision, PlaceProbability
 from worker.method.estimate import locate
 from worker.method.verification import Verified
 from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
 from worker.service.query import QueryResult
-from worker.service.results import ScoredView
+from worker.service.results import RankedResults, ScoredView
 from worker.service.views import LabelledView
 
 
@@ -138,6 +138,14 @@ def map_facts(state: MapState) -> wire.MapFacts:
             "vocabulary_size": {name: channel.vocabulary_size for name, channel in channels},
             "dimensions": {name: channel.length for name, channel in channels},
         },
+        decision=wire.MapDecision(
+            source="own-views" if state.levels.compared > PRIOR.compared else "cohort",
+            views_compared=state.levels.compared,
+            expected=wire.ExpectedDecisions(
+                precision=ranking.precision, matched_share=state.calibration.share(ranking.precision)
+            ),
+            updated_at=state.levels.updated_at,
+        ),
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),
         created_at=record.created_at,
     )
@@ -184,13 +192,27 @@ def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
         recipe=recipe.id,
         ranking=results.recipe.ranking.id,
         searched=results.searched,
+        pending=results.pending,
         status=decision.status,
         confidence=decision.confidence,
+        reason=_reason(decision, results),
+        places=[_place(place, results) for place in decision.places],
+        nowhere=decision.nowhere,
+        decision=wire.DecisionFacts(
+            precision=decision.precision,
+            threshold=decision.threshold,
+            features=dict(decision.features),
+            wrong_score=decision.levels.level,
+            wrong_gap=decision.levels.gap,
+            views_compared=decision.levels.compared,
+        ),
         matches=[
             match(rank, scored, confidence, recipe, graph, explained)
-            for rank, (scored, confidence) in enumerate(zip(results.views, decision.confidences, strict=True), start=1)
+            for rank, (scored, confidence) in enumerate(
+                zip(results.views[: result.top], decision.confidences, strict=False), start=1
+            )
         ],
-        estimate=estimate(results.views, decision),
+        estimate=estimate(results, decision, result.top),
         timing_ms=dict(result.timing_ms),
     )
 
@@ -220,6 +242,26 @@ def match(
         graph=None if found.graph is None else _graph(found.graph, recipe, query_graph, explained is not None),
         verification=None if found.verified is None else _verification(found.verified, explained is not None),
         links=wire.MatchLinks(image=f"{base}/image", thumbnail=f"{base}/thumbnail", explanation=explanation),
+    )
+
+
+def _reason(decision: Decision, results: RankedResults) -> wire.Reason:
+    reason, rival = decision.reason, results.rival
+    shown = None
+    if reason.code == "look-alike" and rival is not None:
+        labels = results.recipe.description.labels
+        shown = wire.Rival(view=view(rival.view, labels), score=rival.score)
+    return wire.Reason(code=reason.code, detail=reason.detail, remedy=reason.remedy, rival=shown)
+
+
+def _place(place: PlaceProbability, results: RankedResults) -> wire.PlaceProbability:
+    scored = [results.views[i] for i in place.views]
+    attributes = scored[0].view.attributes
+    return wire.PlaceProbability(
+        place=attributes.place,
+        position=position(attributes.position),
+        probability=place.probability,
+        views=[wire.ScoredId(id=one.view.id, score=one.score) for one in scored],
     )
 
 
@@ -255,11 +297,13 @@ def _verification(verified: Verified, explain: bool) -> wire.VerificationMatch:
     )
 
 
-def estimate(found: Sequence[ScoredView], decision: Decision) -> wire.Estimate | None:
+def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estimate | None:
     """The estimated position of the query; None without a match or when the best match has no position."""
     if decision.status == "no_match":
         return None
-    fix = locate([f.view.attributes.position for f in found], decision.confidences)
+    found = results.views[:top]
+    around = results.ranking.places.positions()
+    fix = locate([f.view.attributes.position for f in found], decision.confidences[:top], around)
     if fix is None:
         return None
     known = position(fix.position)

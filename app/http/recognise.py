@@ -88,11 +88,19 @@ class Recogniser:
         top: int,
         candidates: int | None,
         filters: Filters,
+        precision: float | None,
         explain: bool,
     ) -> wire.QueryAnswer:
         """Rank the views of a map that may show the place of an image; raises as `QueryService.query`."""
         query = partial(
-            self._query.query, image, map_name, top=top, candidates=candidates, filters=filters, explain=explain
+            self._query.query,
+            image,
+            map_name,
+            top=top,
+            candidates=candidates,
+            filters=filters,
+            precision=precision,
+            explain=explain,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, query)
         return presenters.query_answer(map_name, result)

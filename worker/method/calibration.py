@@ -1,8 +1,7 @@
 """From evidence to a probability, and from a probability to a verdict.
 
-A score only orders candidates. A curve fitted to labelled queries (`lab.fitting`) maps features of a match (score, lead
-over the next, inliers) to the probability that it is right, and two thresholds turn the probability into exactly one of
-three verdicts.
+A score only orders candidates. A curve fitted to labelled queries (`lab.fitting`) maps features of a place to the
+probability that it is right, and thresholds turn the probability into exactly one of three verdicts.
 """
 
 import json
@@ -97,65 +96,82 @@ def curve_from_json(data: Mapping[str, Any]) -> Curve:
     raise ValueError(f"unknown kind of calibration curve: {data.get('kind')!r}")
 
 
-@dataclass(frozen=True)
-class Thresholds:
-    """Probabilities that separate the three verdicts.
-
-    Parameters
-    ----------
-    matched : float
-        From this probability on: matched.
-    ambiguous : float
-        From this probability on and below `matched`: ambiguous. Below: no match.
-    """
-
-    matched: float = 0.75
-    ambiguous: float = 0.4
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.ambiguous <= self.matched:
-            raise ValueError(f"thresholds must rise from ambiguous to matched: {self.ambiguous}, {self.matched}")
-
-    def verdict(self, probability: float) -> Verdict:
-        """The verdict for a probability; ValueError for NaN or a value outside 0..1."""
-        if not 0 <= probability <= 1:
-            raise ValueError(f"{probability} is no probability")
-        if probability >= self.matched:
-            return "matched"
-        return "ambiguous" if probability >= self.ambiguous else "no_match"
-
-
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A curve, the features it reads, and the thresholds of the verdict.
+    """A curve, the features it reads, and the probabilities from which an answer is `matched`.
 
     Parameters
     ----------
     features : tuple of str
-        Names of the columns that the curve reads, in order.
+        Names of the features that the curve reads, in order; see `worker.method.decision.features`.
     curve : Curve
-    thresholds : Thresholds
+    precisions, thresholds : float64 of shape (n,)
+        Wanted share of right answers among the matched ones, 0..1, and the lowest probability at which queries that
+        the curve had not seen kept it. Both ascending, at least one.
+    shares : float64 of shape (n,)
+        Share of the right answers to those queries that were `matched` then.
+    ambiguous : float
+        Below this probability, or below the threshold if that is lower: no match.
     learned_from : str
         Which labelled queries, in words; for reports.
     """
 
     features: tuple[str, ...]
     curve: Curve
-    thresholds: Thresholds = Thresholds()
+    precisions: Doubles
+    thresholds: Doubles
+    shares: Doubles
+    ambiguous: float = 0.4
     learned_from: str = ""
+
+    def __post_init__(self) -> None:
+        both = self.precisions, self.thresholds
+        if len({values.shape for values in both}) != 1 or any(np.any(np.diff(values) < 0) for values in both):
+            raise ValueError(f"precisions and thresholds must rise together: {both}")
+
+    def threshold(self, precision: float) -> float:
+        """Lowest probability of an answer that is `matched` at this precision.
+
+        Linear between the known precisions. Beyond the highest one, whatever is missing to certainty shrinks in
+        proportion: a threshold t for 99 of 100 means 1 - (1 - t) / 10 for 999 of 1,000.
+        """
+        known, last = self.precisions, float(self.thresholds[-1])
+        if precision <= known[-1]:
+            return float(np.interp(precision, known, self.thresholds))
+        return 1 - (1 - last) * (1 - precision) / (1 - float(known[-1]))
+
+    def share(self, precision: float) -> float:
+        """Share of right answers that were `matched` at this precision."""
+        return float(np.interp(precision, self.precisions, self.shares))
+
+    def verdict(self, probability: float, precision: float) -> Verdict:
+        """The verdict for a probability; ValueError for NaN or a value outside 0..1."""
+        if not 0 <= probability <= 1:
+            raise ValueError(f"{probability} is no probability")
+        if probability >= self.threshold(precision):
+            return "matched"
+        return "ambiguous" if probability >= self.ambiguous else "no_match"
 
     def to_json(self) -> str:
         """The calibration as JSON, kept with a map or with the weights."""
-        limits = {"matched": self.thresholds.matched, "ambiguous": self.thresholds.ambiguous}
-        data = {"features": list(self.features), "curve": self.curve.as_json(), "thresholds": limits}
-        return json.dumps(data | {"learned_from": self.learned_from}, sort_keys=True, allow_nan=False)
+        data = {
+            "features": list(self.features),
+            "curve": self.curve.as_json(),
+            "precisions": self.precisions.tolist(),
+            "thresholds": self.thresholds.tolist(),
+            "shares": self.shares.tolist(),
+            "ambiguous": self.ambiguous,
+            "learned_from": self.learned_from,
+        }
+        return json.dumps(data, sort_keys=True, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> "Calibration":
         """Read what `to_json` wrote."""
         data = json.loads(text)
-        limits = Thresholds(**data["thresholds"])
-        return cls(tuple(data["features"]), curve_from_json(data["curve"]), limits, data["learned_from"])
+        kept = [np.asarray(data[name], np.float64) for name in ("precisions", "thresholds", "shares")]
+        curve = curve_from_json(data["curve"])
+        return cls(tuple(data["features"]), curve, *kept, data["ambiguous"], data["learned_from"])
 
 
 def _sigmoid(x: Doubles) -> Doubles:

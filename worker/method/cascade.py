@@ -18,13 +18,18 @@ import numpy.typing as npt
 
 from schemas.description import DETAIL, Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import Candidates
+from schemas.records import Candidates, KnownView, Sequence64
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, verification
 from worker.method.byte_vectors import Product, float_product
 from worker.method.context_graph import GraphComparison
 from worker.method.hough import Doubles
+from worker.method.places import Places
 from worker.method.score_fusion import Rows
 from worker.method.verification import Verified
+
+RIVALS = 3
+"""Views of other places that are compared in full and verified, even if more views of the best place rank above them:
+the decision needs to know what the next place gets."""
 
 
 class ViewGone(Exception):
@@ -44,6 +49,10 @@ class Fetch(Protocol):
 
     def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
         """Local features, in the order of `seqs`."""
+        ...
+
+    def known(self, seqs: Sequence[int]) -> list[KnownView]:
+        """Names, positions and the map's own comparisons, in the order of `seqs`."""
         ...
 
 
@@ -126,6 +135,42 @@ class RankedCandidate:
     verified: Verified | None
 
 
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """All candidates of a query in order, and the first of them with their evidence.
+
+    Parameters
+    ----------
+    seqs : int64 of shape (candidates,)
+        Sequence numbers, best first.
+    scores : float32 of shape (candidates,)
+    terms : mapping of term to float32 of shape (candidates,)
+        0..1, before weighting; zero where a candidate was not compared.
+    inliers, matches : intp of shape (candidates,)
+        Of the geometric verification; -1 where a candidate was not verified.
+    ranks : mapping of channel to int64 of shape (candidates,)
+        Rank in that channel's search, from 1; 0 when that search did not return the view.
+    reranked : int
+        How many were re-ranked: the first ones.
+    places : Places
+    rival : int or None
+        Index of the best re-ranked view that shows another place than the first; None when there is none.
+    first : tuple of RankedCandidate
+        The first `top`; then the rival, if it is not among them.
+    """
+
+    seqs: Sequence64
+    scores: Floats
+    terms: Mapping[str, Floats]
+    inliers: Rows
+    matches: Rows
+    ranks: Mapping[str, Sequence64]
+    reranked: int
+    places: Places
+    rival: int | None
+    first: tuple[RankedCandidate, ...]
+
+
 @dataclass(eq=False)
 class Evidence:
     """Evidence about the candidates of one query, filled in by one stage after another.
@@ -134,6 +179,8 @@ class Evidence:
     ----------
     candidates : Candidates
     config : RankingConfig
+    places : Places
+        Of the candidates.
     terms : dict of term to float32 of shape (candidates,)
         0..1; zero where a candidate was not compared.
     rows : intp of shape (reranked,)
@@ -155,6 +202,7 @@ class Evidence:
 
     candidates: Candidates
     config: RankingConfig
+    places: Places
     terms: dict[str, Floats]
     rows: Rows
     appearances: list[Appearance] = field(default_factory=list)
@@ -179,9 +227,27 @@ class Evidence:
         return [int(seq) for seq in self.candidates.seqs[rows]]
 
     def best(self, count: int) -> Rows:
-        """At most `count` of the re-ranked candidates, best first by the evidence so far."""
+        """At most `count` of the re-ranked candidates, best first by the evidence so far.
+
+        Up to `RIVALS` of another place than the first are among them: where there are fewer, they replace the last
+        views of its own place and neighbourhood.
+        """
         score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
-        return score_fusion.order(score, self.distance, self.rows)[: min(count, len(self.rows))]
+        order = score_fusion.order(score, self.distance, self.rows)[: len(self.rows)]
+        if len(order) <= count:
+            return order
+        rival = self._apart_from_first(order)
+        missing = max(0, min(RIVALS, int(rival.sum())) - int(rival[:count].sum()))
+        own = np.flatnonzero(~rival[:count])[1:]
+        kept = np.setdiff1d(np.arange(count), own[len(own) - missing :] if missing else own[:0])
+        added = count + np.flatnonzero(rival[count:])[: count - len(kept)]
+        chosen: Rows = order[np.concatenate([kept, added])]
+        return chosen
+
+    def _apart_from_first(self, order: Rows) -> npt.NDArray[np.bool_]:
+        """Which rows show another place than the first of them."""
+        first, *_ = seqs = self.seqs(order)
+        return np.array([self.places.apart(first, seq) for seq in seqs], np.bool_)
 
     @property
     def distance(self) -> Floats:
@@ -208,7 +274,7 @@ def rank(
     reranked: int | None = None,
     product: Product = float_product,
     observe: Observe = lambda stage, evidence: None,
-) -> list[RankedCandidate]:
+) -> Ranking:
     """Rank the candidates of a query.
 
     Parameters
@@ -221,7 +287,7 @@ def rank(
     config : RankingConfig
     fetch : Fetch
     top : int
-        How many are returned at most.
+        How many are returned with their evidence at most.
     reranked : int, optional
         How many of each channel are re-ranked, in place of ``config.candidates``; 0 ranks by histograms alone.
     product : Product
@@ -234,7 +300,11 @@ def rank(
     ViewGone
         A candidate was deleted after the search.
     """
-    evidence = compare_histograms(candidates, recipe, config, config.candidates if reranked is None else reranked)
+    seqs = [int(seq) for seq in candidates.seqs]
+    places = Places(dict(zip(seqs, fetch.known(seqs), strict=True)), config.same_place_m)
+    evidence = compare_histograms(
+        candidates, recipe, config, places, config.candidates if reranked is None else reranked
+    )
     observe("histograms", evidence)
     if len(evidence.rows):
         compare_coarse(query, recipe, evidence, fetch, product)
@@ -247,7 +317,7 @@ def rank(
 
 
 def compare_histograms(
-    candidates: Candidates, recipe: DescriptionRecipe, config: RankingConfig, reranked: int
+    candidates: Candidates, recipe: DescriptionRecipe, config: RankingConfig, places: Places, reranked: int
 ) -> Evidence:
     """Stage 1: histogram similarity of all candidates; the best `reranked` of each channel go on to the next stages."""
     terms = {
@@ -257,7 +327,7 @@ def compare_histograms(
     chosen = np.zeros(len(candidates.seqs), np.bool_)
     for ranks in candidates.ranks.values():
         chosen |= (ranks > 0) & (ranks <= reranked)
-    return Evidence(candidates, config, terms, np.flatnonzero(chosen))
+    return Evidence(candidates, config, places, terms, np.flatnonzero(chosen))
 
 
 def compare_coarse(
@@ -319,12 +389,19 @@ def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
     evidence.put("verification", first, verification.gated_bonus([one.inliers for one in verified]))
 
 
-def fuse(evidence: Evidence, top: int) -> list[RankedCandidate]:
-    """Stage 5: the first `top` candidates by score, re-ranked ones before all others."""
+def fuse(evidence: Evidence, top: int) -> Ranking:
+    """Stage 5: candidates by score, re-ranked ones before all others; the first `top` with their evidence."""
     candidates = evidence.candidates
     score, parts = score_fusion.score(evidence.terms, evidence.config, evidence.rows)
-    order = score_fusion.order(score, evidence.distance, evidence.rows)[:top]
-    return [
+    order = score_fusion.order(score, evidence.distance, evidence.rows)
+    inliers, matches = np.full((2, len(order)), -1, np.intp)
+    for row, verified in evidence.verified.items():
+        inliers[row], matches[row] = verified.inliers, verified.matches
+    seqs = [int(seq) for seq in candidates.seqs[order]]
+    among = range(1, len(evidence.rows) or len(seqs))
+    rival = next((i for i in among if evidence.places.apart(seqs[0], seqs[i])), None)
+    shown = order[:top] if rival is None or rival < top else order[[*range(min(top, len(order))), rival]]
+    first = [
         RankedCandidate(
             seq=int(candidates.seqs[row]),
             score=float(score[row]),
@@ -335,8 +412,20 @@ def fuse(evidence: Evidence, top: int) -> list[RankedCandidate]:
             graph=_graph_of(evidence, int(row)),
             verified=evidence.verified.get(int(row)),
         )
-        for row in order
+        for row in shown
     ]
+    return Ranking(
+        seqs=candidates.seqs[order],
+        scores=score[order],
+        terms={name: term[order] for name, term in evidence.terms.items()},
+        inliers=inliers[order],
+        matches=matches[order],
+        ranks={name: ranks[order] for name, ranks in candidates.ranks.items()},
+        reranked=len(evidence.rows),
+        places=evidence.places,
+        rival=rival,
+        first=tuple(first),
+    )
 
 
 def _dense_of(evidence: Evidence, row: int) -> DenseEvidence | None:

@@ -1,23 +1,71 @@
-"""Calibrated confidence of each match, and one verdict for every answer."""
+"""Decision: from a ranking to probabilities of places, one verdict, and the reason for it.
+
+What a wrong view scores differs from map to map: 0.2 among ten parks, 0.6 in a corridor of equal doors. A score says
+little by itself. Two features say more, and mean the same in every map:
+
+- ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
+  wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
+  out (`schemas.records.Comparison`).
+- ``level``: by how much the score falls short of what wrong answers get in this map.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from worker.method.calibration import Calibration, Logistic, Thresholds, Verdict
-from worker.method.cascade import RankedCandidate
+from schemas.records import MapLevels
+from worker.method.calibration import Calibration, Verdict
+from worker.method.cascade import Ranking
 
-UNCALIBRATED = Calibration(
-    ("score",),
-    Logistic(np.array([0.5]), np.array([0.1]), np.array([1.0]), 0.0),
-    Thresholds(),
-    "nothing: a plain curve through a score of one half, for encoders without labelled queries",
-)
+PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
+"""What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
 
-ALONE = 0.2
-"""Score that stands in for a second match where there is only one: about that of the best of a few wrong views."""
+SOFTENING = 0.02
+"""Added to scores in ratios and to the gap of wrong answers, so that small ones do not decide by their noise."""
+
+GROUPED = 10
+"""Views that are grouped into places at least; those further down the ranking never decide."""
+
+FEW_VIEWS = 5
+"""With fewer searched views than this, an answer that stands out from nothing says so."""
+
+Code = Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"]
+
+
+@dataclass(frozen=True)
+class PlaceProbability:
+    """A place and the probability that the query shows it.
+
+    Parameters
+    ----------
+    probability : float
+        0..1; those of all places and of none of them sum to 1.
+    views : tuple of int
+        Indices of its views in the ranking, best first.
+    """
+
+    probability: float
+    views: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why the verdict is what it is.
+
+    Parameters
+    ----------
+    code : str
+        ``sure``; ``look-alike``: another place is as good; ``weak``: nothing stands out from what wrong places get;
+        ``few-views``: too little is enrolled to tell; ``poor-picture``; ``empty``: there was nothing to search.
+    detail, remedy : str
+        What was seen, and what to do.
+    """
+
+    code: Code
+    detail: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -28,53 +76,150 @@ class Decision:
     ----------
     status : {"matched", "ambiguous", "no_match"}
     confidence : float
-        Of the first match; 0 without a match.
+        Probability that the first place is right; 0 without a match.
+    reason : Reason
+    places : tuple of PlaceProbability
+        Best first.
     confidences : tuple of float
-        Of each match, never rising with rank.
+        Of the grouped views, never rising with rank: the probability of each one's place.
+    precision, threshold : float
+        Share of matched answers that must be right, and the probability from which an answer is matched.
+    levels : MapLevels
+        What wrong answers get in this map, as `typical` gives it.
+    features : mapping of name to float
+        What the calibration read of the first place; empty without a match.
     """
 
     status: Verdict
     confidence: float
-    confidences: tuple[float, ...]
+    reason: Reason
+    precision: float
+    threshold: float
+    levels: MapLevels
+    places: tuple[PlaceProbability, ...] = ()
+    confidences: tuple[float, ...] = ()
+    features: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def nowhere(self) -> float:
+        """Probability that the query shows none of the places."""
+        return max(0.0, 1.0 - sum(place.probability for place in self.places))
 
 
-def features(found: Sequence[RankedCandidate]) -> Mapping[str, npt.NDArray[np.float64]]:
-    """Features of each match that a calibration may read, float64 (matches,) each.
-
-    ``score``; ``lead``, score minus that of the best other match (for all but the first, minus that of the first: 0 or
-    less); ``standing`` and ``margin``, dense similarity minus its median and minus its 85th percentile over the
-    candidates; ``inliers``, log(1 + inliers) of verification; and ``part.TERM``, each weighted term of the score.
-    """
-    scores = np.array([f.score for f in found], np.float64)
-    best, second = [*np.sort(scores)[::-1].tolist(), ALONE][:2]
-    read = {
-        "score": scores,
-        "lead": np.where(scores == best, best - second, scores - best),
-        "standing": np.array(
-            [0.0 if f.dense is None else f.dense.similarity - f.dense.median_similarity for f in found]
-        ),
-        "margin": np.array([0.0 if f.dense is None else f.dense.similarity - f.dense.p85_similarity for f in found]),
-        "inliers": np.log1p([0 if f.verified is None else f.verified.inliers for f in found]),
-    }
-    for term in sorted({term for f in found for term in f.parts}):
-        read[f"part.{term}"] = np.array([f.parts.get(term, 0.0) for f in found], np.float64)
-    return read
+def typical(levels: MapLevels) -> MapLevels:
+    """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared."""
+    total = levels.compared + PRIOR.compared
+    level = (levels.compared * levels.level + PRIOR.compared * PRIOR.level) / total
+    gap = (levels.compared * levels.gap + PRIOR.compared * PRIOR.gap) / total
+    return MapLevels(levels.compared, level, gap)
 
 
-def decide(found: Sequence[RankedCandidate], calibration: Calibration) -> Decision:
-    """Confidence of each match and the verdict on the answer.
+def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
+    """Features of a place; each grows with the evidence for it.
 
     Parameters
     ----------
-    found : sequence of RankedCandidate
-        Best first.
-    calibration : Calibration
+    score : float
+        Of its best view, 0..1.
+    rival : float
+        Of the best view of any other place, 0..1.
+    levels : MapLevels
+        As `typical` gives them.
     """
-    if not found:
-        return Decision("no_match", 0.0, ())
-    read = features(found)
-    nothing = np.zeros(len(found))
-    columns = np.stack([read.get(name, nothing) for name in calibration.features], axis=1)
-    probabilities = np.minimum.accumulate(np.clip(calibration.curve.probability(columns), 0, 1))
-    first = float(probabilities[0])
-    return Decision(calibration.thresholds.verdict(first), first, tuple(float(p) for p in probabilities))
+    return {
+        "gap": float(np.log1p(max(score - rival, 0.0) / (levels.gap + SOFTENING))),
+        "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
+    }
+
+
+def decide(
+    ranking: Ranking,
+    levels: MapLevels,
+    calibration: Calibration,
+    precision: float,
+    *,
+    searched: int,
+    shown: int = GROUPED,
+    poor: str | None = None,
+) -> Decision:
+    """Probability of each place, and the verdict on the answer.
+
+    Parameters
+    ----------
+    ranking : Ranking
+    levels : MapLevels
+        Of the map.
+    calibration : Calibration
+    precision : float
+        Share of matched answers that must be right, 0.5..0.999.
+    searched : int
+        Number of views searched.
+    shown : int
+        Number of views that are grouped into places, if more than `GROUPED`.
+    poor : str, optional
+        What is wrong with the query image, where something is.
+
+    Notes
+    -----
+    The probability of a place depends on its best view, the best view of any other place, and the map: more views of
+    the place can only raise it. That of the second place is the probability that the first is wrong times what the
+    curve says of the second, and so on, so that all of them and "none" sum to 1.
+    """
+    usual, threshold = typical(levels), calibration.threshold(precision)
+    if not len(ranking.seqs):
+        return Decision("no_match", 0.0, EMPTY, precision, threshold, usual)
+    seqs = [int(seq) for seq in ranking.seqs]
+    rival = ranking.rival
+    groups = ranking.places.group(seqs[: max(shown, GROUPED)])
+    scores = [float(ranking.scores[group[0]]) for group in groups]
+    nothing = usual.level  # what a wrong answer would get where no other place was found
+    first = features(scores[0], float(ranking.scores[rival]) if rival is not None else nothing, usual)
+    read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
+    columns = np.array([[one[name] for name in calibration.features] for one in read])
+    places, left = [], 1.0
+    for group, p in zip(groups, np.clip(calibration.curve.probability(columns), 0, 1).tolist(), strict=True):
+        places.append(PlaceProbability(left * p, tuple(group)))
+        left *= 1 - p
+    confidence = places[0].probability
+    status = calibration.verdict(confidence, precision)
+    only = len(groups) == 1 and rival is None
+    if status == "ambiguous" and only:
+        status = "no_match"
+    unrivalled = np.array([[features(scores[0], nothing, usual)[name] for name in calibration.features]])
+    alone = calibration.verdict(float(calibration.curve.probability(unrivalled)[0]), precision)
+    reason = _reason(status, rival, alone == "matched", searched, poor)
+    return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first)
+
+
+def _confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
+    of_view = {view: place.probability for place in places for view in place.views}
+    return tuple(np.minimum.accumulate([of_view[view] for view in sorted(of_view)]).tolist())
+
+
+EMPTY = Reason("empty", "there was no view to compare with", "enrol images, or widen the filters")
+SURE = Reason("sure", "one place stands out from all others", "nothing")
+
+
+def _reason(status: Verdict, rival: int | None, alone: bool, searched: int, poor: str | None) -> Reason:
+    if status == "matched":
+        return SURE
+    if poor is not None:
+        return Reason("poor-picture", poor, "take another photo of the place: lit, sharp, and of things that stay")
+    if rival is not None and alone:
+        return Reason(
+            "look-alike",
+            "the first place would be sure if another place were not nearly as good",
+            "look at the rival: enrol more views of both places where they differ, take the photo so that this shows, "
+            "or narrow the search with near or place",
+        )
+    if searched < FEW_VIEWS:
+        return Reason(
+            "few-views",
+            f"only {searched} view{'s' * (searched != 1)} could be searched: too few to tell what a wrong place gets",
+            "enrol more views, of this place and of others",
+        )
+    return Reason(
+        "weak",
+        "no place stands out from what wrong places get in this map",
+        "if the place is enrolled, enrol it from here and in this light too",
+    )

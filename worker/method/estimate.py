@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import cos, hypot, inf, radians
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,10 @@ AGREE_M = 25.0
 """Matches further than this from the best one do not count for the estimate, metres."""
 
 
+SAME_POINT_M = 1e-6
+"""Positions at most this far apart are one point: what is left of rounding, metres."""
+
+
 @dataclass(frozen=True)
 class Fix:
     """An estimated position.
@@ -23,18 +28,19 @@ class Fix:
     ----------
     position : Position
         Without heading.
-    radius_m : float
-        Weighted root mean square horizontal distance of the agreeing views from `position`; 0 for a single view.
+    radius_m : float or None
+        Weighted root mean square horizontal distance of the agreeing views from `position`. Where they lie at one point,
+        the distance to the nearest other position; None when there is no other.
     agreeing : tuple of int
         Indices of the matches within `AGREE_M` of the best one, the best included.
     """
 
     position: Position
-    radius_m: float
+    radius_m: float | None
     agreeing: tuple[int, ...]
 
 
-def locate(positions: Sequence[Position], weights: Sequence[float]) -> Fix | None:
+def locate(positions: Sequence[Position], weights: Sequence[float], around: Sequence[Position] = ()) -> Fix | None:
     """Weighted mean of the positions within `AGREE_M` of the best match's.
 
     Parameters
@@ -43,41 +49,57 @@ def locate(positions: Sequence[Position], weights: Sequence[float]) -> Fix | Non
         Positions of the matches, best first.
     weights : sequence of float
         Weight of each match, at least 0; all zero count as all equal.
+    around : sequence of Position
+        Of other views, which tell how densely the place is mapped.
 
     Returns
     -------
     Fix or None
         None when the best match has no position.
     """
-    if not positions or not _is_known(positions[0]):
+    if not positions or not is_known(positions[0]):
         return None
     geographic = positions[0].lat is not None
-    same_frame = [i for i, p in enumerate(positions) if _is_known(p) and (p.lat is not None) == geographic]
-    metres = np.array([_metres(positions[i], positions[0]) for i in same_frame])
-    near = np.linalg.norm(metres[:, :2], axis=1) <= AGREE_M
+    same_frame = [i for i, p in enumerate(positions) if is_known(p) and (p.lat is not None) == geographic]
+    away = np.array([metres(positions[i], positions[0]) for i in same_frame])
+    near = np.linalg.norm(away[:, :2], axis=1) <= AGREE_M
     chosen = [i for i, close in zip(same_frame, near, strict=True) if close]
-    offsets = metres[near]
+    offsets = away[near]
     share = np.array([weights[i] for i in chosen], np.float64)
     share = share / share.sum() if share.sum() > 0 else np.full(len(chosen), 1 / len(chosen))
     mean = share @ offsets
     radius = float(np.sqrt(share @ ((offsets[:, :2] - mean[:2]) ** 2).sum(axis=1)))
     heights = [positions[i].alt if geographic else positions[i].z for i in chosen]
     height = None if any(h is None for h in heights) else float(mean[2])
+    if radius <= SAME_POINT_M:
+        gaps = [gap for other in around if SAME_POINT_M < (gap := distance(positions[0], other)) < inf]
+        return Fix(_place(mean, height, positions[0]), min(gaps, default=None), tuple(chosen))
     return Fix(_place(mean, height, positions[0]), radius, tuple(chosen))
 
 
-def _is_known(position: Position) -> bool:
+def distance(one: Position, other: Position) -> float:
+    """Metres between two positions, with the height where both have one; infinite when they cannot be compared."""
+    if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
+        return inf
+    east, north, _ = metres(other, one)
+    heights = (one.z, other.z) if one.lat is None else (one.alt, other.alt)
+    up = 0.0 if None in heights else heights[1] - heights[0]  # type: ignore[operator]
+    return hypot(east, north, up)
+
+
+def is_known(position: Position) -> bool:
+    """Whether it has coordinates."""
     return position.x is not None or position.lat is not None
 
 
-def _metres(position: Position, origin: Position) -> tuple[float, float, float]:
+def metres(position: Position, origin: Position) -> tuple[float, float, float]:
     """(east or x, north or y, up) from the origin's horizontal position; up is the height itself."""
     if position.lat is not None and position.lon is not None and origin.lat is not None and origin.lon is not None:
         east = (position.lon - origin.lon + 180) % 360 - 180
-        scale = np.cos(np.radians(origin.lat))
+        scale = cos(radians(origin.lat))
         return (
-            float(np.radians(east) * EARTH_M * scale),
-            float(np.radians(position.lat - origin.lat) * EARTH_M),
+            radians(east) * EARTH_M * scale,
+            radians(position.lat - origin.lat) * EARTH_M,
             position.alt or 0.0,
         )
     return (position.x or 0.0) - (origin.x or 0.0), (position.y or 0.0) - (origin.y or 0.0), position.z or 0.0

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 from schemas.description import Appearance, Int8s, LocalFeatures
+from schemas.records import KnownView
 from worker.method.cascade import ViewGone
-from worker.search.ports import DescriptionReader
+from worker.search.ports import ComparisonReader, DescriptionReader
 
 T = TypeVar("T")
 
@@ -18,12 +19,13 @@ class Fetcher:
     Parameters
     ----------
     descriptions : DescriptionReader
+    comparisons : ComparisonReader
     recipe : str
         Id of the description recipe.
     """
 
-    def __init__(self, descriptions: DescriptionReader, recipe: str) -> None:
-        self._descriptions, self._recipe = descriptions, recipe
+    def __init__(self, descriptions: DescriptionReader, comparisons: ComparisonReader, recipe: str) -> None:
+        self._descriptions, self._comparisons, self._recipe = descriptions, comparisons, recipe
 
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
         """Cells at half size, graphs and extents."""
@@ -36,6 +38,10 @@ class Fetcher:
     def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
         """Local features."""
         return _in_order(self._descriptions.local_features(seqs, self._recipe), seqs)
+
+    def known(self, seqs: Sequence[int]) -> list[KnownView]:
+        """Names, positions and the map's own comparisons."""
+        return _in_order(self._comparisons.known(seqs, self._recipe), seqs)
 
 
 def _in_order(found: Mapping[int, T], seqs: Sequence[int]) -> list[T]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from schemas.description import Appearance, Floats, Int8s, LocalFeatures
-from schemas.records import Candidates, Changes, MapRecord, Selection
+from schemas.records import Candidates, Changes, KnownView, MapRecord, Selection
 
 
 class Index(Protocol):
@@ -64,4 +64,12 @@ class DescriptionReader(Protocol):
 
     def local_features(self, seqs: Sequence[int], recipe: str) -> dict[int, LocalFeatures]:
         """Local features."""
+        ...
+
+
+class ComparisonReader(Protocol):
+    """What is known of views besides their images. Deleted views are absent."""
+
+    def known(self, seqs: Sequence[int], recipe: str) -> dict[int, KnownView]:
+        """Name, position, and the map's own comparison by a recipe."""
         ...

@@ -6,12 +6,13 @@ from datetime import UTC, datetime
 from typing import Any
 
 from schemas.recipe import DescriptionRecipe, MapRecipe
-from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Removal
+from schemas.records import JobRecord, MapCounts, MapLevels, MapRecord, Meaning, Removal
 from worker.description.describers import Describers
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, changed_ranking, make_recipe
+from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
-from worker.service.ports import Jobs, Maps, Removals
+from worker.service.ports import Comparisons, Jobs, Maps, Removals
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,8 @@ class MapState:
 
     record: MapRecord
     counts: MapCounts
+    levels: MapLevels
+    calibration: Calibration
     meanings: tuple[Meaning, ...]
 
 
@@ -28,8 +31,10 @@ class MapService:
 
     Parameters
     ----------
-    maps, removals, jobs
+    maps, removals, jobs, comparisons
         Parts of the store.
+    calibration : function
+        Recipe to the calibration of its confidences.
     encoder : Encoder
         The running encoder.
     describers : Describers
@@ -46,6 +51,8 @@ class MapService:
         maps: Maps,
         removals: Removals,
         jobs: Jobs,
+        comparisons: Comparisons,
+        calibration: Callable[[MapRecipe], Calibration],
         encoder: Encoder,
         describers: Describers,
         catalogue: Catalogue,
@@ -53,6 +60,7 @@ class MapService:
         wake: Callable[[], None],
     ) -> None:
         self._maps, self._removals, self._jobs = maps, removals, jobs
+        self._comparisons, self._calibration = comparisons, calibration
         self._encoder, self._describers, self._catalogue = encoder, describers, catalogue
         self._preset, self._wake = preset, wake
 
@@ -130,7 +138,8 @@ class MapService:
             meanings = tuple(self._encoder.meanings(labels))
         else:  # labels of an encoder that is not running
             meanings = tuple(Meaning(label, (), trained=False) for label in labels)
-        return MapState(record, self._maps.counts(record.name), meanings)
+        counts, levels = self._maps.counts(record.name), self._comparisons.levels(record.name)
+        return MapState(record, counts, levels, self._calibration(record.recipe), meanings)
 
     def _is_own(self, recipe: DescriptionRecipe) -> bool:
         return (recipe.encoder, recipe.weights) == (self._encoder.name, self._encoder.digest)

@@ -13,6 +13,7 @@ from schemas.records import (
     JobRecord,
     JobState,
     MapCounts,
+    MapLevels,
     MapRecord,
     Position,
     Removal,
@@ -21,6 +22,7 @@ from schemas.records import (
     ViewAttributes,
     ViewRecord,
 )
+from worker.search.ports import ComparisonReader
 
 
 class Maps(Protocol):
@@ -124,6 +126,22 @@ class Listings(Protocol):
         self, name: str | None, cursor: str | None, limit: int
     ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
         """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next."""
+        ...
+
+
+class Comparisons(ComparisonReader, Protocol):
+    """What the views of a map find in it."""
+
+    def levels(self, name: str) -> MapLevels:
+        """Means over the compared views of a map; raises NotFound."""
+        ...
+
+
+class Pending(Protocol):
+    """Views that wait to be described."""
+
+    def count_pending(self, name: str) -> int:
+        """Number of a map's views that are not described yet by its recipe; raises NotFound."""
         ...
 
 

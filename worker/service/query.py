@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from uuid6 import uuid7
 
@@ -18,19 +18,16 @@ from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import Evidence, ViewGone
-from worker.method.decision import Decision, decide
+from worker.method.decision import GROUPED, Decision, decide
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
 from worker.service.explanations import Explained, Explanations
-from worker.service.ports import Listings, Maps, Views
+from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView
 
 ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
-
-AT_LEAST = 2
-"""Views ranked at least, whatever `top` is: the confidence of the first depends on its lead over the second."""
 
 
 class RecipeChanged(Exception):
@@ -49,7 +46,8 @@ class QueryResult:
         The decoded query image.
     description : Description
     results : RankedResults
-        At most `top` views.
+    top : int
+        How many of its views were wanted.
     decision : Decision
     explained : bool
         Whether an explanation can be drawn.
@@ -60,6 +58,7 @@ class QueryResult:
     image: Image
     description: Description
     results: RankedResults
+    top: int
     decision: Decision
     explained: bool
     timing_ms: Mapping[str, float]
@@ -70,7 +69,7 @@ class QueryService:
 
     Parameters
     ----------
-    maps, views, listings, descriptions
+    maps, views, listings, descriptions, comparisons, queue
         Parts of the store.
     describers : Describers
     scheduler : Scheduler
@@ -94,6 +93,8 @@ class QueryService:
         views: Views,
         listings: Listings,
         descriptions: DescriptionReader,
+        comparisons: Comparisons,
+        queue: Pending,
         describers: Describers,
         scheduler: Scheduler,
         catalogue: Catalogue,
@@ -103,7 +104,8 @@ class QueryService:
         explanations: Explanations,
         product: Product,
     ) -> None:
-        self._maps, self._views, self._listings, self._descriptions = maps, views, listings, descriptions
+        self._maps, self._views, self._listings = maps, views, listings
+        self._descriptions, self._comparisons, self._queue = descriptions, comparisons, queue
         self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
         self._decode, self._shrink = decode, shrink
         self._calibration, self._explanations, self._product = calibration, explanations, product
@@ -116,6 +118,7 @@ class QueryService:
         top: int = 5,
         candidates: int | None = None,
         filters: Filters | None = None,
+        precision: float | None = None,
         explain: bool = False,
     ) -> QueryResult:
         """Which views of a map show the place of an image.
@@ -130,6 +133,8 @@ class QueryService:
         candidates : int, optional
             Candidates of each channel that are re-ranked; None takes the map's setting, 0 ranks by histograms alone.
         filters : Filters, optional
+        precision : float, optional
+            Share of matched answers that must be right, 0.5..0.999; None takes the map's setting.
         explain : bool
             Keep the query, so that its explanation can be drawn.
 
@@ -142,11 +147,16 @@ class QueryService:
         image = self._decode(data)
         decoded = time.perf_counter()
         described, results = self._describe_and_search(
-            image, map_name, describer, filters or Filters(), max(top, AT_LEAST), candidates
+            image, map_name, describer, filters or Filters(), max(top, GROUPED), candidates
         )
-        decision = decide(results.views, self._calibration(results.recipe))
-        results = replace(results, views=results.views[:top])
-        decision = replace(decision, confidences=decision.confidences[:top])
+        decision = decide(
+            results.ranking,
+            results.levels,
+            self._calibration(results.recipe),
+            precision or results.recipe.ranking.precision,
+            searched=results.searched,
+            shown=top,
+        )
         query_id = str(uuid7())
         if explain:
             self._explanations.keep(query_id, Explained(self._shrink(image), described.value, results))
@@ -155,6 +165,7 @@ class QueryService:
             image=image,
             description=described.value,
             results=results,
+            top=top,
             decision=decision,
             explained=explain,
             timing_ms={
@@ -225,22 +236,28 @@ class QueryService:
                     found,
                     recipe,
                     config,
-                    Fetcher(self._descriptions, recipe.id),
+                    Fetcher(self._descriptions, self._comparisons, recipe.id),
                     top=top,
                     reranked=reranked,
                     product=self._product,
                     observe=watch.observe,
                 )
-                views = self._views.at([candidate.seq for candidate in ranked])
+                views = self._views.at([candidate.seq for candidate in ranked.first])
                 shown = [view.description for view in views.values()]
-                if len(views) < len(ranked) or None in shown:
+                if len(views) < len(ranked.first) or None in shown:
                     raise ViewGone
             except ViewGone:
                 continue
             if any(of is not None and of.recipe != recipe.id for of in shown):
                 raise RecipeChanged  # while candidates were compared: views are shown by the map's present recipe
+            scored = tuple(ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in ranked.first)
+            rival = None if ranked.rival is None else min(ranked.rival, len(scored) - 1)
             return RankedResults(
-                views=tuple(ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in ranked),
+                views=scored[:top],
+                ranking=ranked,
+                rival=None if rival is None else scored[rival],
+                levels=self._comparisons.levels(map_name),
+                pending=self._queue.count_pending(map_name),
                 revision=found.revision,
                 recipe=record.recipe,
                 searched=found.searched,

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from schemas.recipe import MapRecipe
-from schemas.records import ViewRecord
-from worker.method.cascade import RankedCandidate
+from schemas.records import MapLevels, ViewRecord
+from worker.method.cascade import RankedCandidate, Ranking
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +23,14 @@ class RankedResults:
     ----------
     views : tuple of ScoredView
         Best first.
+    ranking : Ranking
+        All candidates.
+    rival : ScoredView or None
+        Best view of another place than the first one's.
+    levels : MapLevels
+        Of the map.
+    pending : int
+        Views of the map that were acknowledged and are not described yet.
     revision : int
     recipe : MapRecipe
     searched : int
@@ -32,6 +40,10 @@ class RankedResults:
     """
 
     views: tuple[ScoredView, ...]
+    ranking: Ranking
+    rival: ScoredView | None
+    levels: MapLevels
+    pending: int
     revision: int
     recipe: MapRecipe
     searched: int

@@ -93,6 +93,27 @@ class Descriptions(Part):
         """Local features by sequence number; deleted views are absent."""
         return {seq: packing.unpack_keypoints(body) for seq, body in self._rows(_bodies(KEYPOINTS), seqs, recipe)}
 
+    def whole(self, seq: int, recipe: DescriptionRecipe) -> Description | None:
+        """A view's whole description; None when it was deleted."""
+        appearances, cells = self.appearances([seq], recipe.id), self.cells([seq], recipe.id)
+        of = DESCRIPTIONS.c.seq == seq, DESCRIPTIONS.c.recipe == recipe.id
+        facts = sa.select(DESCRIPTIONS, VECTORS.c.body).join(
+            VECTORS, (VECTORS.c.seq == DESCRIPTIONS.c.seq) & (VECTORS.c.recipe == DESCRIPTIONS.c.recipe)
+        )
+        with self._database.reading() as connection:
+            row = connection.execute(facts.where(*of)).one_or_none()
+        if row is None or seq not in appearances or seq not in cells:
+            return None
+        return Description(
+            vectors=packing.unpack_vectors(row.body, recipe),
+            appearance=appearances[seq],
+            cells=cells[seq],
+            keypoints=self.local_features([seq], recipe.id).get(seq),
+            label_shares=packing.unpack_floats(row.label_shares),
+            static_share=row.static_share,
+            descriptor_count=row.descriptor_count,
+        )
+
     def _rows(self, reading: sa.Select[Any], seqs: Sequence[int], recipe: str) -> list[Any]:
         with self._database.reading() as connection:
             return [

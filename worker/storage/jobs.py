@@ -145,6 +145,14 @@ class Jobs(Part):
                 .values(state="waiting", worker=None, token=None, lease_until=None, attempts=JOBS.c.attempts - 1)
             )
 
+    def count_pending(self, name: str) -> int:
+        """Number of a map's views that are not described yet by its recipe; raises NotFound."""
+        with self._database.reading() as connection:
+            row = find_map(connection, name)
+            mine = JOBS.c.map_id == row.id, JOBS.c.recipe == row.recipe, JOBS.c.kind == "describe"
+            unfinished = JOBS.c.state.in_(("waiting", "running"))
+            return connection.scalar(sa.select(sa.func.count()).select_from(JOBS).where(*mine, unfinished)) or 0
+
     def count_waiting(self, *, redescriptions: bool = False) -> int:
         """Number of enrolments not yet described.
 

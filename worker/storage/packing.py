@@ -49,6 +49,13 @@ def pack_vectors(description: Description, recipe: DescriptionRecipe) -> bytes:
     return b"".join(pack_floats(description.vectors[name]) for name in channels)
 
 
+def unpack_vectors(body: bytes, recipe: DescriptionRecipe) -> dict[str, Floats]:
+    """The histogram vectors by channel, float32 (dimensions,) each."""
+    channels = recipe.parameters.channels
+    ends = np.cumsum([channel.length for channel in channels.values()])
+    return dict(zip(channels, np.split(unpack_floats(body), ends[:-1]), strict=True))
+
+
 def pack_appearance(appearance: Appearance) -> bytes:
     """Cells at half size and graph."""
     graph = appearance.graph

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 
 from schemas.errors import SetupError
 from worker.storage.calls import Calls, Vocabularies
+from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
@@ -51,6 +52,7 @@ class SqlStore:
         self.removals = Removals(database, images)
         self.listings = Listings(database, images)
         self.descriptions = Descriptions(database, images)
+        self.comparisons = Comparisons(database, images)
         self.vocabularies = Vocabularies(database, images)
         self.calls = Calls(database, images)
         self.pruning = Pruning(database, images)

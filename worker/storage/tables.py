@@ -4,7 +4,7 @@
 
     clock                      the last revision
     recipes                    description recipes by id
-    maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints
+    maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints, comparisons
                                     ├───── metadata_pairs
                                     └───── jobs
                                ── tombstones
@@ -129,6 +129,23 @@ VECTORS = _part_of_a_description("vectors")  # float32, little-endian, channels 
 APPEARANCES = _part_of_a_description("appearances")  # this and the following: see packing.py
 CELLS = _part_of_a_description("cells")
 KEYPOINTS = _part_of_a_description("keypoints")
+
+COMPARISONS = sa.Table(  # of a view with the other views of its map; see schemas.records.Comparison
+    "comparisons",
+    METADATA,
+    sa.Column("seq", sa.BigInteger, primary_key=True),
+    sa.Column("recipe", sa.Text, primary_key=True),
+    sa.Column("map_id", sa.BigInteger, nullable=False),  # of the view, for the index below
+    sa.Column("among", sa.Integer, nullable=False),
+    sa.Column("level", sa.Double),
+    sa.Column("gap", sa.Double),
+    sa.Column("same_spot", sa.Text, nullable=False),  # JSON: sequence numbers
+    sa.Column("made_at", UtcDateTime, nullable=False),
+    sa.ForeignKeyConstraint(
+        ["seq", "recipe"], ["descriptions.seq", "descriptions.recipe"], name="comparisons_of", ondelete="CASCADE"
+    ),
+    sa.Index("comparisons_by_map", "map_id", "recipe"),
+)
 
 JOBS = sa.Table(
     "jobs",

@@ -21,7 +21,7 @@ from worker.storage.rows import (
     view_rows,
     views_of,
 )
-from worker.storage.tables import VIEWS
+from worker.storage.tables import COMPARISONS, VIEWS
 
 
 class Views(Part):
@@ -85,6 +85,7 @@ class Views(Part):
             if any(value != getattr(before, column) for column, value in columns.items()):
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**columns))
                 keep_pairs(connection, before.seq, attributes)
+                connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
                 clock.tick(connection, before.map_id)
             return view_record(find_view(connection, view_id))
 

@@ -1,0 +1,74 @@
+"""Places: which views show the same spot, by what the user said of them and by the map's own comparison."""
+
+from collections.abc import Mapping, Sequence
+from math import inf
+
+from schemas.records import KnownView, Position
+from worker.method.estimate import distance
+
+NEIGHBOURHOOD = 4.0
+"""Views further apart than a place is wide, but not more than this many times, are neighbours: along a path they show
+much of the same things, so they are evidence neither for the place nor against it."""
+
+
+class Places:
+    """Which of some views are of one place.
+
+    Parameters
+    ----------
+    known : mapping of sequence number to KnownView
+    same_place_m : float
+        Views at most this far apart are of one place, metres.
+
+    Notes
+    -----
+    Two views are of one place when they have the same name, or lie at most `same_place_m` apart, or the map's own
+    comparison says so. This is no equivalence: along a path each view shares a place with the next. A place is
+    therefore always that of one view, the best.
+    """
+
+    def __init__(self, known: Mapping[int, KnownView], same_place_m: float) -> None:
+        self._known, self._within = known, same_place_m
+
+    def positions(self) -> list[Position]:
+        """Positions of all the views."""
+        return [view.position for view in self._known.values()]
+
+    def same(self, one: int, other: int) -> bool:
+        """Whether two views, by sequence number, are of one place."""
+        a, b = self._known[one], self._known[other]
+        return (
+            one == other
+            or (a.name is not None and a.name == b.name)
+            or distance(a.position, b.position) <= self._within
+            or other in a.same_spot
+            or one in b.same_spot
+        )
+
+    def apart(self, one: int, other: int) -> bool:
+        """Whether two views are of different places and not neighbours either."""
+        if self.same(one, other):
+            return False
+        gap = distance(self._known[one].position, self._known[other].position)
+        return gap == inf or gap > NEIGHBOURHOOD * self._within
+
+    def group(self, ranked: Sequence[int]) -> list[list[int]]:
+        """Views by place: each place is that of its best view, and takes all later views that share it.
+
+        Parameters
+        ----------
+        ranked : sequence of int
+            Sequence numbers, best first.
+
+        Returns
+        -------
+        list of list of int
+            Indices into `ranked`, best place first, best view of each first.
+        """
+        left = list(range(len(ranked)))
+        groups = []
+        while left:
+            best = ranked[left[0]]
+            groups.append([i for i in left if self.same(best, ranked[i])])
+            left = [i for i in left if not self.same(best, ranked[i])]
+        return groups

@@ -1,0 +1,159 @@
+"""Compare the views of a map with one another, in the background, to learn what wrong answers get there."""
+
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Description
+from schemas.recipe import DescriptionRecipe, RankingConfig
+from schemas.records import Candidates, Comparison, Selection, Uncompared
+from worker.method import cascade
+from worker.method.byte_vectors import Product
+from worker.method.cascade import Ranking, ViewGone
+from worker.method.places import Places
+from worker.search.catalogue import Catalogue
+from worker.search.fetcher import Fetcher
+from worker.search.ports import ComparisonReader, DescriptionReader, Index
+
+SAMPLE = 2000
+"""Views of a map that are compared at most: means over so many views are exact enough for a map of any size."""
+
+FIRST = 32
+"""Views of a map that are compared while images wait to be described: enough for the means to settle."""
+
+PORTION = 8
+"""Views compared at a time; after each the thread rests as long as it worked."""
+
+SAME_SPOT_INLIERS, SAME_SPOT_SCORE = 40, 0.55
+"""Two views show the same spot when this many keypoints agree, of 300, and they score this much. Views of look-alike
+floors reach 31 and 0.5."""
+
+WIDENED = 3
+"""How often a search is repeated because too many of its candidates show the view's own place."""
+
+
+class ComparisonStore(ComparisonReader, Protocol):
+    """Comparisons of views."""
+
+    def uncompared(self, sample: int, count: int) -> Uncompared | None:
+        """Up to `count` views, of one map, that should be compared, or None."""
+        ...
+
+    def keep(self, name: str, recipe: str, comparisons: list[Comparison], now: datetime) -> None:
+        """Store comparisons."""
+        ...
+
+
+class Descriptions(DescriptionReader, Protocol):
+    """Descriptions, in parts and whole."""
+
+    def whole(self, seq: int, recipe: DescriptionRecipe) -> Description | None:
+        """A view's whole description; None when it was deleted."""
+        ...
+
+
+class MapComparer:
+    """Queries each map with its own views. Nothing is encoded: descriptions are read from the store.
+
+    Parameters
+    ----------
+    comparisons, descriptions
+        Parts of the store.
+    catalogue : Catalogue
+    product : Product
+        Multiplies dense cells.
+    rest : function
+        Sleeps for a number of seconds.
+    """
+
+    def __init__(
+        self,
+        *,
+        comparisons: ComparisonStore,
+        descriptions: Descriptions,
+        catalogue: Catalogue,
+        product: Product,
+        rest: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self._comparisons, self._descriptions = comparisons, descriptions
+        self._catalogue, self._product, self._rest = catalogue, product, rest
+
+    def step(self, *, busy: bool = False) -> bool:
+        """Compare a portion of views; returns whether there was anything to do.
+
+        Parameters
+        ----------
+        busy : bool
+            Images wait to be described: compare no more than `FIRST` of each map.
+        """
+        due = self._comparisons.uncompared(FIRST if busy else SAMPLE, PORTION)
+        if due is None:
+            return False
+        began = time.monotonic()
+        index, record = self._catalogue.index(due.map)
+        if record.description.id != due.recipe:
+            return True  # the map has just changed over
+        made = [self._compare(seq, index, record.description, record.ranking, due.among) for seq in due.seqs]
+        self._comparisons.keep(due.map, due.recipe, [one for one in made if one is not None], datetime.now(UTC))
+        self._rest(time.monotonic() - began)
+        return True
+
+    def all(self) -> None:
+        """Compare everything that is due, without a rest."""
+        rest, self._rest = self._rest, lambda _: None
+        try:
+            while self.step():
+                pass
+        finally:
+            self._rest = rest
+
+    def _compare(
+        self, seq: int, index: Index, recipe: DescriptionRecipe, config: RankingConfig, among: int
+    ) -> Comparison | None:
+        """The comparison of one view; None when views were deleted meanwhile."""
+        query = self._descriptions.whole(seq, recipe)
+        if query is None:
+            return None
+        fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id)
+        try:
+            found = self._search(index, query, config, {seq})
+            ranking = self._rank(query, found, recipe, config, fetcher)
+            spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
+            own = {seq} | spot
+            for _ in range(WIDENED):
+                known = dict(zip(seqs := [int(s) for s in found.seqs] + [seq], fetcher.known(seqs), strict=True))
+                places = Places(known, config.same_place_m)
+                more = {other for other in seqs if not places.apart(seq, other)} - own
+                if not more:
+                    break
+                own |= more
+                found = self._search(index, query, config, own)
+            others = self._rank(query, found, recipe, config, fetcher)
+        except ViewGone:
+            return None
+        level = float(others.scores[0]) if len(others.seqs) else None
+        rival = others.rival
+        gap = None if level is None or rival is None else level - float(others.scores[rival])
+        return Comparison(seq, level, gap, tuple(sorted(spot)), among)
+
+    def _search(self, index: Index, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
+        return index.search(query.vectors, max(2, config.candidates), Selection(None, np.array(sorted(never))))
+
+    def _rank(
+        self,
+        query: Description,
+        found: Candidates,
+        recipe: DescriptionRecipe,
+        config: RankingConfig,
+        fetcher: Fetcher,
+    ) -> Ranking:
+        return cascade.rank(query, found, recipe, config, fetcher, top=0, product=self._product)
+
+
+def _same_spot(ranking: Ranking) -> npt.NDArray[np.intp]:
+    """Which candidates show the spot of the query itself."""
+    return np.flatnonzero((ranking.inliers >= SAME_SPOT_INLIERS) & (ranking.scores >= SAME_SPOT_SCORE))

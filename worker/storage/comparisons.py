@@ -1,0 +1,115 @@
+"""Comparisons of views with the other views of their map."""
+
+import json
+from collections.abc import Sequence
+from datetime import datetime
+from functools import cache
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.records import Comparison, KnownView, MapLevels, Position, Uncompared
+from worker.storage import clock
+from worker.storage.part import Part
+from worker.storage.rows import COORDINATES, batches, find_map
+from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
+
+_SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
+"""A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
+
+
+class Comparisons(Part):
+    """What views find when their own map is queried with them, and what is known of views besides their images."""
+
+    def uncompared(self, sample: int, count: int) -> Uncompared | None:
+        """Up to `count` views, of one map, that should be compared, or None.
+
+        Parameters
+        ----------
+        sample : int
+            Views of each map that are compared at most; a larger map is sampled.
+        count : int
+        """
+        with self._database.reading() as connection:
+            for row in connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.id)):
+                among = connection.scalar(_ready(row)) or 0
+                fresh = (*_of(row), COMPARISONS.c.among * 2 > among)
+                done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
+                left = min(count, min(among, sample) - done)
+                if among < 2 or left <= 0:
+                    continue
+                made = sa.exists().where(COMPARISONS.c.seq == DESCRIPTIONS.c.seq, *fresh)
+                due = sa.select(DESCRIPTIONS.c.seq).where(*_described(row), ~made).order_by(_SPREAD).limit(left)
+                return Uncompared(row.name, row.recipe, tuple(connection.scalars(due)), among)
+        return None
+
+    def keep(self, name: str, recipe: str, comparisons: Sequence[Comparison], now: datetime) -> None:
+        """Store comparisons as of the map's next revision; those of views that were deleted or described anew are left
+        out, and all of them when the map was deleted."""
+        with self._database.writing() as connection:
+            row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
+            if row is None or row.recipe != recipe:
+                return
+            seqs = [one.seq for one in comparisons]
+            there = sa.select(DESCRIPTIONS.c.seq).where(*_described(row), DESCRIPTIONS.c.seq.in_(seqs))
+            left = set(connection.scalars(there))
+            rows = [
+                {
+                    "seq": one.seq,
+                    "recipe": recipe,
+                    "map_id": row.id,
+                    "among": one.among,
+                    "level": one.level,
+                    "gap": one.gap,
+                    "made_at": now,
+                    "same_spot": json.dumps([int(seq) for seq in one.same_spot]),
+                }
+                for one in comparisons
+                if one.seq in left
+            ]
+            if rows:
+                old = COMPARISONS.c.recipe == recipe, COMPARISONS.c.seq.in_(left)
+                connection.execute(sa.delete(COMPARISONS).where(*old))
+                connection.execute(sa.insert(COMPARISONS), rows)
+                clock.tick(connection, row.id)
+
+    def levels(self, name: str) -> MapLevels:
+        """Means over the compared views of a map; raises NotFound."""
+        with self._database.reading() as connection:
+            row = find_map(connection, name)
+            level, gap, made_at = COMPARISONS.c.level, COMPARISONS.c.gap, COMPARISONS.c.made_at
+            means = sa.func.count(level), sa.func.avg(level), sa.func.avg(gap), sa.func.max(made_at)
+            count, *mean, latest = connection.execute(sa.select(*means).where(*_of(row))).one()
+        return MapLevels(count, float(mean[0] or 0), float(mean[1] or 0), latest)
+
+    def known(self, seqs: Sequence[int], recipe: str) -> dict[int, KnownView]:
+        """Name, position and comparison of views by sequence number; deleted views are absent."""
+        found: dict[int, KnownView] = {}
+        with self._database.reading() as connection:
+            for portion in batches(int(seq) for seq in seqs):
+                for row in connection.execute(_known(), {"seqs": portion, "recipe": recipe}):
+                    spot = frozenset() if row.same_spot is None else frozenset(json.loads(row.same_spot))
+                    position = Position(*(getattr(row, name) for name in COORDINATES))
+                    found[row.seq] = KnownView(row.place, position, spot)
+        return found
+
+
+def _of(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
+    return COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == row.recipe
+
+
+def _described(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
+    return DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == row.recipe
+
+
+def _ready(row: sa.Row[Any]) -> sa.Select[Any]:
+    return sa.select(sa.func.count()).select_from(DESCRIPTIONS).where(*_described(row))
+
+
+@cache
+def _known() -> sa.Select[Any]:
+    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
+    compared = (COMPARISONS.c.seq == VIEWS.c.seq) & (COMPARISONS.c.recipe == recipe)
+    columns = [VIEWS.c[name] for name in ("seq", "place", *COORDINATES)]
+    return sa.select(*columns, COMPARISONS.c.same_spot).outerjoin(COMPARISONS, compared).where(VIEWS.c.seq.in_(seqs))
