@@ -38,9 +38,9 @@ def corridor(rng: np.random.Generator) -> Place:
     for side, sign in ((0, -1), (1, 1)):
         windows = side == 1 and rng.random() < 0.4
         texture, labels, glow = _wall(rng, length - BEHIND, height, paint, accent, doors, dado, windows=windows)
-        _put_wall(place, texture, labels, glow, sign, half, height, length)
-    _floor(place, rng, half, length)
-    _ceiling(place, rng, half, height, length)
+        put_wall(place, texture, labels, glow, sign, half, height, length)
+    lay_floor(place, rng, half, length)
+    hang_ceiling(place, rng, half, height, length)
     texture, labels, glow = _end(rng, 2 * half, height, paint, accent, doors, dado)
     place.surfaces.append(
         Surface(vector(-half, length, height), vector(2 * half, 0, 0), vector(0, 0, -height), texture, labels, glow)
@@ -54,7 +54,7 @@ def corridor(rng: np.random.Generator) -> Place:
     return place
 
 
-def _put_wall(
+def put_wall(
     place: Place, texture: Pixels, labels: Pixels, glow: Pixels, sign: int, half: float, height: float, length: float
 ) -> None:
     """Add a wall in pieces of about 3 m, each drawn at the resolution that its distance needs."""
@@ -79,9 +79,10 @@ def _put_wall(
         )
 
 
-def _blank(
+def plain_wall(
     rng: np.random.Generator, length: float, height: float, paint: Colour, accent: Colour, dado: float
 ) -> tuple[Pixels, Pixels, Pixels]:
+    """Texture, labels and glow of a bare wall, its lower `dado` metres in the accent colour."""
     size = (round(height * PER_METRE), round(length * PER_METRE))
     texture = materials.plaster(rng, size, paint)
     if dado:
@@ -103,12 +104,12 @@ def _wall(
     *,
     windows: bool,
 ) -> tuple[Pixels, Pixels, Pixels]:
-    texture, labels, glow = _blank(rng, length, height, paint, accent, dado)
+    texture, labels, glow = plain_wall(rng, length, height, paint, accent, dado)
     x = float(rng.uniform(0.3, 1.6))
     while x < length - 1.2:
         kind = rng.random()
         if windows and kind < 0.6:
-            x += _window(rng, texture, labels, glow, x, height)
+            x += put_window(rng, texture, labels, glow, x, height)
         elif kind < 0.42:
             x += _door(rng, texture, labels, doors, x)
         elif kind < 0.62:
@@ -124,14 +125,14 @@ def _wall(
 def _end(
     rng: np.random.Generator, width: float, height: float, paint: Colour, accent: Colour, doors: Colour, dado: float
 ) -> tuple[Pixels, Pixels, Pixels]:
-    texture, labels, glow = _blank(rng, width, height, accent if rng.random() < 0.4 else paint, accent, dado)
+    texture, labels, glow = plain_wall(rng, width, height, accent if rng.random() < 0.4 else paint, accent, dado)
     kind = rng.random()
     if kind < 0.45:
         _door(rng, texture, labels, doors, width / 2 - 0.5)
         cv2.rectangle(texture, (texture.shape[1] // 2 - 16, 8), (texture.shape[1] // 2 + 16, 22), (30, 130, 70), -1)
         glow[8:22, texture.shape[1] // 2 - 16 : texture.shape[1] // 2 + 16] = (40, 170, 90)
     elif kind < 0.8:
-        _window(rng, texture, labels, glow, max(0.1, width / 2 - 0.8), height)
+        put_window(rng, texture, labels, glow, max(0.1, width / 2 - 0.8), height)
     else:
         _image(rng, texture, labels, width / 2 - 0.5, height)
     return texture, labels, glow
@@ -172,7 +173,10 @@ def _door(rng: np.random.Generator, texture: Pixels, labels: Pixels, colour: Col
     return width + 0.3
 
 
-def _window(rng: np.random.Generator, texture: Pixels, labels: Pixels, glow: Pixels, x: float, height: float) -> float:
+def put_window(
+    rng: np.random.Generator, texture: Pixels, labels: Pixels, glow: Pixels, x: float, height: float
+) -> float:
+    """Paint a window into a wall, `x` metres from its left end; returns its width in metres."""
     width = float(rng.uniform(1.2, 1.9))
     area = _area(texture, x, width, min(height - 0.25, 2.35), 0.85)
     ys, xs = area
@@ -235,7 +239,8 @@ def _extinguisher(texture: Pixels, labels: Pixels, x: float) -> float:
     return 0.3
 
 
-def _floor(place: Place, rng: np.random.Generator, half: float, length: float) -> None:
+def lay_floor(place: Place, rng: np.random.Generator, half: float, length: float) -> None:
+    """Give an indoor place a floor of tiles, boards or linoleum, `half` metres to either side."""
     place.ground = (-half, half, BEHIND, length)
     size = (round((length - BEHIND) * PER_METRE), round(2 * half * PER_METRE))
     kind = int(rng.integers(4))
@@ -255,7 +260,8 @@ def _floor(place: Place, rng: np.random.Generator, half: float, length: float) -
     place.ground_labels = np.full(size, label("floor"), np.uint8)
 
 
-def _ceiling(place: Place, rng: np.random.Generator, half: float, height: float, length: float) -> None:
+def hang_ceiling(place: Place, rng: np.random.Generator, half: float, height: float, length: float) -> None:
+    """Give an indoor place a ceiling with a row of lamps."""
     size = (round((length - BEHIND) * 30), round(2 * half * 30))
     tiled = rng.random() < 0.6
     if tiled:

@@ -114,38 +114,72 @@ class Scene:
     def _drawn(self) -> tuple[Pixels, Pixels]:
         place = _built(self.seed, self.kind)
         # Clouds, grain and the paint of vehicles are random per image: they must not identify the place.
-        moment = np.random.default_rng(_digest(repr(self)))
-        fine = (self.size[0] * FINER, self.size[1] * FINER)
-        camera = Camera.at(place.start.then(self.viewpoint), fine)
-        light = Light(self.light, place)
-        if place.indoors:
-            background: Pixels = np.zeros((fine[1], fine[0], 3), np.uint8)
-        else:
-            background = sky(camera, light.day, moment)
-        canvas = Canvas(camera, background, label("wall" if place.indoors else "sky"))
-        surfaces, sprites = self._passing(place, moment)
-        for surface in [*_ground(place, light), *place.surfaces, *surfaces]:
-            canvas.draw(surface, light.on)
-        for sprite in [*place.sprites, *sprites]:
-            canvas.draw_sprite(sprite, light.on_sprite)
-        colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.closeness, light.day)
-        pixels = cv2.resize(colours, self.size, interpolation=cv2.INTER_AREA)
-        labels = np.ascontiguousarray(canvas.labels[FINER // 2 :: FINER, FINER // 2 :: FINER])
-        return developed(pixels, light.day, moment), labels
+        moment = np.random.default_rng(digest(repr(self)))
+        return draw(place, place.start.then(self.viewpoint), self.light, self.size, moment, self.things)
 
-    def _passing(self, place: Place, moment: np.random.Generator) -> tuple[list[Surface], list[Sprite]]:
-        surfaces: list[Surface] = []
-        sprites: list[Sprite] = []
-        for thing in self.things:
-            x, y, heading = place.stands[thing]
-            x, y = x + float(moment.normal(0, 0.2)), y + float(moment.normal(0, 0.3))
-            if thing == "bus":
-                surfaces += passing.bus(moment, x, y, heading)
-            elif thing == "car":
-                surfaces += passing.car(moment, x, y, heading)
-            else:
-                sprites.append(passing.person(moment, x, y))
-        return surfaces, sprites
+
+def draw(
+    place: Place,
+    viewpoint: Viewpoint,
+    lighting: Lighting,
+    size: tuple[int, int],
+    moment: np.random.Generator,
+    things: tuple[str, ...] = (),
+) -> tuple[Pixels, Pixels]:
+    """Draw a place.
+
+    Parameters
+    ----------
+    place : Place
+    viewpoint : Viewpoint
+        Of the camera, in the place's coordinates.
+    lighting : {"noon", "overcast", "dusk", "night"}
+    size : (int, int)
+        (width, height) of the image.
+    moment : numpy.random.Generator
+        Makes what belongs to this image alone: clouds, grain, the paint of vehicles.
+    things : tuple of {"bus", "car", "person"}
+        Passing things that stand in front.
+
+    Returns
+    -------
+    pixels : uint8 of shape (height, width, 3)
+        RGB.
+    labels : uint8 of shape (height, width)
+        Index into `scenes.LABELS` for each pixel.
+    """
+    fine = (size[0] * FINER, size[1] * FINER)
+    camera = Camera.at(viewpoint, fine)
+    light = Light(lighting, place)
+    if place.indoors:
+        background: Pixels = np.zeros((fine[1], fine[0], 3), np.uint8)
+    else:
+        background = sky(camera, light.day, moment)
+    canvas = Canvas(camera, background, label("wall" if place.indoors else "sky"))
+    surfaces, sprites = _passing(place, things, moment)
+    for surface in [*_ground(place, light), *place.surfaces, *surfaces]:
+        canvas.draw(surface, light.on)
+    for sprite in [*place.sprites, *sprites]:
+        canvas.draw_sprite(sprite, light.on_sprite)
+    colours = canvas.colours if place.indoors else hazed(canvas.colours, canvas.closeness, light.day)
+    pixels = cv2.resize(colours, size, interpolation=cv2.INTER_AREA)
+    labels = np.ascontiguousarray(canvas.labels[FINER // 2 :: FINER, FINER // 2 :: FINER])
+    return developed(pixels, light.day, moment), labels
+
+
+def _passing(place: Place, things: tuple[str, ...], moment: np.random.Generator) -> tuple[list[Surface], list[Sprite]]:
+    surfaces: list[Surface] = []
+    sprites: list[Sprite] = []
+    for thing in things:
+        x, y, heading = place.stands[thing]
+        x, y = x + float(moment.normal(0, 0.2)), y + float(moment.normal(0, 0.3))
+        if thing == "bus":
+            surfaces += passing.bus(moment, x, y, heading)
+        elif thing == "car":
+            surfaces += passing.car(moment, x, y, heading)
+        else:
+            sprites.append(passing.person(moment, x, y))
+    return surfaces, sprites
 
 
 def scene(name: str, kind: Kind | None = None) -> Scene:
@@ -154,10 +188,11 @@ def scene(name: str, kind: Kind | None = None) -> Scene:
     Without `kind`, words such as "park" or "corridor" in the name decide it; other names are streets.
     """
     named = next((k for word, k in _KIND_BY_WORD.items() if word in name.lower()), "street")
-    return Scene(_digest(name), kind or named)  # type: ignore[arg-type]
+    return Scene(digest(name), kind or named)  # type: ignore[arg-type]
 
 
-def _digest(text: str) -> int:
+def digest(text: str) -> int:
+    """A seed of 32 bits from a text, the same in every process."""
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
 
