@@ -50,8 +50,8 @@ class Layout:
     def near(self, images: Indices, units: int) -> Indices:
         """Database images within so many units of any of `images`, in the same part; ascending."""
         apart = np.abs(self.unit[:, None] - self.unit[images])
-        beside = (apart <= units) & (self.part[:, None] == self.part[images])
-        return np.flatnonzero(beside.any(axis=1))
+        adjacent = (apart <= units) & (self.part[:, None] == self.part[images])
+        return np.flatnonzero(adjacent.any(axis=1))
 
 
 def layout(dataset: Dataset) -> Layout:
