@@ -84,7 +84,7 @@ def run(
         total = len(dataset.database) + len(dataset.queries)
         distances = rival.rank(dataset.database, dataset.queries, counted(progress, rival.name, total))
         methods += measure(dataset, ranked_by(distances, dataset, rival.name), seed=seed)
-    found = replace(frame(dataset), methods=tuple(methods), circumstances=_circumstances(seed))
+    found = replace(frame(dataset), methods=tuple(methods), circumstances=circumstances(seed))
     return Outcome(found, shown)
 
 
@@ -93,7 +93,7 @@ def _images(dataset: Dataset, answers: Answers, artist: Artist | None, count: in
     return drawn + the_papers_figures(dataset, answers, artist, seed)
 
 
-def _circumstances(seed: int) -> dict[str, str]:
+def circumstances(seed: int) -> dict[str, str]:
     """What has to be known to get the same figures again."""
     packages = ("numpy", "opencv-python-headless", "faiss-cpu", "torch")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -163,7 +163,13 @@ def make_product(settings: Settings) -> Product:
     return fastest_product()
 
 
-def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder = make_encoder) -> Runtime:
+def build(
+    settings: Settings,
+    *,
+    serving: bool = True,
+    make_encoder: MakeEncoder = make_encoder,
+    make_scheduler: type[Scheduler] = Scheduler,
+) -> Runtime:
     """Build everything, start nothing.
 
     Parameters
@@ -173,6 +179,8 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
         True for the one process that serves the data folder over HTTP; False for a worker.
     make_encoder : function
         Another one for benchmarks with other encoders.
+    make_scheduler : type of Scheduler
+        Another one for studies that describe the same images for many maps.
 
     Raises
     ------
@@ -187,7 +195,7 @@ def build(settings: Settings, *, serving: bool = True, make_encoder: MakeEncoder
         encoder, segmenter = make_encoder(settings, threads)
         store = open_store(settings.database_url, settings.data)
         batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
-        scheduler = Scheduler(encoder, batch, settings.queries, segmenter)
+        scheduler = make_scheduler(encoder, batch, settings.queries, segmenter)
         product = make_product(settings)
         general = [general_vocabulary(encoder, name) for name in PRESETS]
         describers = Describers(encoder, store.vocabularies, general, product)

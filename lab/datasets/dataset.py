@@ -45,6 +45,8 @@ class Dataset:
         Metres in the ground plane.
     allowed : int64 of shape (queries,) or None
         Online loop closure: how many of the first database images each query may be answered with. None: all.
+    places : tuple of str or None
+        Name of the place that each database image shows, as a user would give it.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Dataset:
     database_positions: Doubles | None = None
     query_positions: Doubles | None = None
     allowed: Indices | None = None
+    places: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         for images, positions in (
@@ -63,6 +66,8 @@ class Dataset:
         ):
             if positions is not None and positions.shape != (len(images), 2):
                 raise ValueError(f"{self.name}: {positions.shape} positions for {len(images)} images")
+        if self.places is not None and len(self.places) != len(self.database):
+            raise ValueError(f"{self.name}: {len(self.places)} names of places for {len(self.database)} images")
         self.judged()
 
     def judged(self) -> Truth:

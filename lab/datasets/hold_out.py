@@ -40,11 +40,12 @@ def hold_out(dataset: Dataset, share: float, generator: np.random.Generator) -> 
     if gone.all():
         raise ValueError(f"{dataset.name}: holding out {share:.0%} of the queries leaves no database")
     number = np.cumsum(~gone) - 1
-    positions = dataset.database_positions
+    positions, names = dataset.database_positions, dataset.places
     return replace(
         dataset,
         name=f"{dataset.name} ({share:.0%} held out)",
         database=tuple(p for p, absent in zip(dataset.database, gone, strict=True) if not absent),
         positives=tuple(number[p[~gone[p]]].astype(np.int64) for p in dataset.positives),
         database_positions=None if positions is None else positions[~gone],
+        places=names if names is None else tuple(n for n, absent in zip(names, gone, strict=True) if not absent),
     )

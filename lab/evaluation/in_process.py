@@ -18,13 +18,17 @@ from schemas.settings import Settings
 from worker.description import vocabularies
 from worker.description.describer import Describer
 from worker.description.presets import Wanted, make_recipe
+from worker.description.scheduler import Scheduler
 from worker.description.vocabularies import Vocabulary
 from worker.runtime import MakeEncoder, Runtime, build, make_encoder
 
 
 @contextmanager
 def runtime_for_measuring(
-    settings: Settings, device: str = "cpu", make_encoder: MakeEncoder = make_encoder
+    settings: Settings,
+    device: str = "cpu",
+    make_encoder: MakeEncoder = make_encoder,
+    make_scheduler: type[Scheduler] = Scheduler,
 ) -> Iterator[Runtime]:
     """A started runtime with a data folder of its own, which is removed afterwards.
 
@@ -36,6 +40,8 @@ def runtime_for_measuring(
         Where networks run.
     make_encoder : function
         From settings and a number of threads to another encoder, such as a checkpoint in training.
+    make_scheduler : type of Scheduler
+        `lab.evaluation.once.DescribeOnce` where many maps get the same images.
 
     Raises
     ------
@@ -44,7 +50,7 @@ def runtime_for_measuring(
     """
     with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
         apart = {"data": Path(folder), "database": None, "inline_worker": True, "device": device}
-        runtime = build(settings.model_copy(update=apart), make_encoder=make_encoder)
+        runtime = build(settings.model_copy(update=apart), make_encoder=make_encoder, make_scheduler=make_scheduler)
         runtime.start()
         try:
             yield runtime

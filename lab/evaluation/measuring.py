@@ -223,7 +223,7 @@ def _figures(
         recall_of_all=share(None),
         luck=looks_like_chance(answers.ranked, truth, np.random.default_rng(seed), depths=depths),
         known_place=_known_place(answers, right, answerable),
-        calibrated=_calibrated(answers.confidence, right)
+        calibrated=calibrated(answers.confidence, right)
         if answers.calibrated and answers.confidence is not None
         else None,
         gain=gain,
@@ -262,7 +262,8 @@ def _known_place(answers: Answers, right: Booleans, answerable: Booleans) -> Kno
     )
 
 
-def _calibrated(confidence: Doubles, right: Booleans) -> Calibrated:
+def calibrated(confidence: Doubles, right: Booleans) -> Calibrated:
+    """Promised confidences against what came true, by bins."""
     found = reliability(confidence, right)
     rows = zip(found.edges[:-1], found.edges[1:], found.counts, found.promised, found.true, strict=True)
     bins = tuple((float(a), float(b), int(n), float(p), float(t)) for a, b, n, p, t in rows)

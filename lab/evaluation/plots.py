@@ -34,7 +34,7 @@ def recall(e: Evaluation) -> bytes:
         axes.plot([e.depths[0], e.depths[-1]], [1, 1], label="ceiling", **GUIDE | {"linestyle": ":"})
         axes.set(xlabel="first N answers", ylabel="recall@N", xticks=[0, *e.depths], xlim=(0, None), ylim=(0, 1.02))
 
-    return _svg(draw)
+    return svg(draw)
 
 
 def known_place(e: Evaluation) -> bytes:
@@ -48,7 +48,7 @@ def known_place(e: Evaluation) -> bytes:
         axes.axhline(e.chance_of_all[0], label="chance", **GUIDE)
         axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
 
-    return _svg(draw)
+    return svg(draw)
 
 
 def reliability(method: str, calibrated: Calibrated) -> bytes:
@@ -64,7 +64,7 @@ def reliability(method: str, calibrated: Calibrated) -> bytes:
         axes.plot([0, 1], [0, 1], label="as promised", **GUIDE)
         axes.set(xlabel="confidence", ylabel="share right", xlim=(0, 1.02), ylim=(0, 1.02))
 
-    return _svg(draw)
+    return svg(draw)
 
 
 def times(method: Figures) -> bytes:
@@ -83,10 +83,10 @@ def times(method: Figures) -> bytes:
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
 
-    return _svg(draw, 1.1 + BAR_HEIGHT * len(stages))
+    return svg(draw, 1.1 + BAR_HEIGHT * len(stages))
 
 
-def _svg(draw: "Callable[[Axes], None]", height: float = HEIGHT) -> bytes:
+def svg(draw: "Callable[[Axes], None]", height: float = HEIGHT) -> bytes:
     """What `draw` puts on empty axes, with its legend below."""
     with for_studies():
         from matplotlib import rc_context

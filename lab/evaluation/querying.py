@@ -174,23 +174,23 @@ def query_all(
             while enrolled < allowed[query]:
                 image = int(order[enrolled])
                 try:
-                    view = retriever.enroll(dataset.database[image], _position(dataset, image))
+                    view = retriever.enroll(dataset.database[image], position_of(dataset, image))
                     images.setdefault(view, []).append(image)
                 except RevisitError as refusal:
-                    _count(refused, refusal)
+                    count_refusal(refused, refusal)
                 enrolled += 1
                 tell("enrolling", enrolled, total)
             try:
                 answer = retriever.query(dataset.queries[query], depth)
             except RevisitError as refusal:
-                _count(refused, refusal)
+                count_refusal(refused, refusal)
                 answer = Answer(())
             journal.keep(query, answer, images)
         tell("querying", done, len(dataset.queries))
     return journal.results(depth, refused)
 
 
-def _count(refused: dict[str, int], refusal: RevisitError) -> None:
+def count_refusal(refused: dict[str, int], refusal: RevisitError) -> None:
     """Count an image that was refused; anything else, such as a service that is too busy, ends the run."""
     if refusal.code not in IMAGE_FAULTS:
         raise refusal
@@ -305,7 +305,8 @@ def _numbers(views: tuple[str, ...], images: Mapping[str, list[int]]) -> tuple[s
     return tuple(str(image) for view in views for image in images[view])
 
 
-def _position(dataset: Dataset, image: int) -> Position:
+def position_of(dataset: Dataset, image: int) -> Position:
+    """Where a database image was taken; empty where that is not known."""
     if dataset.database_positions is None:
         return Position()
     x, y = (float(v) for v in dataset.database_positions[image])

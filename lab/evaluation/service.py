@@ -47,12 +47,11 @@ class ServiceRetriever:
         calibration = self.runtime.calibration(self.map_recipe).to_json()
         return f"{self.map_recipe.description.id} {self.map_recipe.ranking.id} {calibration}"
 
-    def enroll(self, image: Path, position: Position) -> str:
+    def enroll(self, image: Path, position: Position, place: str | None = None) -> str:
         """Enrol an image and wait until it is described; raises RevisitError when it cannot be."""
         service = self.runtime.services.enroll
-        outcome = service.enroll(
-            image.read_bytes(), self.map_name, ViewAttributes(position=position), patience_s=PATIENCE_S
-        )
+        attributes = ViewAttributes(place=place, position=position)
+        outcome = service.enroll(image.read_bytes(), self.map_name, attributes, patience_s=PATIENCE_S)
         return outcome.view.id
 
     def query(self, image: Path, top: int) -> Answer:
@@ -70,12 +69,18 @@ class ServiceRetriever:
             confidence=result.decision.confidence,
             status=result.decision.status,
             timing_ms=result.timing_ms,
-            features={name: float(values[0]) for name, values in features(found).items()} if found else {},
+            features=evidence(result),
         )
 
     def result(self, image: Path, top: int) -> QueryResult:
         """The whole result of a query, with everything that the search saw."""
         return self.runtime.services.query.query(image.read_bytes(), self.map_name, top=top)
+
+
+def evidence(result: QueryResult) -> dict[str, float]:
+    """What a calibration may read of the first answer; empty without one."""
+    found = result.results.views
+    return {name: float(values[0]) for name, values in features(found).items()} if found else {}
 
 
 @contextmanager

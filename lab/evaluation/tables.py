@@ -11,7 +11,7 @@ from lab.evaluation.measuring import Evaluation, Figure, Figures, alarms
 
 def as_json(evaluations: Sequence[Evaluation]) -> str:
     """Everything that was measured; numbers that do not exist are null."""
-    return json.dumps([_plain(asdict(e)) for e in evaluations], indent=1, allow_nan=False) + "\n"
+    return json.dumps([plain(asdict(e)) for e in evaluations], indent=1, allow_nan=False) + "\n"
 
 
 def as_text(evaluation: Evaluation) -> str:
@@ -78,12 +78,12 @@ def remarks(method: Figures) -> list[str]:
     return found
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """JSON knows neither NaN nor infinity."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value
