@@ -59,7 +59,9 @@ class CellEvidence:
         return self._spread(self.candidate_cell)
 
     def _spread(self, cells: Indices) -> Doubles:
-        return np.bincount(cells, self.weight, self.shape[0] * self.shape[1]).reshape(self.shape)
+        spread = np.zeros(self.shape[0] * self.shape[1])
+        spread[cells] = self.weight
+        return spread.reshape(self.shape)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from worker.method.decision import Decision, decide
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
-from worker.service.explanations import Explained, Explanations
+from worker.service.explanations import Explained, Explanations, headline, rival_of
 from worker.service.ports import Listings, Maps, Views
 from worker.service.results import RankedResults, ScoredView
 
@@ -145,11 +145,13 @@ class QueryService:
             image, map_name, describer, filters or Filters(), max(top, AT_LEAST), candidates
         )
         decision = decide(results.views, self._calibration(results.recipe))
+        rival = rival_of(results.views)
         results = replace(results, views=results.views[:top])
         decision = replace(decision, confidences=decision.confidences[:top])
         query_id = str(uuid7())
         if explain:
-            self._explanations.keep(query_id, Explained(self._shrink(image), described.value, results))
+            explained = Explained(self._shrink(image), described.value, results, headline(decision), rival)
+            self._explanations.keep(query_id, explained)
         return QueryResult(
             id=query_id,
             image=image,
