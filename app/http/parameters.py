@@ -173,7 +173,10 @@ class QueryParameters(FilterParameters):
         le=500,
         description="Candidates of each channel to re-rank; 0: rank by histograms alone. Default: the map's.",
     )
-    explain: bool = Field(False, description="List and draw the regions and local features that matched.")
+    explain: bool = Field(
+        False,
+        description="List the regions and local features that matched, and keep what the explanation is drawn from.",
+    )
 
 
 class ListViews(FilterParameters):

@@ -48,7 +48,7 @@ class ServiceArtist:
             shrink(one), result.description, result.results, headline(result.decision), rival_of(views)
         )
         drawn = self._draw.draw_explanation(explained, scored)
-        return [*shown, Shown("what decided: cells, keypoints and regions that agree", drawn, wide=True)]
+        return [*shown, Shown("what agrees, and decided: cells, keypoints and regions", drawn, wide=True)]
 
     def portray(self, image: Path) -> Sequence[Shown]:
         """Labels, with dynamic things in grey, and the context graph."""

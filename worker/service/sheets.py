@@ -37,6 +37,9 @@ COMPARED = {
 TOLD = 0.005
 """Differences of a part below this are not told."""
 
+LONGEST = 48
+"""Characters of a name within a sentence; titles have room of their own."""
+
 ANEW = "the cells of {} are not shown: it was described anew or deleted since"
 
 
@@ -100,7 +103,7 @@ def sheet(
     notes, rival, contrasted = _notes(explained, scored, ours), None, None
     compared = explained.description.cells.size > 0 and scored.dense is not None
     if compared and ours is None:
-        notes.append(ANEW.format(name_of(scored.view)))
+        notes.append(ANEW.format(_short(name_of(scored.view))))
     if other is not None:
         against, photo = other
         theirs = cells_of(explained, against, stored.get(against.seq))
@@ -108,7 +111,7 @@ def sheet(
         title, caption = f"enrolled: {name_of(against.view)}", _caption(against, theirs, role)
         rival = Photo(photo.pixels, title, caption, None if theirs is None else theirs.of_candidate())
         if compared and against.dense is not None and theirs is None:
-            notes.append(ANEW.format(name_of(against.view)))
+            notes.append(ANEW.format(_short(name_of(against.view))))
         if ours is not None and theirs is not None:
             contrasted = cell_evidence.contrast(ours, theirs, explained.description.appearance.extent, components)
     looked = "tinted: agrees with the match" if ours is not None else ""
@@ -131,6 +134,12 @@ def name_of(view: ViewRecord) -> str:
     """How a view is called on a drawing: its place, the file that its metadata names, or its id."""
     named = view.attributes.place or view.attributes.metadata.get("file")
     return named if isinstance(named, str) and named else view.id
+
+
+def _short(name: str) -> str:
+    """A name with its middle left out where it is longer than `LONGEST`."""
+    half = LONGEST // 2
+    return name if len(name) <= LONGEST else f"{name[:half]}…{name[-half:]}"
 
 
 def _caption(scored: ScoredView, cells: CellEvidence | None, role: str) -> str:
@@ -159,7 +168,9 @@ def _notes(explained: Explained, scored: ScoredView, cells: CellEvidence | None)
         notes.append(f"{len(cells.weight)} of {count} cells agree on one displacement, {how}: {_share(scored)}")
     if scored.verified is not None:
         verified = scored.verified
-        notes.append(f"{verified.inliers} of {verified.matches} matched keypoints fit one geometry")
+        gated = verified.inliers and not scored.parts.get("verification")
+        weak = "; too few more than in other candidates to count" if gated else ""
+        notes.append(f"{verified.inliers} of {verified.matches} matched keypoints fit one geometry{weak}")
     if scored.graph is not None:
         pairs, drawn = len(scored.graph.pairs), len(_nodes(explained, scored))
         left = "" if drawn == pairs else f"; {drawn} drawn: the others are small or of things that move"
@@ -185,7 +196,7 @@ def _verdict(scored: ScoredView, other: ScoredView) -> str:
     against, gap = signed[-1]
     although = f", although {_difference(against, scored, other)}" if (-gap if behind else gap) >= TOLD else ""
     result = f"lost by {scored.score - other.score:.3f}" if behind else f"won by {other.score - scored.score:.3f}"
-    return f"{name_of(other.view)} {result}: {'; '.join(told) or 'no part differs much'}{although}"
+    return f"{_short(name_of(other.view))} {result}: {'; '.join(told) or 'no part differs much'}{although}"
 
 
 def _difference(name: str, scored: ScoredView, other: ScoredView) -> str:
