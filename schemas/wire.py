@@ -229,11 +229,22 @@ class Estimate(Answer):
     views: list[str]
 
 
+class Difference(Answer):
+    """A region of the query image that speaks for the first match or for its rival."""
+
+    centre: tuple[float, float] = Field(description="(x, y) in fractions of the longer side.")
+    extent: tuple[float, float] = Field(description="(width, height) in fractions of the longer side.")
+    strength: float = Field(description="Above 0: speaks for the first match; below 0: for the rival.")
+
+
 class Rival(Answer):
     """The best view of another place than the first one's."""
 
     view: View
     score: float
+    differs: list[Difference] | None = Field(
+        None, description="Where the first match and this one differ most, largest first; only with explain=true."
+    )
 
 
 class Reason(Answer):

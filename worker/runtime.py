@@ -309,6 +309,7 @@ def _services(
         renderings=RenderingService(
             maps=store.maps,
             views=store.views,
+            descriptions=store.descriptions,
             describers=describers,
             scheduler=scheduler,
             decode=decode,

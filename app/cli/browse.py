@@ -1,6 +1,8 @@
 """``revisit maps | views | places``: list, show and delete maps and views, list places."""
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from app.cli.console import DONE, Verbs, say, show, show_json, size, speaks, table
@@ -91,10 +93,14 @@ def run_views(arguments: argparse.Namespace) -> int:
             else:
                 show(f"deleted {arguments.id}: {receipt.images} images")
             return DONE
+        draw: dict[str, Callable[[str], bytes]] = {
+            "image": revisit.image,
+            "segmentation": partial(revisit.segmentation, overlay=True, legend=True),
+            "graph": partial(revisit.graph, legend=True),
+        }
         for kind, path in drawn.items():
             if path is not None:
-                png = revisit.segmentation(arguments.id, overlay=True) if kind == "segmentation" else None
-                path.write_bytes(png if png is not None else getattr(revisit, kind)(arguments.id))
+                path.write_bytes(draw[kind](arguments.id))
                 say(f"{kind}: {path}")
         if arguments.id is not None:
             # A view has too many fields for a table.

@@ -145,8 +145,8 @@ def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[li
                 view = answer.matches[0].view.id
                 name = f"{number:02d}-{query.path.stem}"
                 (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
-                (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True))
-                (folder / f"{name}-graph.png").write_bytes(revisit.graph(view))
+                (folder / f"{name}-labels.png").write_bytes(revisit.segmentation(view, overlay=True, legend=True))
+                (folder / f"{name}-graph.png").write_bytes(revisit.graph(view, legend=True))
             step(query.path.name)
     path = shlex.quote(str(material.queries[0].path))
     call = f"curl -F image=@{path} '{revisit.url}/query'   # and {len(results) - 1} more"
@@ -175,7 +175,7 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
     for call in calls:
         show(f"  {call}")
     show(f"\nimages: {output}")
-    show("  answers/*-why.png     query and match side by side, with correspondences")
+    show("  answers/*-why.png     what decided: query, match and rival, with what agrees")
     show("  answers/*-labels.png  segmentation of the match")
     show("  answers/*-graph.png   context graph of the match")
 

@@ -107,20 +107,25 @@ class Curator:
         """A JPEG of at most `longest` pixels on its longer side."""
         return await asyncio.to_thread(self._renderings.thumbnail, view_id, longest)
 
-    async def segmentation(self, view_id: str, overlay: bool) -> bytes:
-        """The segmentation of a view as an indexed PNG, or blended over the photo."""
-        return await asyncio.to_thread(partial(self._renderings.segmentation, overlay=overlay), view_id)
+    async def segmentation(self, view_id: str, overlay: bool, legend: bool) -> bytes:
+        """The segmentation of a view as an indexed PNG, or blended over the photo, with or without a key."""
+        draw = partial(self._renderings.segmentation, overlay=overlay, legend=legend)
+        return await asyncio.to_thread(draw, view_id)
 
-    async def graph(self, view_id: str) -> bytes:
-        """The context graph, drawn over the photo."""
-        return await asyncio.to_thread(self._renderings.graph, view_id)
+    def segmented_by(self) -> str:
+        """The network whose labels a segmentation shows."""
+        return self._renderings.segmented_by
+
+    async def graph(self, view_id: str, legend: bool) -> bytes:
+        """The context graph, drawn over the photo, with or without a key."""
+        return await asyncio.to_thread(partial(self._renderings.graph, legend=legend), view_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
         """An ETag that changes whenever the image does; `kind` names the image and its options."""
         return f'"{await asyncio.to_thread(self._renderings.version, view_id, kind)}"'
 
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
-        """A PNG of query and match side by side, with the correspondences between them."""
+        """A PNG of what decided about a match."""
         return await asyncio.to_thread(self._renderings.explanation, query_id, view_id)
 
     # maps

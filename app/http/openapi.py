@@ -110,13 +110,26 @@ def takes_map() -> Json:
     return takes_json({"$ref": _REF + "PutMap"}, example=example)
 
 
-def answers_bytes(*media_types: str, description: str, etag: bool = False) -> dict[int | str, Json]:
-    """The `responses` of a route that answers an image or text."""
+DRAWN_BY = "Revisit-Drawn-By"
+"""Header of drawings: the network whose labels they show."""
+
+
+def answers_bytes(
+    *media_types: str, description: str, etag: bool = False, drawn: bool = False
+) -> dict[int | str, Json]:
+    """The `responses` of a route that answers an image or text; `drawn` by a network that a header names."""
     content = {kind: {"schema": {"type": "string", "format": "binary"}} for kind in media_types}
     responses: dict[int | str, Json] = {200: {"description": description, "content": content}}
     if etag:
         responses[200]["headers"] = {"ETag": {"schema": {"type": "string"}, "required": True}}
         responses[304] = {"description": "The caller's copy (`If-None-Match`) is current."}
+    if drawn:
+        responses[200].setdefault("headers", {})[DRAWN_BY] = {
+            "description": "The network whose labels are shown. The method compares those of the encoder; a segmenter, "
+            "where the encoder has one, is finer.",
+            "schema": {"type": "string", "enum": ["encoder", "segmenter"]},
+            "required": True,
+        }
     return responses
 
 

@@ -16,6 +16,9 @@ METADATA_FILTER = "metadata.KEY"
 
 _METADATA = "metadata."
 
+_TRUE = ("1", "true", "yes", "on", "t", "y")
+"""What pydantic reads as true."""
+
 
 def _text(**schema: object) -> WithJsonSchema:
     """OpenAPI schema of a value that is written as text."""
@@ -177,7 +180,10 @@ class QueryParameters(FilterParameters):
         description="Share of answers with the status matched that must be right: the higher, the more often the "
         "status is ambiguous. Default: the map's, 0.97 unless it was changed.",
     )
-    explain: bool = Field(False, description="List and draw the regions and local features that matched.")
+    explain: bool = Field(
+        False,
+        description="List the regions and local features that matched, and keep what the explanation is drawn from.",
+    )
 
 
 class ListViews(FilterParameters):
@@ -200,7 +206,7 @@ class DeleteViews(FilterParameters):
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
         """Mistakes: neither a filter nor all=true, or both."""
         found = super().contradictions(given)
-        everything = str(given.get("all", "")).lower() in ("1", "true", "yes", "on", "t", "y")
+        everything = str(given.get("all", "")).lower() in _TRUE
         filtered = any(given.get(name) for name in given if name not in ("map", "all", "frame"))
         if everything and filtered:
             found.append(ParameterError("all", "contradicts the filters: give one or the other"))
@@ -239,6 +245,21 @@ class SegmentationParameters(Parameters):
     """Parameters of `GET /views/{id}/segmentation.png`."""
 
     overlay: bool = Field(False, description="Blend the colours over the photo, with dynamic labels in grey.")
+    legend: bool = Field(
+        False, description="With overlay: a key below the photo. Without it the drawing is as large as the photo."
+    )
+
+    @classmethod
+    def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
+        """Mistakes: a legend without overlay, whose values are read by programs."""
+        wanted = [str(given.get(name, "")).lower() in _TRUE for name in ("overlay", "legend")]
+        return [ParameterError("legend", "is of use only with overlay=true")] if wanted == [False, True] else []
+
+
+class GraphParameters(Parameters):
+    """Parameters of `GET /views/{id}/graph.png`."""
+
+    legend: bool = Field(False, description="A key below the photo. Without it the drawing is as large as the photo.")
 
 
 class ExplanationParameters(Parameters):

@@ -195,7 +195,7 @@ def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
         pending=results.pending,
         status=decision.status,
         confidence=decision.confidence,
-        reason=_reason(decision, results),
+        reason=_reason(result),
         places=[_place(place, results) for place in decision.places],
         nowhere=decision.nowhere,
         decision=wire.DecisionFacts(
@@ -245,12 +245,15 @@ def match(
     )
 
 
-def _reason(decision: Decision, results: RankedResults) -> wire.Reason:
-    reason, rival = decision.reason, results.rival
+def _reason(result: QueryResult) -> wire.Reason:
+    reason, rival = result.decision.reason, result.results.rival
     shown = None
     if reason.code == "look-alike" and rival is not None:
-        labels = results.recipe.description.labels
-        shown = wire.Rival(view=view(rival.view, labels), score=rival.score)
+        labels = result.results.recipe.description.labels
+        differs = [wire.Difference.model_validate(region, from_attributes=True) for region in result.differs]
+        shown = wire.Rival(
+            view=view(rival.view, labels), score=rival.score, differs=differs if result.explained else None
+        )
     return wire.Reason(code=reason.code, detail=reason.detail, remedy=reason.remedy, rival=shown)
 
 

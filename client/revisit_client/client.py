@@ -183,7 +183,7 @@ class Revisit:
         )
 
     def explanation(self, query_id: str, view: str | None = None) -> bytes:
-        """PNG of a query made with `explain` beside a match (default: the best), with their correspondences."""
+        """PNG of what decided about a match (default: the best) of a query made with `explain`, beside a rival."""
         return self._connection.send(
             "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
         ).content
@@ -235,14 +235,15 @@ class Revisit:
         """A small JPEG of the image."""
         return self._connection.send("GET", f"/views/{view_id}/thumbnail").content
 
-    def segmentation(self, view_id: str, *, overlay: bool = False) -> bytes:
-        """Indexed PNG of the map's labels; with `overlay`, the labels' colours blended over the image."""
-        params = texts({"overlay": True if overlay else None})
+    def segmentation(self, view_id: str, *, overlay: bool = False, legend: bool = False) -> bytes:
+        """Indexed PNG of the map's labels; with `overlay` their colours over the image, with `legend` a key below."""
+        params = texts({"overlay": overlay or None, "legend": legend or None})
         return self._connection.send("GET", f"/views/{view_id}/segmentation.png", params=params).content
 
-    def graph(self, view_id: str) -> bytes:
-        """PNG of the context graph over the image."""
-        return self._connection.send("GET", f"/views/{view_id}/graph.png").content
+    def graph(self, view_id: str, *, legend: bool = False) -> bytes:
+        """PNG of the context graph over the image, with `legend` a key below."""
+        params = texts({"legend": legend or None})
+        return self._connection.send("GET", f"/views/{view_id}/graph.png", params=params).content
 
     # maps, places, jobs
 

@@ -66,11 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         owner = runtime.services.maps.put("portraits", Wanted())[0].record
         draw = runtime.services.renderings
         street = Image.of(SEEN.pixels)
-        drawn = [_decoded(draw.draw_overlay(street, owner)), _decoded(draw.draw_graph(street, owner))]
+        drawn = [_decoded(draw.draw_overlay(street, owner, legend=True)), _decoded(draw.draw_graph(street, owner))]
         _write(side_by_side(_at_width(street.pixels), *drawn), options.to / "seen.jpg")
         rows = []
         for limit in LIMITS:
-            overlay = _decoded(draw.draw_overlay(Image.of(limit.pixels), owner))
+            overlay = _decoded(draw.draw_overlay(Image.of(limit.pixels), owner, legend=True))
             rows.append(side_by_side(_at_width(limit.pixels), overlay))
     columns = [np.concatenate(rows[at::2], axis=0) for at in range(2)]
     _write(side_by_side(*columns), options.to / "limits.jpg")

@@ -8,7 +8,8 @@ from lab.evaluation.html import Shown
 from lab.evaluation.service import ServiceRetriever
 from schemas.errors import RevisitError
 from schemas.records import Position
-from worker.service.explanations import draw_explanation
+from worker.images.codec import shrink
+from worker.service.explanations import Explained, headline
 
 EXPLAINED = 100
 """Answers among which the one to be explained is looked for."""
@@ -42,14 +43,16 @@ class ServiceArtist:
         scored = next((v for v in result.results.views if v.view.image.sha256 == other.digest), None)
         if scored is None:
             return shown
-        labels = self._owner.description.labels
-        drawn = draw_explanation(one, other, result.description.appearance.graph, scored, labels)
-        return [*shown, Shown("what agrees: nodes (thick, by label) and keypoints (thin, green)", drawn, wide=True)]
+        explained = Explained(
+            shrink(one), result.description, result.results, headline(result.decision), result.results.rival
+        )
+        drawn = self._draw.draw_explanation(explained, scored)
+        return [*shown, Shown("what agrees, and decided: cells, keypoints and regions", drawn, wide=True)]
 
     def portray(self, image: Path) -> Sequence[Shown]:
         """Labels, with dynamic things in grey, and the context graph."""
         one = self._decode(image.read_bytes())
         return [
-            Shown("segmentation by labels; what moves is grey", self._draw.draw_overlay(one, self._owner)),
+            Shown("segmentation by labels; what moves is grey", self._draw.draw_overlay(one, self._owner, legend=True)),
             Shown("nodes of static regions: the context graph", self._draw.draw_graph(one, self._owner)),
         ]

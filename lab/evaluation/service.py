@@ -10,7 +10,6 @@ from lab.datasets.dataset import Dataset
 from lab.evaluation.querying import Answer
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position, ViewAttributes
-from worker.method.decision import features
 from worker.runtime import Runtime
 from worker.service.query import QueryResult
 
@@ -39,6 +38,7 @@ class ServiceRetriever:
         if runtime.loop is None:
             raise ValueError("a runtime without a worker describes nothing")
         self.runtime, self.map_recipe, self.name, self.map_name = runtime, recipe, name, map_name
+        self._compared = False
         runtime.store.maps.put(map_name, recipe, datetime.now(UTC))
 
     @property
@@ -49,6 +49,7 @@ class ServiceRetriever:
 
     def enroll(self, image: Path, position: Position, place: str | None = None) -> str:
         """Enrol an image and wait until it is described; raises RevisitError when it cannot be."""
+        self._compared = False
         service = self.runtime.services.enroll
         attributes = ViewAttributes(place=place, position=position)
         outcome = service.enroll(image.read_bytes(), self.map_name, attributes, patience_s=PATIENCE_S)
@@ -61,10 +62,10 @@ class ServiceRetriever:
         plain = self.runtime.services.query.search(
             self.map_name, results.recipe.description, result.description, filters=Filters(), top=top, candidates=0
         )
-        found = results.views
+        found = results.views[:top]
         return Answer(
             views=tuple(scored.view.id for scored in found),
-            before=tuple(scored.view.id for scored in plain.views),
+            before=tuple(scored.view.id for scored in plain.views[:top]),
             scores=tuple(scored.score for scored in found),
             confidence=result.decision.confidence,
             status=result.decision.status,
@@ -73,14 +74,19 @@ class ServiceRetriever:
         )
 
     def result(self, image: Path, top: int) -> QueryResult:
-        """The whole result of a query, with everything that the search saw."""
+        """The whole result of a query, with everything that the search saw.
+
+        Before the first one, the views of the map are compared with one another, as the service does in the background.
+        """
+        if not self._compared:
+            self.runtime.comparer.all()
+            self._compared = True
         return self.runtime.services.query.query(image.read_bytes(), self.map_name, top=top)
 
 
 def evidence(result: QueryResult) -> dict[str, float]:
     """What a calibration may read of the first answer; empty without one."""
-    found = result.results.views
-    return {name: float(values[0]) for name, values in features(found).items()} if found else {}
+    return dict(result.decision.features)
 
 
 @contextmanager

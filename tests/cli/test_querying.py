@@ -121,6 +121,9 @@ def test_a_view_is_written_to_files(service: FakeService, tmp_path: Path) -> Non
 
     assert (tmp_path / "g.png").read_bytes() == b"graph"
     assert (tmp_path / "s.png").read_bytes() == b"labels"
+    sent = [request for request, _ in service.requests]
+    assert "GET /views/v1/graph.png?legend=true" in sent
+    assert "GET /views/v1/segmentation.png?overlay=true&legend=true" in sent
     assert main(["views", "--graph", "x.png"]) == 2
 
 

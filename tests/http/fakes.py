@@ -180,13 +180,16 @@ class FakeRecogniser:
     async def thumbnail(self, view_id: str, longest: int) -> bytes:
         return thumbnail(self._view(view_id).data, longest)
 
-    async def segmentation(self, view_id: str, overlay: bool) -> bytes:
+    async def segmentation(self, view_id: str, overlay: bool, legend: bool) -> bytes:
         self._view(view_id)
-        return b"overlay" if overlay else b"segmentation"
+        return (b"overlay" if overlay else b"segmentation") + b" with legend" * legend
 
-    async def graph(self, view_id: str) -> bytes:
+    def segmented_by(self) -> str:
+        return "segmenter"
+
+    async def graph(self, view_id: str, legend: bool) -> bytes:
         self._view(view_id)
-        return b"graph"
+        return b"graph" + b" with legend" * legend
 
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
         raise NotFound("explained query", query_id)

@@ -202,7 +202,10 @@ def test_a_patch_has_a_size(client: CheckedClient, view: str) -> None:
 
 @pytest.mark.parametrize(
     "path",
-    ["image", "thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=true", "graph.png"],
+    [
+        *("image", "thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=true", "graph.png"),
+        *("segmentation.png?overlay=true&legend=true", "graph.png?legend=true"),
+    ],
 )
 def test_images_are_cached_by_their_etag(client: CheckedClient, view: str, path: str) -> None:
     first = client.get(f"/views/{view}/{path}")
@@ -217,6 +220,7 @@ def test_images_are_cached_by_their_etag(client: CheckedClient, view: str, path:
 
 def test_options_of_an_image_have_etags_of_their_own(client: CheckedClient, view: str) -> None:
     paths = ["thumbnail", "thumbnail?size=32", "segmentation.png", "segmentation.png?overlay=1", "graph.png", "image"]
+    paths += ["segmentation.png?overlay=1&legend=1", "graph.png?legend=1"]
     assert len({client.get(f"/views/{view}/{path}").headers["etag"] for path in paths}) == len(paths)
 
 
@@ -225,6 +229,26 @@ def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: Chec
     assert (image.content, image.headers["content-type"]) == (photo(), "image/jpeg")
     assert image.headers["x-content-type-options"] == "nosniff"
     assert PilImage.open(BytesIO(client.get(f"/views/{view}/thumbnail?size=32").content)).size == (32, 24)
+
+
+def test_a_legend_is_an_option_of_drawings(client: CheckedClient, view: str) -> None:
+    for path, plain in (("segmentation.png?overlay=true", b"overlay"), ("graph.png", b"graph")):
+        option = "&" if "?" in path else "?"
+        assert client.get(f"/views/{view}/{path}").content == plain
+        assert client.get(f"/views/{view}/{path}{option}legend=false").content == plain
+        assert client.get(f"/views/{view}/{path}{option}legend=true").content == plain + b" with legend"
+    refused = client.get(f"/views/{view}/segmentation.png?legend=true")
+    assert refused.status_code == 422
+    assert refused.json()["errors"] == [{"parameter": "legend", "detail": "is of use only with overlay=true"}]
+
+
+def test_a_drawing_names_the_network_that_it_is_of(client: CheckedClient, view: str) -> None:
+    drawn = {path: client.get(f"/views/{view}/{path}").headers for path in ("segmentation.png", "graph.png")}
+    assert {path: of["revisit-drawn-by"] for path, of in drawn.items()} == {
+        "segmentation.png": "segmenter",
+        "graph.png": "encoder",
+    }
+    assert "revisit-drawn-by" not in client.get(f"/views/{view}/image").headers
 
 
 @pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])

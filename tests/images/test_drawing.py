@@ -60,7 +60,7 @@ def test_an_overlay_greys_what_moves_and_colours_the_rest() -> None:
     pixels = np.full((48, 64, 3), (200, 40, 40), np.uint8)
     labels = np.array([[0, 2]], np.int16)
 
-    image = decoded(drawing.overlay_png(pixels, labels, LABELS, np.array([[True, False]])))
+    image = decoded(drawing.overlay_png(pixels, labels, LABELS, np.array([[True, False]]), legend=True))
 
     assert image.shape[0] > 48  # the key is below
     assert image.shape[1] == 64
@@ -94,17 +94,60 @@ def test_graphs_without_edges_can_be_drawn(nodes: int) -> None:
     assert decoded(drawing.graph_png(np.zeros((40, 50, 3), np.uint8), empty, LABELS, 0.1)).shape == (40, 50, 3)
 
 
-def test_an_explanation_joins_what_agrees_across_images_of_different_sizes() -> None:
-    query, view = np.full((60, 80, 3), 120, np.uint8), np.full((200, 150, 3), 120, np.uint8)
+@pytest.mark.parametrize("size", [(48, 64), (333, 17), (5, 700)])
+def test_a_drawing_is_as_large_as_the_photo_unless_a_legend_is_wanted(size: tuple[int, int]) -> None:
+    pixels = np.full((*size, 3), 120, np.uint8)
+    labels, static = np.array([[0, 1]], np.int16), np.array([[True, True]])
+    two = graph((0, 0.2, 0.3, 0.5), (1, 0.4, 0.3, 0.5))
 
-    plain = decoded(drawing.explanation_png(query, view, [], [], ["score 0.8"]))
-    joined = decoded(
-        drawing.explanation_png(
-            query, view, [((0.5, 0.4), (0.3, 0.5))], [("sky", (0.1, 0.1), (0.2, 0.2))], ["score 0.8"]
-        )
-    )
+    overlay = drawing.overlay_png(pixels, labels, LABELS, static, caption="not drawn")
+    nodes = drawing.graph_png(pixels, two, LABELS, 0.3, caption="not drawn")
+    assert decoded(overlay).shape == decoded(nodes).shape == (*size, 3)
 
-    assert plain.shape == joined.shape
-    assert plain.shape[1] == 640 + 12 + 360
-    assert (plain[200:300, 642:650] != joined[200:300, 642:650]).any()  # a line crosses the gap
-    assert (plain[485:] < 100).any()  # the text
+    for drawn, plain in (
+        (drawing.overlay_png(pixels, labels, LABELS, static, legend=True), overlay),
+        (drawing.graph_png(pixels, two, LABELS, 0.3, legend=True), nodes),
+    ):
+        both = decoded(drawn)
+        assert both.shape[0] > size[0]
+        assert both.shape[1] == size[1]
+        np.testing.assert_array_equal(both[: size[0]], decoded(plain))
+
+
+def test_a_caption_stands_below_the_legend() -> None:
+    pixels, labels, static = np.full((480, 640, 3), 120, np.uint8), np.array([[0]]), np.array([[True]])
+
+    plain = decoded(drawing.overlay_png(pixels, labels, LABELS, static, legend=True))
+    told = decoded(drawing.overlay_png(pixels, labels, LABELS, static, legend=True, caption="by another network"))
+
+    assert told.shape[0] > plain.shape[0]
+    assert (told[plain.shape[0] :] < 100).any()
+
+
+def test_a_legend_leaves_out_labels_of_specks() -> None:
+    labels = np.zeros((20, 20), np.int16)
+    labels[0, :3] = 1
+    pixels, static = np.full((400, 400, 3), 120, np.uint8), np.ones((20, 20), bool)
+
+    speck = decoded(drawing.overlay_png(pixels, labels, LABELS, static, legend=True))
+    labels[0, 3] = 1
+    one_per_cent = decoded(drawing.overlay_png(pixels, labels, LABELS, static, legend=True))
+
+    assert not (speck[400:] == colour("building")).all(axis=2).any()
+    assert (one_per_cent[400:] == colour("building")).all(axis=2).any()
+
+
+def test_a_graph_leaves_out_what_moves_and_specks() -> None:
+    pixels = np.full((480, 640, 3), 90, np.uint8)
+    nodes = graph((0, 0.2, 0.3, 0.01), (1, 0.4, 0.3, 0.0099), (2, 0.6, 0.3, 0.2))
+
+    image = decoded(drawing.graph_png(pixels, nodes, LABELS, 0.3, dynamic=("car",), legend=True))
+
+    assert tuple(image[192, 128]) == colour("sky")
+    background = image[400, 320]
+    np.testing.assert_array_equal(image[192, 256], background)
+    np.testing.assert_array_equal(image[192, 384], background)
+    np.testing.assert_array_equal(image[192, 192], background)  # nor edges to what is left out
+    key = image[480:]
+    assert (key == colour("sky")).all(axis=2).any()
+    assert not (key == colour("car")).all(axis=2).any()

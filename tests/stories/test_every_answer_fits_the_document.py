@@ -43,7 +43,8 @@ def test_a_map_from_its_first_image_to_its_end(client: CheckedClient) -> None:
     assert client.post("/query?map=campus&near=0,0,1", content=street(1), headers=JPEG).json()["searched"] == 1
 
     view = first.json()["view"]
-    for link in (*view["links"].values(), f"{view['links']['segmentation']}?overlay=true"):
+    drawings = [f"{view['links']['segmentation']}?overlay=true", f"{view['links']['graph']}?legend=true"]
+    for link in (*view["links"].values(), *drawings):
         answer = client.get(link)
         assert answer.status_code == 200
         if "etag" in answer.headers:

@@ -14,7 +14,7 @@ from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
 from worker.description.ports import Encoder, Segmenter
 from worker.encoders.color import ColorEncoder
-from worker.runtime import build
+from worker.runtime import build, make_encoder
 
 
 class StripesOfSkyAndRoad:
@@ -55,3 +55,21 @@ def test_a_segmentation_is_drawn_from_the_segmenters_field_and_nothing_else_is(t
         assert client.get(f"{links['segmentation']}?overlay=true").content != overlay
         assert client.get(links["graph"]).content == graph
         assert view["description"] == description
+        networks = [client.get(links[kind]).headers["revisit-drawn-by"] for kind in ("segmentation", "graph")]
+        assert networks == ["segmenter", "encoder"]
+
+
+def test_drawings_are_as_large_as_the_photo_and_say_below_which_network_they_are_of(tmp_path: Path) -> None:
+    photo = {"content": encoded(drawn(320, 240, 0), "jpeg"), "headers": {"content-type": "image/jpeg"}}
+    heights: dict[str, list[int]] = {}
+    for make in (make_encoder, with_stripes):
+        runtime = build(Settings(data=tmp_path / make.__name__, encoder="color", threads=1), make_encoder=make)
+        with CheckedClient(create_app(runtime)) as client:
+            links = client.post("/enroll", **photo).json()["view"]["links"]
+            for drawing in (f"{links['segmentation']}?overlay=true", links["graph"]):
+                assert PilImage.open(io.BytesIO(client.get(drawing).content)).size == (320, 240)
+                keyed = client.get(f"{drawing}{'&' if '?' in drawing else '?'}legend=true").content
+                heights.setdefault(make.__name__, []).append(PilImage.open(io.BytesIO(keyed)).height)
+    assert all(height > 240 for height in heights["make_encoder"])
+    # Only where two networks are at work does a caption tell them apart.
+    assert heights["with_stripes"][1] > heights["make_encoder"][1]

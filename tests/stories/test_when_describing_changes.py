@@ -71,6 +71,27 @@ def test_other_labels_leave_the_parameters_the_ranking_and_the_views_of_a_map(cl
     assert client.get(answer["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
 
 
+def test_an_explanation_is_drawn_without_cells_once_the_views_were_described_anew(tmp_path: Path) -> None:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    with CheckedClient(create_app(runtime)) as client:
+        image = client.get(enroll(client, 0).json()["view"]["links"]["image"]).content
+        enroll(client, 1)
+        answer = client.post("/query?explain=true", content=image, headers=JPEG).json()
+        link = answer["matches"][0]["links"]["explanation"]
+        before = client.get(link).content
+
+        for labels in (["road", "sky"], ["road", "sky", "building"]):  # the recipe before the last is kept
+            begun = client.post("/maps/default/recipe", json={"labels": labels, "dynamic": []})
+            assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
+        assert client.get(link).status_code == 200
+        while runtime.store.pruning.prune():
+            pass
+
+        after = client.get(link)
+        assert after.content.startswith(b"\x89PNG")
+        assert after.content != before
+
+
 def test_too_few_views_for_a_vocabulary_are_said_to_be_too_few(client: CheckedClient) -> None:
     enroll(client, 0)
     begun = client.post("/maps/default/vocabulary")

@@ -100,6 +100,11 @@ class Scheduler:
         """Whether the scheduler runs and accepts images."""
         return self._thread.is_alive() and not self._closed
 
+    @property
+    def segments(self) -> bool:
+        """Whether requests with `segment` are encoded by a network of their own."""
+        return self._segmenter is not None
+
     def start(self) -> None:
         """Start the encoder's thread."""
         self._thread.start()

@@ -1,10 +1,10 @@
-"""Drawings: segmentations, context graphs over the photo, and explanations of a match.
+"""Drawings over a photo: its segmentation and its context graph, each as large as the photo.
 
 Pixels are uint8 RGB (height, width, 3); positions are (x, y) in fractions of an image's longer side.
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import cv2
@@ -13,17 +13,21 @@ import numpy.typing as npt
 from PIL import Image as PilImage
 
 from schemas.description import Booleans, ContextGraph, Integers
+from worker.images import text
 from worker.images.palette import Colour, colour
 
 Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, float]
 
-FONT = cv2.FONT_HERSHEY_SIMPLEX
 INK: Colour = (24, 26, 30)
 PAPER: Colour = (250, 250, 248)
-INLIER: Colour = (80, 220, 120)
-SHOWN_INLIERS = 80
-"""Inliers drawn at most; more would hide the photos."""
+MOVING: Colour = (190, 190, 190)
+
+SMALLEST_SHARE = 0.01
+"""Regions of a smaller share of the image are left out: they are specks, and would hide the photo."""
+
+ROUNDING = 1e-6
+"""Shares are float32: one that was rounded just below the smallest is drawn."""
 
 
 def segmentation_png(labels: Integers, size: tuple[int, int], names: Sequence[str]) -> bytes:
@@ -50,8 +54,10 @@ def segmentation_png(labels: Integers, size: tuple[int, int], names: Sequence[st
     return buffer.getvalue()
 
 
-def overlay_png(pixels: Pixels, labels: Integers, names: Sequence[str], static: Booleans) -> bytes:
-    """The photo blended with the colours of its labels, dynamic cells in grey, with a key below.
+def overlay_png(
+    pixels: Pixels, labels: Integers, names: Sequence[str], static: Booleans, *, legend: bool = False, caption: str = ""
+) -> bytes:
+    """The photo blended with the colours of its labels, dynamic cells in grey.
 
     Parameters
     ----------
@@ -62,6 +68,10 @@ def overlay_png(pixels: Pixels, labels: Integers, names: Sequence[str], static: 
         Labels.
     static : bool of shape (rows, columns)
         False for dynamic cells.
+    legend : bool
+        Whether to add a key of the labels below the photo, most frequent first.
+    caption : str
+        Written below the key.
     """
     height, width = pixels.shape[:2]
     wide = _stretched(labels, (width, height))
@@ -74,92 +84,98 @@ def overlay_png(pixels: Pixels, labels: Integers, names: Sequence[str], static: 
     edges[:, 1:] |= wide[:, 1:] != wide[:, :-1]
     edges[1:] |= wide[1:] != wide[:-1]
     blended[edges] = (blended[edges] * np.float32(0.55)).astype(np.uint8)
-    return _png(_with_key(blended, labels, names, static))
+    return encode_png(_with_key(blended, _frequent(labels, names, static), caption) if legend else blended)
 
 
-def graph_png(pixels: Pixels, graph: ContextGraph, names: Sequence[str], tau: float) -> bytes:
-    """The photo with its context graph: larger discs for larger regions, edges between nodes at most `tau` apart."""
-    image = _toned_down(pixels)
-    longer = max(image.shape[:2])
-    unit = _unit(image)
-    at = [_pixel(position, longer) for position in graph.positions]
-    for i in range(len(graph)):
-        for j in range(i):
-            if np.linalg.norm(graph.positions[i] - graph.positions[j]) <= tau:
-                cv2.line(image, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
-    radii = [max(3 * unit, float(np.sqrt(share)) * 0.11 * longer) for share in graph.shares]
-    for i in np.argsort(-graph.shares, kind="stable"):
-        radius = round(radii[i])
-        cv2.circle(image, at[i], radius, colour(names[graph.labels[i]]), -1, cv2.LINE_AA)
-        cv2.circle(image, at[i], radius, PAPER, max(1, round(unit)), cv2.LINE_AA)
-    taken: list[tuple[int, int, int, int]] = []
-    for i in np.argsort(-graph.shares, kind="stable"):  # large regions first; small ones where there is room
-        _name(image, names[graph.labels[i]], (at[i][0], at[i][1] - round(radii[i] + 4 * unit)), unit, taken)
-    return _png(image)
-
-
-def explanation_png(
-    query: Pixels,
-    view: Pixels,
-    inliers: Sequence[tuple[Point, Point]],
-    nodes: Sequence[tuple[str, Point, Point]],
-    text: Sequence[str],
+def graph_png(
+    pixels: Pixels,
+    graph: ContextGraph,
+    names: Sequence[str],
+    tau: float,
+    *,
+    dynamic: Collection[str] = (),
+    legend: bool = False,
+    caption: str = "",
 ) -> bytes:
-    """Query and view side by side, with lines between inliers and between corresponding nodes.
+    """The photo with its context graph: larger discs for larger regions, edges between nodes at most `tau` apart.
 
     Parameters
     ----------
-    query, view : uint8 of shape (height, width, 3)
-        Of any two sizes.
-    inliers : sequence of ((x, y), (x, y))
-        Inlier keypoints in query and view; thin green lines.
-    nodes : sequence of (label, (x, y), (x, y))
-        Corresponding nodes of the context graphs; thick lines in the label's colour, with the label.
-    text : sequence of str
-        Lines below the images.
+    pixels : uint8 of shape (height, width, 3)
+    graph : ContextGraph
+    names : sequence of str
+        Labels.
+    tau : float
+        Longest edge, as a fraction of the longer side.
+    dynamic : collection of str
+        Labels of things that move. Their nodes are left out, as are those of regions below `SMALLEST_SHARE`.
+    legend : bool
+        Whether to add a key of the labels below the photo, most nodes first.
+    caption : str
+        Written below the key.
     """
-    height = 480
-    left, right = _at_height(_toned_down(query), height), _at_height(_toned_down(view), height)
-    gap, line = 12, 22
-    width = left.shape[1] + gap + right.shape[1]
-    sheet = np.full((height + 12 + line * len(text) + 6, width, 3), PAPER, np.uint8)
-    sheet[:height, : left.shape[1]] = left
-    sheet[:height, left.shape[1] + gap :] = right
-    shift = left.shape[1] + gap
+    image = toned_down(pixels)
+    longer = max(image.shape[:2])
+    unit = _unit(image)
+    drawn = [i for i in np.argsort(-graph.shares, kind="stable") if is_drawn(graph, int(i), names, dynamic)]
+    at = {i: _pixel(graph.positions[i], longer) for i in drawn}
+    for number, i in enumerate(drawn):
+        for j in drawn[:number]:
+            if np.linalg.norm(graph.positions[i] - graph.positions[j]) <= tau:
+                cv2.line(image, at[i], at[j], PAPER, max(1, round(1.2 * unit)), cv2.LINE_AA)
+    radii = {i: max(3 * unit, float(np.sqrt(graph.shares[i])) * 0.11 * longer) for i in drawn}
+    for i in drawn:
+        cv2.circle(image, at[i], round(radii[i]), colour(names[graph.labels[i]]), -1, cv2.LINE_AA)
+        cv2.circle(image, at[i], round(radii[i]), PAPER, max(1, round(unit)), cv2.LINE_AA)
+    # Large regions first; small ones where there is room.
+    above = [(names[graph.labels[i]], (at[i][0], at[i][1] - round(radii[i] + 4 * unit))) for i in drawn]
+    name_nodes(image, above, max(9, round(13 * unit)))
+    if not legend:
+        return encode_png(image)
+    counts = np.bincount(graph.labels[drawn].astype(np.intp), minlength=len(names))
+    entries = [(f"{names[i]} {counts[i]}", colour(names[i])) for i in np.argsort(-counts, kind="stable") if counts[i]]
+    return encode_png(_with_key(image, entries, caption))
 
-    def ends(pair: tuple[Point, Point]) -> tuple[tuple[int, int], tuple[int, int]]:
-        a, b = _pixel(pair[0], max(left.shape[:2])), _pixel(pair[1], max(right.shape[:2]))
-        return a, (b[0] + shift, b[1])
 
-    step = max(1, -(-len(inliers) // SHOWN_INLIERS))
-    for pair in inliers[::step]:
-        a, b = ends(pair)
-        cv2.line(sheet, a, b, INLIER, 1, cv2.LINE_AA)
-        for end in (a, b):
-            cv2.circle(sheet, end, 3, INLIER, 1, cv2.LINE_AA)
+def is_drawn(graph: ContextGraph, node: int, names: Sequence[str], dynamic: Collection[str]) -> bool:
+    """Whether a node of a graph is drawn: its label does not move, and its region is large enough to be seen."""
+    return names[graph.labels[node]] not in dynamic and float(graph.shares[node]) >= SMALLEST_SHARE - ROUNDING
+
+
+def name_nodes(image: Pixels, names: Sequence[tuple[str, tuple[int, int]]], size: int) -> None:
+    """Write names centred over their points (x, y), but none that would cover an earlier one; `size` is the font's."""
+    pad = max(2, size // 4)
     taken: list[tuple[int, int, int, int]] = []
-    for label, *places in nodes:
-        a, b = ends((places[0], places[1]))
-        cv2.line(sheet, a, b, colour(label), 2, cv2.LINE_AA)
-        for end in (a, b):
-            cv2.circle(sheet, end, 7, colour(label), -1, cv2.LINE_AA)
-            cv2.circle(sheet, end, 7, PAPER, 1, cv2.LINE_AA)
-            _name(sheet[:height], label, (end[0], end[1] - 10), 1.0, taken)
-    for row, line_text in enumerate(text):
-        at = (10, height + 12 + line * row + 14)
-        cv2.putText(sheet, line_text, at, FONT, 0.5, INK, 1, cv2.LINE_AA)
-    return _png(sheet)
+    for name, (over, bottom) in names:
+        label = text.fitted(name, size, image.shape[1] - 2 * pad)
+        if not label:
+            continue
+        width = text.width(label, size)
+        x = int(np.clip(over - width // 2, pad, max(pad, image.shape[1] - width - pad)))
+        y = int(np.clip(bottom, size + pad, max(size + pad, image.shape[0] - pad)))
+        box = (x - pad, y - size - pad // 2, x + width + pad, y + size // 4 + pad // 2)
+        if any(box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken):
+            continue
+        taken.append(box)
+        cv2.rectangle(image, box[:2], box[2:], INK, -1)
+        text.write(image, label, (x, y), size, _readable(colour(name)))
+
+
+def toned_down(pixels: Pixels) -> Pixels:
+    """The photo darker and less saturated, so that drawings on it stand out."""
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)[..., None]
+    return np.asarray((pixels * np.float32(0.55) + grey * np.float32(0.25)), np.uint8)
+
+
+def encode_png(pixels: Pixels) -> bytes:
+    """RGB pixels as PNG."""
+    encoded: Pixels = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1]
+    return encoded.tobytes()
 
 
 def _stretched(cells: npt.NDArray[Any], size: tuple[int, int]) -> Pixels:
     """Cells enlarged to pixels of an image of (width, height), without interpolation."""
     return np.asarray(cv2.resize(cells.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
-
-
-def _toned_down(pixels: Pixels) -> Pixels:
-    """The photo darker and less saturated, so that drawings on it stand out."""
-    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)[..., None]
-    return np.asarray((pixels * np.float32(0.55) + grey * np.float32(0.25)), np.uint8)
 
 
 def _unit(image: Pixels) -> float:
@@ -171,63 +187,46 @@ def _pixel(position: Sequence[float] | npt.NDArray[Any], longer: int) -> tuple[i
     return round(float(position[0]) * longer), round(float(position[1]) * longer)
 
 
-def _name(image: Pixels, label: str, at: tuple[int, int], unit: float, taken: list[tuple[int, int, int, int]]) -> None:
-    """Write a label centred over a point unless it would cover another; `taken` has the boxes of labels so far."""
-    scale, thickness = 0.42 * unit, max(1, round(unit))
-    (width, height), _ = cv2.getTextSize(label, FONT, scale, thickness)
-    pad = max(2, round(3 * unit))
-    x = int(np.clip(at[0] - width // 2, pad, max(pad, image.shape[1] - width - pad)))
-    y = int(np.clip(at[1], height + pad, max(height + pad, image.shape[0] - pad)))
-    box = (x - pad, y - height - pad, x + width + pad, y + pad)
-    if any(box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken):
-        return
-    taken.append(box)
-    cv2.rectangle(image, box[:2], box[2:], INK, -1)
-    cv2.putText(image, label, (x, y), FONT, scale, _readable(colour(label)), thickness, cv2.LINE_AA)
-
-
 def _readable(background: Colour) -> Colour:
     """A colour lightened so that it can be read on `INK`."""
     red, green, blue = (round(part + (255 - part) * 0.55) for part in background)
     return red, green, blue
 
 
-def _with_key(image: Pixels, labels: Integers, names: Sequence[str], static: Booleans) -> Pixels:
-    """The image with a key of its labels below, most frequent first."""
-    unit = _unit(image)
-    line, size = max(12, round(20 * unit)), max(8, round(12 * unit))
-    scale, thickness = 0.45 * unit, max(1, round(unit))
+def _frequent(labels: Integers, names: Sequence[str], static: Booleans) -> list[tuple[str, Colour]]:
+    """Entries of a key: labels with at least `SMALLEST_SHARE` of the cells, most frequent first."""
     counts = np.bincount(labels.ravel().astype(np.intp), minlength=len(names))
     entries: list[tuple[str, Colour]] = []
     for index in np.argsort(-counts, kind="stable"):
-        if counts[index]:
-            of_label = labels == index
-            moves = static[of_label].mean() < 0.5
+        if counts[index] >= SMALLEST_SHARE * labels.size:
+            moves = static[labels == index].mean() < 0.5
             name = f"{names[index]} {100 * counts[index] / labels.size:.0f}%" + (" (moves)" if moves else "")
-            entries.append((name, (190, 190, 190) if moves else colour(names[index])))
+            entries.append((name, MOVING if moves else colour(names[index])))
+    return entries
+
+
+def _with_key(image: Pixels, entries: Sequence[tuple[str, Colour]], caption: str) -> Pixels:
+    """The image with a key below, and a caption below that."""
+    unit = _unit(image)
+    line, box = max(14, round(20 * unit)), max(8, round(12 * unit))
+    size = max(10, round(14 * unit))
     width = image.shape[1]
+    names = [text.fitted(name, size, width - box - line) for name, _ in entries]
     places, x, y = [], line // 3, 0
-    for name, _ in entries:
-        needed = size + 2 * line // 3 + int(cv2.getTextSize(name, FONT, scale, thickness)[0][0]) + line // 2
+    for name in names:
+        needed = box + line // 3 + text.width(name, size) + line // 2
         if x + needed > width and x > line // 3:
             x, y = line // 3, y + line
         places.append((x, y))
         x += needed
-    key = np.full((y + line + line // 3, width, 3), PAPER, np.uint8)
-    for (name, tint), (x, y) in zip(entries, places, strict=True):
-        top = y + (line - size) // 2 + line // 6
-        cv2.rectangle(key, (x, top), (x + size, top + size), tint, -1)
-        cv2.rectangle(key, (x, top), (x + size, top + size), INK, 1)
-        cv2.putText(key, name, (x + size + line // 3, top + size), FONT, scale, INK, thickness, cv2.LINE_AA)
+    lines = text.wrapped(caption, size, width - 2 * (line // 3), 3)
+    below = y + line if entries else 0
+    key = np.full((below + line * len(lines) + line // 3, width, 3), PAPER, np.uint8)
+    for name, (_, tint), (x, y) in zip(names, entries, places, strict=True):
+        top = y + (line - box) // 2 + line // 6
+        cv2.rectangle(key, (x, top), (x + box, top + box), tint, -1)
+        cv2.rectangle(key, (x, top), (x + box, top + box), INK, 1)
+        text.write(key, name, (x + box + line // 3, top + box), size, INK)
+    for number, caption_line in enumerate(lines):
+        text.write(key, caption_line, (line // 3, below + line * number + round(line * 0.8)), size, INK)
     return np.vstack([image, key])
-
-
-def _at_height(pixels: Pixels, height: int) -> Pixels:
-    rows, columns = pixels.shape[:2]
-    width = max(1, round(columns * height / rows))
-    return np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _png(pixels: Pixels) -> bytes:
-    encoded: Pixels = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))[1]
-    return encoded.tobytes()

@@ -72,6 +72,8 @@ class DenseEvidence:
         (rows, columns) by which the view's grid is displaced, in full-resolution cells of the query.
     scale : float or None
         How much larger the view shows the place than the query does, 0.5..2; None without full-resolution comparison.
+    detail_rate : float
+        Factor on the similarity of detail alone, where that was compared too at the last resolution; otherwise 0.
     """
 
     similarity: float
@@ -79,6 +81,7 @@ class DenseEvidence:
     p85_similarity: float
     shift: tuple[int, int]
     scale: float | None
+    detail_rate: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +198,8 @@ class Evidence:
         Factor that brings similarities of detail alone to the level of those of all channels.
     scales : dict of candidate to float
         How much larger a candidate shows the place; only of those compared at full resolution.
+    joined_only : set of candidate
+        Those compared at full resolution by all channels together only.
     graph : GraphComparison or None
         Of `rows`.
     verified : dict of candidate to Verified
@@ -210,6 +215,7 @@ class Evidence:
     shifts: npt.NDArray[np.intp] | None = None
     align_scale: float = 0.0
     scales: dict[int, float] = field(default_factory=dict)
+    joined_only: set[int] = field(default_factory=set)
     graph: GraphComparison | None = None
     verified: dict[int, Verified] = field(default_factory=dict)
 
@@ -368,7 +374,9 @@ def compare_full(
     aspect = evidence.cell_aspect[places]
     agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect)
     scores = agreement.scores
-    if some := config.detail_only(recipe):
+    some = config.detail_only(recipe)
+    evidence.joined_only.update(first[some:].tolist())
+    if some:
         channels = recipe.parameters.cell_channels()
         alone = channel_fusion.single_channel_similarity(
             query.cells, cells[:some], channels, DETAIL, product, cell_aspect=aspect[:some]
@@ -435,7 +443,8 @@ def _dense_of(evidence: Evidence, row: int) -> DenseEvidence | None:
     down, across = evidence.shifts[evidence.place[row]].tolist()
     compared = evidence.terms["dense"]
     median, high = np.quantile(compared[evidence.rows], (0.5, channel_fusion.REFERENCE_QUANTILE)).tolist()
-    return DenseEvidence(float(compared[row]), median, high, (down, across), evidence.scales.get(row))
+    rate = 0.0 if row in evidence.joined_only else evidence.align_scale
+    return DenseEvidence(float(compared[row]), median, high, (down, across), evidence.scales.get(row), rate)
 
 
 def _graph_of(evidence: Evidence, row: int) -> GraphEvidence | None:

@@ -29,8 +29,8 @@ class Fix:
     position : Position
         Without heading.
     radius_m : float or None
-        Weighted root mean square horizontal distance of the agreeing views from `position`. Where they lie at one point,
-        the distance to the nearest other position; None when there is no other.
+        Weighted root mean square horizontal distance of the agreeing views from `position`. Where they lie at one
+        point, the distance to the nearest other position; None when there is no other.
     agreeing : tuple of int
         Indices of the matches within `AGREE_M` of the best one, the best included.
     """

@@ -140,19 +140,12 @@ def agreement(
     The root brings similarities of different channels closer in size: without it the channel with larger ones would
     decide alone.
     """
-    weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
     cell_aspect = np.ones((candidates, 2)) if cell_aspect is None else cell_aspect
-    slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, cell_aspect)
-    heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
-    score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
-    for zoom, height in enumerate(heights):
-        better = height > score + 1e-9
-        score[better], chosen[better] = height[better], zoom
-    peak = peaks[chosen, np.arange(candidates)]
-    agree = np.flatnonzero(slots.near(voted[chosen[pairs.candidate], np.arange(len(weight))], peak[pairs.candidate]))
-    candidate, weight = pairs.candidate[agree], weight[agree]
-    ours = _centred(pairs.query_cell[agree], shape)
-    down, across = _centred(pairs.candidate_cell[agree], shape)
+    won = winning(pairs, distinct, shape, candidates, zooms, tolerance, cell_aspect=cell_aspect)
+    score, chosen, weight = won.heights, won.zooms, won.weights
+    candidate = pairs.candidate[won.pairs]
+    ours = _centred(pairs.query_cell[won.pairs], shape)
+    down, across = _centred(pairs.candidate_cell[won.pairs], shape)
     theirs = down * cell_aspect[candidate, 0], across * cell_aspect[candidate, 1]
     zoomed = np.array(zooms, np.float64)[chosen]
     moved = [
@@ -162,11 +155,61 @@ def agreement(
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None]
     scale = _scale(candidate, ours, theirs, weight, candidates) if measured else np.ones(candidates)
     return Agreement(
-        np.sqrt(np.minimum(score / max(float(distinct.sum()), 1e-6), 1)).astype(np.float32),
+        np.sqrt(np.minimum(score / largest_weight(distinct), 1)).astype(np.float32),
         np.rint(np.where(score[:, None] > 0, shift, 0)).astype(np.intp),
         np.where(score > 0, zoomed, 1).astype(np.float32),
         np.clip(scale, 1 / LARGEST_SCALE, LARGEST_SCALE).astype(np.float32),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Winning:
+    """Correspondences that agree with the displacement and zoom of the largest weight.
+
+    Parameters
+    ----------
+    pairs : intp of shape (agreeing,)
+        Rows of the correspondences that agree, in their order.
+    weights : float64 of shape (agreeing,)
+        Of those rows; they sum to `heights` by candidate.
+    heights : float64 of shape (candidates,)
+        The largest weight of each candidate.
+    zooms : intp of shape (candidates,)
+        Index of its zoom.
+    """
+
+    pairs: Indices
+    weights: Doubles
+    heights: Doubles
+    zooms: Indices
+
+
+def winning(
+    pairs: Correspondences,
+    distinct: Floats,
+    shape: tuple[int, int],
+    candidates: int,
+    zooms: Sequence[float] = ZOOMS,
+    tolerance: int = TOLERANCE,
+    *,
+    cell_aspect: Doubles,
+) -> Winning:
+    """The correspondences that make the score of each candidate; parameters and weights as in `agreement`."""
+    weight = pairs.cosine.astype(np.float64) ** 2 * distinct[pairs.query_cell]
+    slots, voted = _votes(pairs, shape, tuple(zooms), tolerance, cell_aspect)
+    heights, peaks = _peaks(pairs.candidate, voted, weight, candidates, slots, tolerance)
+    score, chosen = np.zeros(candidates), np.zeros(candidates, np.intp)
+    for zoom, height in enumerate(heights):
+        better = height > score + 1e-9
+        score[better], chosen[better] = height[better], zoom
+    peak = peaks[chosen, np.arange(candidates)]
+    agree = np.flatnonzero(slots.near(voted[chosen[pairs.candidate], np.arange(len(weight))], peak[pairs.candidate]))
+    return Winning(agree, weight[agree], score, chosen)
+
+
+def largest_weight(distinct: Floats) -> float:
+    """The weight of an image's cells against themselves: the sum of burstiness weights, at least 1e-6."""
+    return max(float(distinct.sum()), 1e-6)
 
 
 def _scale(candidate: Indices, ours: Along, theirs: Along, weight: Doubles, candidates: int) -> Doubles:

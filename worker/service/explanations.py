@@ -1,17 +1,16 @@
 """The latest explained queries, kept in memory so that their explanations can be drawn on demand."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from schemas.description import ContextGraph, Description
+from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.image import Image
-from worker.images import drawing
-from worker.method.cascade import RankedCandidate
+from worker.images.explanation import Headline
+from worker.method.decision import Decision
 from worker.service.results import RankedResults, ScoredView
 
 Point = tuple[float, float]
@@ -28,11 +27,17 @@ class Explained:
     description : Description
         Of the query image.
     results : RankedResults
+    headline : Headline
+        The verdict in words.
+    rival : ScoredView or None
+        The view that the first match is compared with; it need not be among the results.
     """
 
     image: Image
     description: Description
     results: RankedResults
+    headline: Headline
+    rival: ScoredView | None = None
 
     def view(self, view_id: str | None) -> ScoredView:
         """The result for a view, or the first result when `view_id` is None; raises NotFound."""
@@ -41,40 +46,23 @@ class Explained:
                 return scored
         raise NotFound("match", view_id or "1", "the query has no such match")
 
-    def draw(self, scored: RankedCandidate, view: Image) -> bytes:
-        """Query and view side by side, as PNG; see `draw_explanation`."""
-        graph, labels = self.description.appearance.graph, self.results.recipe.description.labels
-        return draw_explanation(self.image, view, graph, scored, labels)
+    def rank(self, scored: ScoredView) -> int:
+        """Rank of a result, from 1."""
+        return 1 + [one.view.id for one in self.results.views].index(scored.view.id)
+
+    def is_first(self, scored: ScoredView) -> bool:
+        """Whether a result is the first match."""
+        return scored.view.id == self.results.views[0].view.id
+
+    def compared_with(self, scored: ScoredView) -> ScoredView | None:
+        """The view that a result is compared with: for the first match the rival, for any other the first match."""
+        return self.rival if self.is_first(scored) else self.results.views[0]
 
 
-def draw_explanation(
-    query: Image, view: Image, graph: ContextGraph, scored: RankedCandidate, labels: Sequence[str]
-) -> bytes:
-    """Query and view side by side, as PNG: inlier keypoints, corresponding nodes, and the parts of the score.
-
-    Parameters
-    ----------
-    query, view : Image
-    graph : ContextGraph
-        Of the query image.
-    scored : RankedCandidate
-        Score, parts and evidence of the view.
-    labels : sequence of str
-        Label set of the recipe.
-    """
-    nodes: list[tuple[str, Point, Point]] = []
-    if scored.graph is not None:
-        nodes = [
-            (labels[graph.labels[p]], point(graph.positions[p]), point(scored.graph.view.positions[r]))
-            for p, r in scored.graph.pairs
-        ]
-    inliers: list[tuple[Point, Point]] = []
-    text = [f"score {scored.score:.3f}"]
-    text += [f"{term} {part:.3f}" for term, part in sorted(scored.parts.items())]
-    if scored.verified is not None:
-        inliers = [(point(pair[:2]), point(pair[2:])) for pair in scored.verified.pairs]
-        text.append(f"{scored.verified.inliers} of {scored.verified.matches} keypoints agree")
-    return drawing.explanation_png(query.pixels, view.pixels, inliers, nodes, text)
+def headline(decision: Decision) -> Headline:
+    """The verdict on an answer in words."""
+    code, detail = decision.reason.code, decision.reason.detail
+    return Headline(decision.status, decision.confidence, f"{code}: {detail}.")
 
 
 class Explanations:

@@ -11,20 +11,22 @@ from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import Filters
-from worker.description.describer import Describer
+from worker.description.describer import Describer, components
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import Evidence, ViewGone
+from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, decide
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
-from worker.service.explanations import Explained, Explanations
+from worker.service.explanations import Explained, Explanations, headline
 from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView
+from worker.service.sheets import cells_of
 
 ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
@@ -49,6 +51,8 @@ class QueryResult:
     top : int
         How many of its views were wanted.
     decision : Decision
+    differs : tuple of Region
+        Where the first match and its rival differ, if the query is explained.
     explained : bool
         Whether an explanation can be drawn.
     timing_ms : mapping of stage to milliseconds
@@ -60,6 +64,7 @@ class QueryResult:
     results: RankedResults
     top: int
     decision: Decision
+    differs: tuple[Region, ...]
     explained: bool
     timing_ms: Mapping[str, float]
 
@@ -158,8 +163,11 @@ class QueryService:
             shown=top,
         )
         query_id = str(uuid7())
+        differs: tuple[Region, ...] = ()
         if explain:
-            self._explanations.keep(query_id, Explained(self._shrink(image), described.value, results))
+            explained = Explained(self._shrink(image), described.value, results, headline(decision), results.rival)
+            self._explanations.keep(query_id, explained)
+            differs = self._differs(explained)
         return QueryResult(
             id=query_id,
             image=image,
@@ -167,6 +175,7 @@ class QueryService:
             results=results,
             top=top,
             decision=decision,
+            differs=differs,
             explained=explain,
             timing_ms={
                 "decode": (decoded - began) * 1000,
@@ -185,6 +194,17 @@ class QueryService:
     def describe(self, image: Image, describer: Describer) -> Timed[Description]:
         """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy."""
         return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
+
+    def _differs(self, explained: Explained) -> tuple[Region, ...]:
+        """Where the first match and its rival differ; nothing when there is no rival or its cells are gone."""
+        if explained.rival is None:
+            return ()
+        two = explained.results.views[0], explained.rival
+        stored = self._descriptions.cells([one.seq for one in two], explained.results.recipe.description.id)
+        ours, theirs = (cells_of(explained, one, stored.get(one.seq)) for one in two)
+        if ours is None or theirs is None:
+            return ()
+        return tuple(contrast(ours, theirs, explained.description.appearance.extent, components).regions)
 
     def _describe_and_search(
         self, image: Image, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None

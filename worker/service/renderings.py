@@ -1,19 +1,31 @@
 """Images of views: as enrolled, as thumbnail, segmentation, context graph, or explanation of a match."""
 
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Literal
 
 from schemas.description import PixelField
+from schemas.errors import NotFound
 from schemas.image import Image
 from schemas.records import MapRecord
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler
 from worker.images import drawing
-from worker.service.explanations import Explanations
+from worker.images.explanation import explanation_png
+from worker.search.ports import DescriptionReader
+from worker.service.explanations import Explained, Explanations
 from worker.service.ports import Maps, Views
+from worker.service.results import ScoredView
+from worker.service.sheets import sheet
 
 Draw = Callable[[Image, PixelField, Describer, MapRecord], bytes]
 """From an image, its pixel field, a describer and the map whose recipe that is, to PNG bytes."""
+
+Network = Literal["encoder", "segmenter"]
+
+SEGMENTED = "Labels of the segmentation network. The method, and graph.png, use the encoder's coarser cells."
+GRAPHED = "Regions of the encoder's cells, as the method compares them. segmentation.png is of a finer network."
 
 
 class RenderingService:
@@ -21,7 +33,7 @@ class RenderingService:
 
     Parameters
     ----------
-    maps, views
+    maps, views, descriptions
         Parts of the store.
     describers : Describers
     scheduler : Scheduler
@@ -38,13 +50,14 @@ class RenderingService:
         *,
         maps: Maps,
         views: Views,
+        descriptions: DescriptionReader,
         describers: Describers,
         scheduler: Scheduler,
         decode: Callable[[bytes], Image],
         thumbnail: Callable[[bytes, int], bytes],
         explanations: Explanations,
     ) -> None:
-        self._maps, self._views = maps, views
+        self._maps, self._views, self._descriptions = maps, views, descriptions
         self._describers, self._scheduler = describers, scheduler
         self._decode, self._thumbnail, self._explanations = decode, thumbnail, explanations
 
@@ -57,34 +70,73 @@ class RenderingService:
         """A JPEG of at most `longest` pixels on its longer side; raises NotFound."""
         return self._thumbnail(self._views.image(view_id), longest)
 
-    def segmentation(self, view_id: str, *, overlay: bool) -> bytes:
+    def segmentation(self, view_id: str, *, overlay: bool, legend: bool = False) -> bytes:
         """The label map of a view as an indexed PNG, or blended over the photo; from the segmenter, where there is one.
+
+        Both are as large as the photo; with `legend`, an overlay has a key below it.
 
         Raises
         ------
         NotFound, Busy
         """
         owner, image = self._source(view_id)
-        return self.draw_overlay(image, owner) if overlay else self._submit(image, owner, _segmentation, segment=True)
+        if overlay:
+            return self.draw_overlay(image, owner, legend=legend)
+        return self._submit(image, owner, _segmentation, segment=True)
 
-    def graph(self, view_id: str) -> bytes:
-        """The context graph of a view, drawn over the photo; raises NotFound, Busy."""
+    def graph(self, view_id: str, *, legend: bool = False) -> bytes:
+        """The context graph of a view, drawn over the photo, with `legend` above a key; raises NotFound, Busy."""
         owner, image = self._source(view_id)
-        return self.draw_graph(image, owner)
+        return self.draw_graph(image, owner, legend=legend)
 
-    def draw_overlay(self, image: Image, owner: MapRecord) -> bytes:
+    def draw_overlay(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its labels by a map's recipe blended over it, dynamic cells grey, as PNG; raises Busy."""
-        return self._submit(image, owner, _overlay, segment=True)
+        caption = SEGMENTED if self.segmented_by == "segmenter" else ""
 
-    def draw_graph(self, image: Image, owner: MapRecord) -> bytes:
+        def draw(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
+            found, labels = describer.segment(field), owner.description.labels
+            return drawing.overlay_png(image.pixels, found.labels, labels, found.static, legend=legend, caption=caption)
+
+        return self._submit(image, owner, draw, segment=True)
+
+    def draw_graph(self, image: Image, owner: MapRecord, *, legend: bool = False) -> bytes:
         """An image with its context graph by a map's recipe drawn over it, as PNG; raises Busy."""
-        return self._submit(image, owner, _graph, segment=False)
+        caption = GRAPHED if self.segmented_by == "segmenter" else ""
+
+        def draw(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
+            recipe, graph = owner.description, describer.graph(field, describer.segment(field))
+            return drawing.graph_png(
+                image.pixels,
+                graph,
+                recipe.labels,
+                owner.ranking.graph_max_edge,
+                dynamic=recipe.dynamic,
+                legend=legend,
+                caption=caption,
+            )
+
+        return self._submit(image, owner, draw, segment=False)
+
+    @property
+    def segmented_by(self) -> Network:
+        """The network whose labels a segmentation shows. A context graph is always that of the encoder."""
+        return "segmenter" if self._scheduler.segments else "encoder"
 
     def explanation(self, query_id: str, view_id: str | None) -> bytes:
-        """Query and view side by side with their correspondences, as PNG; raises NotFound."""
+        """What decided about a match, and why a rival lost, as PNG; raises NotFound."""
         explained = self._explanations.get(query_id)
-        scored = explained.view(view_id)
-        return explained.draw(scored, self._decode(self._views.image(scored.view.id)))
+        return self.draw_explanation(explained, explained.view(view_id))
+
+    def draw_explanation(self, explained: Explained, scored: ScoredView) -> bytes:
+        """What decided about one of a query's matches, as PNG; raises NotFound when its view was deleted."""
+        image = self._decode(self._views.image(scored.view.id))
+        against, other = explained.compared_with(scored), None
+        if against is not None:
+            with suppress(NotFound):  # deleted since: the match is explained without it
+                other = against, self._decode(self._views.image(against.view.id))
+        seqs = [scored.seq] if other is None else [scored.seq, other[0].seq]
+        cells = self._descriptions.cells(seqs, explained.results.recipe.description.id)
+        return explanation_png(sheet(explained, scored, image, other, cells))
 
     def version(self, view_id: str, kind: str) -> str:
         """A version of an image made from a view, for an ETag; `kind` names the image and its options."""
@@ -111,13 +163,3 @@ class RenderingService:
 def _segmentation(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
     segmentation = describer.segment(field)
     return drawing.segmentation_png(segmentation.labels, (image.width, image.height), owner.description.labels)
-
-
-def _overlay(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
-    segmentation = describer.segment(field)
-    return drawing.overlay_png(image.pixels, segmentation.labels, owner.description.labels, segmentation.static)
-
-
-def _graph(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:
-    graph = describer.graph(field, describer.segment(field))
-    return drawing.graph_png(image.pixels, graph, owner.description.labels, owner.ranking.graph_max_edge)

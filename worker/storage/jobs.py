@@ -12,7 +12,7 @@ from schemas.records import Claim
 from worker.storage import clock, switching
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
-from worker.storage.rows import batches, find_recipe, view_record, views_of
+from worker.storage.rows import batches, find_map, find_recipe, view_record, views_of
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
 ATTEMPTS = 3

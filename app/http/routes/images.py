@@ -6,8 +6,13 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from app.http.dependencies import Curates, QueryId, ViewId, no_parameters
-from app.http.openapi import answers_bytes, refusals
-from app.http.parameters import ExplanationParameters, SegmentationParameters, ThumbnailParameters
+from app.http.openapi import DRAWN_BY, answers_bytes, refusals
+from app.http.parameters import (
+    ExplanationParameters,
+    GraphParameters,
+    SegmentationParameters,
+    ThumbnailParameters,
+)
 
 router = APIRouter(tags=["images"])
 
@@ -17,7 +22,7 @@ _DRAWN = ("too-many-requests",)
 
 def _responses(*types: str, description: str, drawn: bool = False) -> dict[int | str, dict[str, Any]]:
     return {
-        **answers_bytes(*types, description=description, etag=True),
+        **answers_bytes(*types, description=description, etag=True, drawn=drawn),
         **refusals("not-found", *(_DRAWN if drawn else ())),
     }
 
@@ -59,7 +64,10 @@ async def thumbnail(
     "/views/{view_id}/segmentation.png",
     response_class=Response,
     responses=_responses(
-        "image/png", description="Indexed PNG: each pixel is an index into the map's labels.", drawn=True
+        "image/png",
+        description="Indexed PNG: each pixel is an index into the map's labels. With overlay, RGB. Both are as large "
+        "as the image.",
+        drawn=True,
     ),
 )
 async def segmentation(
@@ -69,31 +77,46 @@ async def segmentation(
     curator: Curates,
 ) -> Response:
     """The label of each pixel, at the finest grid the encoder offers; the method itself uses coarser cells."""
-    etag = await curator.view_etag(view_id, "overlay" if params.overlay else "segmentation")
+    kind = "overlay" if params.overlay else "segmentation"
+    etag = await curator.view_etag(view_id, f"{kind}-legend" if params.legend else kind)
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _image(await curator.segmentation(view_id, params.overlay), "image/png", etag)
+    drawn = await curator.segmentation(view_id, params.overlay, params.legend)
+    return _image(drawn, "image/png", etag, curator.segmented_by())
 
 
 @router.get(
     "/views/{view_id}/graph.png",
     response_class=Response,
-    dependencies=[no_parameters],
-    responses=_responses("image/png", description="Nodes, labels and edges over the photo.", drawn=True),
+    responses=_responses(
+        "image/png",
+        description="Nodes, labels and edges over the photo, as large as it is; without nodes of dynamic labels and "
+        "of regions below 1 % of the image.",
+        drawn=True,
+    ),
 )
-async def graph(view_id: ViewId, request: Request, curator: Curates) -> Response:
-    """The context graph, drawn over the image."""
-    etag = await curator.view_etag(view_id, "graph")
+async def graph(
+    view_id: ViewId,
+    params: Annotated[GraphParameters, Query()],
+    request: Request,
+    curator: Curates,
+) -> Response:
+    """The context graph that the method compares, drawn over the image."""
+    etag = await curator.view_etag(view_id, "graph-legend" if params.legend else "graph")
     if _is_fresh(request, etag):
         return _unchanged(etag)
-    return _image(await curator.graph(view_id), "image/png", etag)
+    return _image(await curator.graph(view_id, params.legend), "image/png", etag, "encoder")
 
 
 @router.get(
     "/queries/{query_id}/explanation.png",
     response_class=Response,
     responses={
-        **answers_bytes("image/png", description="Query and match side by side, with their correspondences."),
+        **answers_bytes(
+            "image/png",
+            description="The verdict; query, match and a rival side by side, with the cells, keypoints and regions "
+            "that agree; the parts of the score; why the rival lost. 1600 pixels wide.",
+        ),
         **refusals("not-found"),
     },
 )
@@ -102,7 +125,7 @@ async def explanation(
     params: Annotated[ExplanationParameters, Query()],
     curator: Curates,
 ) -> Response:
-    """An explanation of a query that was sent with `explain=true`; kept for a bounded time."""
+    """What decided about a query that was sent with `explain=true`; kept for a bounded time."""
     return Response(await curator.explanation(query_id, params.view), headers=_NO_STORE, media_type="image/png")
 
 
@@ -126,5 +149,6 @@ def _unchanged(etag: str) -> Response:
     return Response(status_code=304, headers={"ETag": _quoted(etag), **_CACHE})
 
 
-def _image(data: bytes, media_type: str, etag: str) -> Response:
-    return Response(data, headers={"ETag": _quoted(etag), **_CACHE}, media_type=media_type)
+def _image(data: bytes, media_type: str, etag: str, drawn_by: str | None = None) -> Response:
+    named = {} if drawn_by is None else {DRAWN_BY: drawn_by}
+    return Response(data, headers={"ETag": _quoted(etag), **_CACHE, **named}, media_type=media_type)

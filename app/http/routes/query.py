@@ -48,6 +48,7 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures) -> 
         top=params.top,
         candidates=params.candidates,
         filters=params.filters(),
+        precision=params.precision,
         explain=params.explain,
     )
     metrics.stages("query", answer.timing_ms)

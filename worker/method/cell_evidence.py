@@ -1,0 +1,217 @@
+"""Which cells decided: those that make the dense similarity of one candidate, and what sets it apart from a rival.
+
+The ranking needs only the sum of what agrees (`worker.method.dense_cells.compare`). People want to see where it is.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import DETAIL, Int8s
+from worker.method import hough
+from worker.method.byte_vectors import Product, float_product
+from worker.method.channel_fusion import length, slice_channel
+from worker.method.context_graph import Components
+from worker.method.dense_cells import burstiness_weight, correspondences
+from worker.method.hough import Doubles
+
+Indices = npt.NDArray[np.intp]
+
+LEAST_DIFFERENCE = 0.25
+"""Cells differ when the smoothed difference of their weights is at least this share of the largest one."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellEvidence:
+    """The cells of a query and one candidate that agree on the winning displacement and zoom.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of both grids. Cells are numbered row by row.
+    query_cell, candidate_cell : intp of shape (pairs,)
+        Each at most once, ordered by query cell.
+    weight : float64 of shape (pairs,)
+        Share of the largest possible weight, greater than 0; their sum is the square of the similarity.
+    channel : str or None
+        The channel that was compared alone; None for all channels together.
+    """
+
+    shape: tuple[int, int]
+    query_cell: Indices
+    candidate_cell: Indices
+    weight: Doubles
+    channel: str | None = None
+
+    @property
+    def similarity(self) -> float:
+        """Similarity of the dense cells before the scale penalty, 0..1."""
+        return float(np.sqrt(self.weight.sum()))
+
+    def of_query(self) -> Doubles:
+        """Weight of each cell of the query, float64 (rows, columns); 0 where it does not agree."""
+        return self._spread(self.query_cell)
+
+    def of_candidate(self) -> Doubles:
+        """Weight of each cell of the candidate, float64 (rows, columns); 0 where it does not agree."""
+        return self._spread(self.candidate_cell)
+
+    def _spread(self, cells: Indices) -> Doubles:
+        spread = np.zeros(self.shape[0] * self.shape[1])
+        spread[cells] = self.weight
+        return spread.reshape(self.shape)
+
+
+@dataclass(frozen=True)
+class Region:
+    """Neighbouring cells of the query that speak for one of two candidates.
+
+    Parameters
+    ----------
+    centre : (float, float)
+        (x, y) of its bounding box, in fractions of the image's longer side.
+    extent : (float, float)
+        (width, height) of its bounding box, in the same unit.
+    strength : float
+        Sum of the differences of weight: above 0 for the first candidate, below 0 for the rival.
+    """
+
+    centre: tuple[float, float]
+    extent: tuple[float, float]
+    strength: float
+
+
+@dataclass(frozen=True, eq=False)
+class Contrast:
+    """Where a query resembles the first candidate more than a rival, and where less.
+
+    Parameters
+    ----------
+    difference : float64 of shape (rows, columns)
+        Weight of each cell of the query in the first less its weight in the rival. The sum is the difference of the
+        squared similarities.
+    numbers : int32 of shape (rows, columns)
+        1 for cells of the first of `regions`, 2 for those of the second, ...; 0 elsewhere.
+    regions : tuple of Region
+        Largest strength of either sign first.
+    """
+
+    difference: Doubles
+    numbers: npt.NDArray[np.int32]
+    regions: tuple[Region, ...]
+
+
+def agreeing(
+    query: Int8s,
+    candidate: Int8s,
+    channels: Collection[str],
+    *,
+    cell_aspect: Doubles | None = None,
+    detail_rate: float = 0.0,
+    product: Product = float_product,
+) -> CellEvidence:
+    """The agreeing cells of a query and one candidate, by that comparison which counted in the ranking.
+
+    Parameters
+    ----------
+    query, candidate : int8 of shape (rows, columns, dimensions)
+        At the same resolution, not empty.
+    channels : collection of str
+        The channels that the cells join.
+    cell_aspect : float64 of shape (2,), optional
+        Height and width of the candidate's cells relative to the query's; without it, 1.
+    detail_rate : float
+        Factor on the similarity of detail alone (`worker.method.cascade.DenseEvidence`): when that is larger, its
+        cells are returned, with weights times the square of the factor. 0 compares all channels together only.
+    product : Product
+
+    Raises
+    ------
+    DescriptorMismatch, ValueError
+        As `worker.method.dense_cells.correspondences`.
+    """
+    joined = _agreeing(query, candidate, cell_aspect, product)
+    if detail_rate <= 0:
+        return joined
+    ours, theirs = (slice_channel(cells, channels, DETAIL) for cells in (query, candidate))
+    alone = _agreeing(ours, theirs, cell_aspect, product, length(ours), rate=detail_rate, channel=DETAIL)
+    return alone if alone.similarity > joined.similarity else joined
+
+
+def contrast(
+    first: CellEvidence, rival: CellEvidence, extent: tuple[float, float], components: Components, most: int = 5
+) -> Contrast:
+    """Where a query speaks for the first of two candidates, and where for the other.
+
+    Parameters
+    ----------
+    first, rival : CellEvidence
+        Of the same query.
+    extent : (float, float)
+        (width, height) of the query image as fractions of its longer side.
+    components : Components
+    most : int
+        Number of regions returned at most.
+
+    Notes
+    -----
+    Single cells match by chance. Regions are found in the difference averaged over 3 x 3 cells, and consist of those
+    cells whose own difference has the region's sign; the strength sums the differences themselves.
+    """
+    difference = first.of_query() - rival.of_query()
+    smooth = _smooth(difference)
+    least = LEAST_DIFFERENCE * float(np.abs(smooth).max(initial=0))
+    found: list[tuple[float, npt.NDArray[np.bool_]]] = []
+    for sign in (1, -1):
+        parts = components((sign * smooth >= max(least, 1e-12)) & (sign * difference > 0))
+        for number in range(1, int(parts.max(initial=0)) + 1):
+            region = parts == number
+            found.append((float(difference[region].sum()), region))
+    found.sort(key=lambda one: -abs(one[0]))  # a stable sort: ties in the order of their first cells, the first's first
+    numbers = np.zeros(difference.shape, np.int32)
+    for number, (_, region) in enumerate(found[:most], start=1):
+        numbers[region] = number
+    return Contrast(difference, numbers, tuple(_region(cells, extent, of) for of, cells in found[:most]))
+
+
+def _agreeing(
+    query: Int8s,
+    candidate: Int8s,
+    cell_aspect: Doubles | None,
+    product: Product,
+    length: float = 1.0,
+    *,
+    rate: float = 1.0,
+    channel: str | None = None,
+) -> CellEvidence:
+    """The agreeing cells by one comparison; the similarity counts `rate` times, and is 1 at most."""
+    shape = (query.shape[0], query.shape[1])
+    pairs = correspondences(query, candidate[None], product, length)
+    distinct = burstiness_weight(query, product=product, length=length)
+    aspect = np.ones(2) if cell_aspect is None else cell_aspect
+    won = hough.winning(pairs, distinct, shape, 1, cell_aspect=aspect[None])
+    weight = won.weights / hough.largest_weight(distinct) * rate**2
+    kept = weight > 0
+    weight = weight[kept] / max(1.0, float(weight.sum()))
+    return CellEvidence(
+        shape, pairs.query_cell[won.pairs][kept], pairs.candidate_cell[won.pairs][kept], weight, channel
+    )
+
+
+def _smooth(values: Doubles) -> Doubles:
+    """Means over 3 x 3 cells; beyond the border counts as 0."""
+    rows, columns = values.shape
+    padded = np.pad(values, 1)
+    total: Doubles = np.sum([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
+    return total / 9
+
+
+def _region(cells: npt.NDArray[np.bool_], extent: tuple[float, float], strength: float) -> Region:
+    """A region from its cells, bool (rows, columns)."""
+    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
+    height, width = extent[1] / cells.shape[0], extent[0] / cells.shape[1]
+    left, right = float(columns[0]) * width, float(columns[-1] + 1) * width
+    top, bottom = float(rows[0]) * height, float(rows[-1] + 1) * height
+    return Region(((left + right) / 2, (top + bottom) / 2), (right - left, bottom - top), strength)
