@@ -49,7 +49,7 @@ def runtime_for_measuring(
         The encoder cannot be loaded.
     """
     with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
-        apart = {"data": Path(folder), "database": None, "inline_worker": True, "device": device}
+        apart = {"data": Path(folder), "database": None, "inline_worker": True, "compare": False, "device": device}
         runtime = build(settings.model_copy(update=apart), make_encoder=make_encoder, make_scheduler=make_scheduler)
         runtime.start()
         try:

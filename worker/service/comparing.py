@@ -125,12 +125,12 @@ class MapComparer:
             spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
             own = {seq} | spot
             for _ in range(WIDENED):
-                known = dict(zip(seqs := [int(s) for s in found.seqs] + [seq], fetcher.known(seqs), strict=True))
+                seqs = [int(other) for other in found.seqs]
+                known = dict(zip([seq, *seqs], fetcher.known([seq, *seqs]), strict=True))
                 places = Places(known, config.same_place_m)
-                more = {other for other in seqs if not places.apart(seq, other)} - own
-                if not more:
+                own |= {other for other in seqs if not places.apart(seq, other)}
+                if own.isdisjoint(seqs):
                     break
-                own |= more
                 found = self._search(index, query, config, own)
             others = self._rank(query, found, recipe, config, fetcher)
         except ViewGone:
