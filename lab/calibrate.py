@@ -1,35 +1,45 @@
-"""Learn how often an answer is right from labelled queries, and judge that on sets it was not learned from.
+"""Learn how often a first place is right from recorded decisions, and judge that on sites it was not learned from.
 
-``python -m lab.calibrate pairs --root DIR --write FILE``.
+``python -m lab.calibrate runs/decisions/decisions.jsonl --write FILE``; `lab.decide` records the decisions.
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from lab import evaluate
-from lab.datasets.dataset import Dataset
-from lab.datasets.hold_out import hold_out
-from lab.evaluation.progress import progress_bar
-from lab.evaluation.querying import Answers, query_all
-from lab.fitting import Fit, Judgement, fit_isotonic, fit_logistic, judge, leave_one_out, threshold_for_precision
+from lab.datasets.protocols import site_named
+from lab.evaluation.deciding import Decided
+from lab.fitting import Fit, Judgement, fit_isotonic, fit_logistic, judge, leave_one_out
 from lab.libraries import FOR_FITTING, require
-from lab.metrics.recall import Booleans, Doubles, first_right
+from lab.metrics.recall import Booleans, Doubles
 from schemas.errors import RevisitError
-from worker.method.calibration import Calibration, Logistic, Thresholds
+from worker.method.calibration import Calibration, Logistic
 
-MATCHED_PRECISION = 0.97
-"""How often ``matched`` has to be right on the sets that the thresholds are learned from."""
+PRECISIONS = (0.5, 0.9, 0.95, 0.97, 0.98, 0.99)
+"""Wanted shares of right answers among the matched ones for which thresholds are looked for."""
 
-HELD_OUT = 0.3
-"""Share of the queries whose places are not enrolled in the second run."""
+ENOUGH = 20
+"""A set counts for the precision of each set when more answers than this are matched."""
+
+SLACK = 0.01
+"""By how much the precision of a single set may fall short: with some hundred answers, chance alone is larger."""
 
 AMBIGUOUS = 0.4
 """Probability below which an answer is no match, unless ``matched`` begins lower."""
+
+ELSEWHERE = 120
+"""Queries of other sites that each map gives to learn from; they are easy and many, and would drown the others."""
+
+Names = npt.NDArray[np.str_]
+
+GRID = np.round(np.arange(AMBIGUOUS, 1.0, 0.0025), 4)
+"""Thresholds that are tried."""
 
 CURVES: Mapping[str, Fit] = {"logistic": fit_logistic, "isotonic": fit_isotonic}
 """Curves by the names that the command line has for them."""
@@ -37,16 +47,19 @@ CURVES: Mapping[str, Fit] = {"logistic": fit_logistic, "isotonic": fit_isotonic}
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What was seen of the first answers to one set's queries, and whether they were right.
+    """What was seen of the first places of some queries, and whether they were right.
 
     Parameters
     ----------
     features : mapping of name to float64 of shape (queries,)
     right : bool of shape (queries,)
+    sets : str of shape (queries,)
+        Name of the set that each query belongs to.
     """
 
     features: Mapping[str, Doubles]
     right: Booleans
+    sets: Names
 
     def columns(self, names: Sequence[str]) -> Doubles:
         """Some features side by side, float64 (queries, names); a feature never seen is 0."""
@@ -54,11 +67,38 @@ class Evidence:
         return np.stack([self.features.get(name, nothing) for name in names], axis=1)
 
 
-def evidence(dataset: Dataset, answers: Answers) -> Evidence:
-    """The evidence in a run's answers; queries without any answer are left out, since their verdict needs no curve."""
-    answered = answers.ranked[:, 0] >= 0
-    right = first_right(answers.ranked, dataset.judged()) == 1
-    return Evidence({name: values[answered] for name, values in answers.features.items()}, right[answered])
+def read(path: Path) -> list[Decided]:
+    """Recorded decisions."""
+    return [Decided(**json.loads(line)) for line in path.read_text().splitlines()]
+
+
+def by_site(decided: Sequence[Decided], apart: Sequence[str] = ()) -> dict[str, Evidence]:
+    """Evidence by site, since sets of one site share places; queries without any answer are left out.
+
+    Parameters
+    ----------
+    decided : sequence of Decided
+    apart : sequence of str
+        Sets whose names begin so are left out.
+    """
+    kept: dict[str, list[Decided]] = {}
+    elsewhere: dict[str, list[Decided]] = {}
+    for one in decided:
+        if one.features and not (apart and one.dataset.startswith(tuple(apart))):
+            other = one.kind == "other-site"
+            into, name = (elsewhere, one.dataset) if other else (kept, site_named(one.dataset))
+            into.setdefault(name, []).append(one)
+    rng = np.random.default_rng(0)
+    for name, others in elsewhere.items():
+        chosen = rng.permutation(len(others))[:ELSEWHERE]
+        kept.setdefault(site_named(name), []).extend(others[i] for i in np.sort(chosen))
+    return {site: _evidence(some) for site, some in kept.items()}
+
+
+def _evidence(some: Sequence[Decided]) -> Evidence:
+    names = sorted({name for one in some for name in one.features})
+    features = {name: np.array([one.features.get(name, 0.0) for one in some]) for name in names}
+    return Evidence(features, np.array([one.right for one in some]), np.array([one.dataset for one in some]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,30 +108,27 @@ class Learned:
     Parameters
     ----------
     calibration : Calibration
-        Learned from all sets.
+        Learned from all sites.
     by_set : mapping of set to Judgement
-        Of a curve learned from all other sets.
+        Of a curve learned from all other sites.
     together : Judgement
         All left-out probabilities pooled.
     constant : Judgement
         The same for a curve that knows only how often answers are right elsewhere: what knowing nothing costs.
-    matched : pair of float
-        Shares of the right and of the wrong left-out answers that come out as matched.
     """
 
     calibration: Calibration
     by_set: Mapping[str, Judgement]
     together: Judgement
     constant: Judgement
-    matched: tuple[float, float]
 
 
-def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, fit: Fit = fit_logistic) -> Learned:
+def learn(sites: Mapping[str, Evidence], names: Sequence[str], source: str, fit: Fit = fit_logistic) -> Learned:
     """Learn a curve over some features and its thresholds.
 
     Parameters
     ----------
-    sets : mapping of name to Evidence
+    sites : mapping of name to Evidence
         At least two.
     names : sequence of str
         Features that the curve reads.
@@ -102,23 +139,49 @@ def learn(sets: Mapping[str, Evidence], names: Sequence[str], source: str, fit: 
     Raises
     ------
     ValueError
-        Too few sets, or all answers right or all wrong.
+        Too few sites, or all answers right or all wrong.
     """
-    rows = {name: (found.columns(names), found.right) for name, found in sets.items()}
+    rows = {name: (found.columns(names), found.right) for name, found in sites.items()}
     # Judged, and thresholds chosen, by probabilities that were left out: the curve's own are too sure of themselves.
     left_out, guessed = leave_one_out(rows, fit), leave_one_out(rows, _guess)
     right = np.concatenate([r for _, r in rows.values()])
+    sets = np.concatenate([found.sets for found in sites.values()])
     together, constant = (np.concatenate(list(found.values())) for found in (left_out, guessed))
-    matched = min(threshold_for_precision(together, right, MATCHED_PRECISION), 1.0)
-    claimed = together >= matched
+    thresholds = np.maximum.accumulate([threshold(together, right, sets, wanted) for wanted in PRECISIONS])
+    shares = np.array([float((together[right] >= limit).mean()) for limit in thresholds])
     curve = fit(np.concatenate([f for f, _ in rows.values()]), right)
     return Learned(
-        calibration=Calibration(tuple(names), curve, Thresholds(matched, min(AMBIGUOUS, matched)), source),
-        by_set={name: judge(left_out[name], rows[name][1]) for name in rows},
+        calibration=Calibration(tuple(names), curve, np.array(PRECISIONS), thresholds, shares, AMBIGUOUS, source),
+        by_set={name: judge(together[sets == name], right[sets == name]) for name in dict.fromkeys(sets.tolist())},
         together=judge(together, right),
         constant=judge(constant, right),
-        matched=(float(claimed[right].mean()), float(claimed[~right].mean())),
     )
+
+
+def threshold(probability: Doubles, right: Booleans, sets: Names, precision: float) -> float:
+    """The lowest threshold whose matched answers keep a precision, all together and, nearly, in each set.
+
+    Parameters
+    ----------
+    probability : float64 of shape (n,)
+    right : bool of shape (n,)
+    sets : str of shape (n,)
+    precision : float
+        0..1.
+
+    Returns
+    -------
+    float
+        The highest one of `GRID` when there is none.
+    """
+    return float(next((limit for limit in GRID if _keeps(probability >= limit, right, sets, precision)), GRID[-1]))
+
+
+def _keeps(claimed: Booleans, right: Booleans, sets: Names, precision: float) -> bool:
+    if not claimed.any() or right[claimed].mean() < precision:
+        return False
+    alone = (right[claimed & (sets == name)] for name in np.unique(sets))
+    return all(some.mean() >= precision - SLACK for some in alone if len(some) > ENOUGH)
 
 
 def _guess(features: Doubles, right: Booleans) -> Logistic:
@@ -129,60 +192,37 @@ def _guess(features: Doubles, right: Booleans) -> Logistic:
 
 
 def as_markdown(learned: Learned) -> str:
-    """How the calibration did on each set that it was not learned from."""
+    """How the calibration did on each set that it was not learned from, and its thresholds."""
     lines = ["| set | queries | expected calibration error | Brier | log loss |", "| --- | --- | --- | --- | --- |"]
     rows = [*learned.by_set.items(), ("*all, pooled*", learned.together), ("*without evidence*", learned.constant)]
     for name, j in rows:
         lines.append(f"| {name} | {j.queries} | {j.expected_error:.3f} | {j.brier:.3f} | {j.log_loss:.3f} |")
+    kept = learned.calibration
+    lines += ["", "| `precision` | `matched` from | of right answers `matched` |", "| --- | --- | --- |"]
+    for wanted, limit, share in zip(kept.precisions, kept.thresholds, kept.shares, strict=True):
+        lines.append(f"| {wanted:.2f} | {limit:.4f} | {share:.0%} |")
     return "\n".join(lines)
-
-
-def gather(options: argparse.Namespace, preset: str) -> dict[str, Evidence]:
-    """Run a preset on every set, whole and with some places not enrolled; the two count as one set.
-
-    Without the second run a curve would only ever see queries that have an answer, and promise too much of the others.
-    """
-    gathered: dict[str, Evidence] = {}
-    options.preset = [preset]
-    with evaluate.services(options) as ([one], _):
-        for dataset in evaluate.read(options.dataset, options):
-            parts = [dataset]
-            if dataset.allowed is None:
-                parts.append(hold_out(dataset, HELD_OUT, np.random.default_rng(options.seed)))
-            seen = []
-            for part in parts:
-                with one.open(part) as retriever, progress_bar(part.name) as bar:
-                    journals = options.out / "answers"
-                    answers = query_all(part, retriever, seed=options.seed, journals=journals, progress=bar)
-                seen.append(evidence(part, answers))
-            names = sorted({name for s in seen for name in s.features})
-            columns = np.concatenate([s.columns(names) for s in seen])
-            right = np.concatenate([s.right for s in seen])
-            gathered[dataset.name] = Evidence(dict(zip(names, columns.T, strict=True)), right)
-    return gathered
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; 0, or 2 when it was used wrongly."""
     parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
-    evaluate.add_arguments(parser)
-    parser.add_argument("--features", default="lead", help="what the curve reads, comma-separated")
+    parser.add_argument("decisions", type=Path, nargs="+", help="decisions.jsonl, as lab.decide writes them")
+    parser.add_argument("--features", default="gap,level", help="what the curve reads, comma-separated")
     parser.add_argument("--curve", choices=tuple(CURVES), default="logistic", help="isotonic reads one feature")
+    parser.add_argument("--apart", default="", help="leave out sets whose names begin so, comma-separated")
     parser.add_argument("--write", type=Path, help="JSON file for the calibration")
     options = parser.parse_args(argv)
-    [preset] = options.preset or ["default"]
     try:
         require(FOR_FITTING)
-        sets = gather(options, preset)
-        source = f"{preset} on {', '.join(sets)}; {HELD_OUT:.0%} of the places held out in a second run"
-        learned = learn(sets, options.features.split(","), source, CURVES[options.curve])
-    except (RevisitError, ValueError) as refusal:  # ValueError: too little to learn from
+        decided = [one for path in options.decisions for one in read(path)]
+        sites = by_site(decided, [name for name in options.apart.split(",") if name])
+        sets = dict.fromkeys(name for found in sites.values() for name in found.sets.tolist())
+        learned = learn(sites, options.features.split(","), f"decisions on {', '.join(sets)}", CURVES[options.curve])
+    except (OSError, RevisitError, ValueError) as refusal:  # ValueError: too little to learn from
         print(refusal, file=sys.stderr)
         return 2
     print(as_markdown(learned))
-    limits = learned.calibration.thresholds
-    print(f"\nthresholds: matched from {limits.matched:.3f}, ambiguous from {limits.ambiguous:.3f}")
-    print("matched are {:.0%} of the right answers and {:.0%} of the wrong ones".format(*learned.matched))
     if options.write:
         options.write.write_text(learned.calibration.to_json() + "\n")
     return 0

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 VERDICTS = {
     "matched": "This place is known.",
-    "ambiguous": "Places that look alike: not sure which one it is.",
+    "ambiguous": "Not sure whether this place is known.",
     "no_match": "This place is not known.",
 }
 
@@ -23,6 +23,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--map", help="map to search (default: default)")
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
+    parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
     parser.add_argument("--place", help="search the views of this place only")
     parser.add_argument("--near", metavar="X,Y,RADIUS", help="search views near this point only, in metres")
     parser.add_argument("--geo", action="store_true", help="--near is LAT,LON,RADIUS")
@@ -42,6 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
             map=arguments.map,
             top=arguments.top,
             candidates=arguments.candidates,
+            precision=arguments.precision,
             explain=arguments.explain is not None,
             place=arguments.place,
             near=None if arguments.near is None else _near(arguments.near),
@@ -69,12 +71,19 @@ def _near(text: str) -> tuple[float, float, float]:
 def told(answer: "QueryAnswer") -> str:
     """The answer as text."""
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
+    if answer.reason.code != "sure":
+        lines.append(f"{answer.reason.code}: {answer.reason.detail}; {answer.reason.remedy}")
+    if answer.reason.rival is not None:
+        rival = answer.reason.rival
+        lines.append(f"rival: {rival.view.place or rival.view.id}, score {rival.score:.3f}")
     if answer.matches:
         heads = ("rank", "place", "score", "confidence", "inliers", "position", "view")
         lines.append(table(heads, [_row(match) for match in answer.matches]))
     if answer.estimate is not None:
         where = position_text(answer.estimate.position)
-        lines.append(f"taken at {where}, within {answer.estimate.radius_m:.1f} m ({len(answer.estimate.views)} views)")
+        radius = answer.estimate.radius_m
+        within = "" if radius is None else f", within {radius:.1f} m"
+        lines.append(f"taken at {where}{within} ({len(answer.estimate.views)} views)")
     if (total := answer.timing_ms.get("total")) is not None:
         lines.append(f"{total:.0f} ms")
     return "\n".join(lines)

@@ -80,8 +80,27 @@ QUERY_ANSWER: dict[str, Any] = {
     "recipe": "4c1d9ab02e7f6a35",
     "ranking": "97b1f2c0d3e4a586",
     "searched": 1730,
+    "pending": 0,
     "status": "matched",
     "confidence": 0.97,
+    "reason": {"code": "sure", "detail": "one place stands out from all others", "remedy": "nothing", "rival": None},
+    "places": [
+        {
+            "place": VIEW["place"],
+            "position": VIEW["position"],
+            "probability": 0.97,
+            "views": [{"id": VIEW["id"], "score": 0.83}],
+        }
+    ],
+    "nowhere": 0.03,
+    "decision": {
+        "precision": 0.97,
+        "threshold": 0.93,
+        "features": {"gap": 1.9, "level": 0.0},
+        "wrong_score": 0.31,
+        "wrong_gap": 0.03,
+        "views_compared": 1730,
+    },
     "matches": [MATCH],
     "estimate": {"position": VIEW["position"], "radius_m": 2.5, "views": [VIEW["id"]]},
     "timing_ms": {"decode": 6.0, "queue": 0.1, "encode": 41.0, "describe": 3.2, "search": 0.8, "total": 58.3},

@@ -9,9 +9,9 @@ from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
 from schemas.records import JobRecord, Position, Removal, ViewRecord
 from worker.images.palette import colour
-from worker.method.cascade import GraphEvidence
 from worker.method.decision import PRIOR, Decision, PlaceProbability
 from worker.method.estimate import locate
+from worker.method.evidence import GraphEvidence
 from worker.method.verification import Verified
 from worker.service.enroll import Enrolled
 from worker.service.explanations import point

@@ -138,6 +138,7 @@ class Revisit:
         map: str | None = None,
         top: int | None = None,
         candidates: int | None = None,
+        precision: float | None = None,
         explain: bool | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool = False,
@@ -159,6 +160,8 @@ class Revisit:
             How many matches at most.
         candidates : int or None
             Candidates of each channel to re-rank; 0 ranks by the histograms alone. None: the map's.
+        precision : float or None
+            Share of answers with the status matched that must be right, 0.5 to 0.999. None: the map's.
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
         near : (float, float, float) or None
@@ -176,7 +179,7 @@ class Revisit:
             Ids of views to leave out.
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
-        options = {"map": map, "top": top, "candidates": candidates, "explain": explain}
+        options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
         name, data = _read(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}

@@ -30,7 +30,7 @@ from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position
 from schemas.settings import Settings
 from worker.description.presets import Wanted, changed_ranking, make_recipe
-from worker.method.cascade import Evidence
+from worker.method.evidence import Evidence
 from worker.runtime import Runtime
 
 PRESET = "default"

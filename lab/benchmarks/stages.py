@@ -37,7 +37,8 @@ from schemas.image import Image
 from schemas.records import Filters
 from schemas.settings import Settings
 from worker.description.describer import Describer
-from worker.method.cascade import Evidence, Observe
+from worker.method.cascade import Observe
+from worker.method.evidence import Evidence
 from worker.runtime import Runtime, build
 
 SIZE = (640, 480)

@@ -181,7 +181,12 @@ def unknown(dataset: Dataset) -> tuple[Query, ...]:
 
 def site(dataset: Dataset) -> str:
     """Where a set was taken: its folder's name up to the first underscore, as ``pepper`` of two walks in one office."""
-    return dataset.database[0].parent.parent.name.partition("_")[0]
+    return site_named(dataset.database[0].parent.parent.name)
+
+
+def site_named(name: str) -> str:
+    """The site of a set by the set's name, which begins with that of its folder."""
+    return name.partition(" ")[0].partition("_")[0]
 
 
 def elsewhere(dataset: Dataset, others: Sequence[Dataset]) -> tuple[Query, ...]:

@@ -19,7 +19,7 @@ from tests.stories.running import RunningService
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "client" / "revisit_client"
-WIRE = ROOT / "schemas" / "wire.py"
+WIRE = [ROOT / "schemas" / name for name in ("wire.py", "wire_query.py", "wire_views.py")]
 
 SERVER = {
     "app",
@@ -77,7 +77,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     traces = shutil.ignore_patterns("build", "dist", "*.egg-info", "__pycache__")
     shutil.copytree(ROOT / "client", folder / "client", symlinks=True, ignore=traces)
     (folder / "schemas").mkdir()
-    shutil.copy(WIRE, folder / "schemas")
+    for wire in WIRE:
+        shutil.copy(wire, folder / "schemas")
     return folder / "client"
 
 
@@ -94,17 +95,19 @@ def test_the_wheel_holds_the_client_and_the_wire_models_as_a_file(wheel: Path) -
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
         assert held == {f"revisit_client/{path.name}" for path in (*PACKAGE.glob("*.py"), PACKAGE / "py.typed")}
-        assert archive.read("revisit_client/wire.py") == WIRE.read_bytes()
+        for wire in WIRE:
+            assert archive.read(f"revisit_client/{wire.name}") == wire.read_bytes()
 
 
 def test_a_source_distribution_holds_the_wire_models_as_a_file_too(source: Path) -> None:
     run(source, "-c", "from setuptools import build_meta; build_meta.build_sdist('dist')")
     with tarfile.open(source / "dist" / f"revisit_client-{VERSION}.tar.gz") as archive:
-        wire = archive.getmember(f"revisit_client-{VERSION}/revisit_client/wire.py")
-        assert wire.isfile()
-        content = archive.extractfile(wire)
-        assert content is not None
-        assert content.read() == WIRE.read_bytes()
+        for wire in WIRE:
+            member = archive.getmember(f"revisit_client-{VERSION}/revisit_client/{wire.name}")
+            assert member.isfile()
+            content = archive.extractfile(member)
+            assert content is not None
+            assert content.read() == wire.read_bytes()
 
 
 def test_the_wheel_alone_is_imported_without_anything_of_the_service(wheel: Path) -> None:
@@ -131,8 +134,9 @@ def test_its_files_import_httpx_pydantic_and_the_standard_library_only() -> None
 
 
 def test_there_is_one_source_of_the_wire_models_and_it_needs_pydantic_only() -> None:
-    assert (PACKAGE / "wire.py").samefile(WIRE)
-    assert imported(WIRE) - sys.stdlib_module_names == {"pydantic"}
+    for wire in WIRE:
+        assert (PACKAGE / wire.name).samefile(wire)
+        assert imported(wire) - sys.stdlib_module_names == {"pydantic"}
 
 
 def test_its_version_and_what_it_needs_are_the_services() -> None:

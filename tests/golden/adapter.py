@@ -128,7 +128,7 @@ class Service:
     """A whole service over a data folder, called through its HTTP interface."""
 
     def __init__(self, data: Path, encoder: EncoderName) -> None:
-        self._runtime = build(Settings(data=data, encoder=encoder, threads=1))
+        self._runtime = build(Settings(data=data, encoder=encoder, threads=1, compare=False))
         self._client = TestClient(create_app(self._runtime), raise_server_exceptions=False)
         self._ids: dict[tuple[str, str], str] = {}
 

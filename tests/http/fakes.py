@@ -121,6 +121,7 @@ class FakeRecogniser:
         top: int,
         candidates: int | None,
         filters: Filters,
+        precision: float | None,
         explain: bool,
     ) -> wire.QueryAnswer:
         self._may_fail("query")
@@ -128,6 +129,7 @@ class FakeRecogniser:
         self.given = {
             "map": map_name,
             "top": top,
+            "precision": precision,
             "candidates": candidates,
             "filters": filters,
             "explain": explain,
@@ -215,6 +217,12 @@ class FakeRecogniser:
             bytes=1,
             recipe={"id": "4c1d9ab02e7f6a35"},
             ranking={"id": "97b1f2c0d3e4a586"},
+            decision=wire.MapDecision(
+                source="cohort",
+                views_compared=0,
+                expected=wire.ExpectedDecisions(precision=0.97, matched_share=0.5),
+                updated_at=None,
+            ),
             labels=[],
             vocabulary={},
             extent=None,

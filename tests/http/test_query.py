@@ -26,6 +26,7 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "map": "default",
         "top": 5,
         "candidates": None,
+        "precision": None,
         "filters": Filters(),
         "explain": False,
     }
@@ -35,6 +36,7 @@ def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecognis
     attributes = {
         "top": "100",
         "candidates": "0",
+        "precision": "0.99",
         "explain": "true",
         "near": "48.1, 11.5, 250",
         "frame": "geo",
@@ -58,6 +60,14 @@ def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecognis
         exclude=("0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90", "b"),
     )
     assert recogniser.given["candidates"] == 0
+    assert recogniser.given["precision"] == 0.99
+
+
+@pytest.mark.parametrize("precision", ["0.4", "1", "nan", "sure"])
+def test_a_precision_out_of_range_is_refused(client: CheckedClient, precision: str) -> None:
+    answer = client.post("/query", files={"image": photo(1)}, data={"precision": precision})
+    assert answer.status_code == 422
+    assert [error["parameter"] for error in answer.json()["errors"]] == ["precision"]
 
 
 def test_exclude_last_counts_views_without_a_unit(client: CheckedClient, recogniser: FakeRecogniser) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from lab.ablate import VARIANTS, ablate, as_markdown, recipe_of, remembering
 from lab.benchmarks.ranking import measure, steps
-from lab.calibrate import evidence
 from lab.datasets.dataset import Dataset
 from lab.evaluate import run
 from lab.evaluation.artist import ServiceArtist
@@ -76,10 +75,18 @@ def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Datase
 def test_answers_carry_evidence_for_calibration(runtime: Runtime, walk: Dataset) -> None:
     with contender(runtime, "default").open(walk) as retriever:
         answers = query_all(walk, retriever)
-    seen = evidence(walk, answers)
-    assert len(seen.right) == 15
-    assert {"score", "lead"} <= set(seen.features)
-    assert seen.features["score"].max() <= 1
+    assert set(answers.features) == {"gap", "level"}
+    assert len(answers.features["gap"]) == 15
+    assert answers.features["level"].max() <= 0
+
+
+def test_a_map_knows_what_wrong_answers_get_before_it_is_measured(runtime: Runtime, walk: Dataset) -> None:
+    with contender(runtime, "default").open(walk) as retriever:
+        assert isinstance(retriever, ServiceRetriever)
+        for image in walk.database:
+            retriever.enroll(image, Position())
+        decision = retriever.result(walk.queries[0], top=1).decision
+    assert decision.levels.compared > 10
 
 
 def test_an_image_that_cannot_be_described_is_refused_with_its_reason(

@@ -27,7 +27,8 @@ from tests.method.views_in_a_dictionary import (
 )
 from worker.method import dense_cells
 from worker.method.byte_vectors import quantise
-from worker.method.cascade import STAGES, Evidence, RankedCandidate, ViewGone
+from worker.method.cascade import STAGES, ViewGone
+from worker.method.evidence import Evidence, RankedCandidate
 
 
 class TestStages:

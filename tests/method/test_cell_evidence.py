@@ -21,8 +21,8 @@ from tests.method.views_in_a_dictionary import (
 from worker.description.describer import components
 from worker.method import cell_evidence, dense_cells, hough
 from worker.method.byte_vectors import quantise
-from worker.method.cascade import Evidence
 from worker.method.cell_evidence import CellEvidence
+from worker.method.evidence import Evidence
 
 CHANNELS = (SEMANTIC, DETAIL)
 VIEWS = {seq: described(seq, noise) for seq, noise in enumerate(NOISES, start=10)}

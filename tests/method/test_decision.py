@@ -1,69 +1,140 @@
-"""Evidence, confidences and verdicts."""
+"""Probabilities of places, one verdict, and the reason for it."""
 
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from worker.method.calibration import Calibration, Logistic, Thresholds
-from worker.method.cascade import DenseEvidence, RankedCandidate
-from worker.method.decision import UNCALIBRATED, decide, features
-from worker.method.verification import Verified
+from schemas.records import KnownView, MapLevels
+from worker.method.calibration import Calibration, Logistic
+from worker.method.decision import PRIOR, Decision, decide, expected_levels, features
+from worker.method.evidence import Ranking
+from worker.method.places import Places
 
-
-def found(
-    score: float,
-    similarity: float | None = None,
-    median_similarity: float = 0.0,
-    p85_similarity: float = 0.0,
-    inliers: int = 0,
-    **parts: Any,
-) -> RankedCandidate:
-    dense = None if similarity is None else DenseEvidence(similarity, median_similarity, p85_similarity, (0, 0), 1.0)
-    verified = Verified(inliers, inliers, None, np.zeros((inliers, 4), np.float32)) if inliers else None
-    return RankedCandidate(1, score, parts, {}, {}, dense, None, verified)
-
-
-def by(feature: str, steepness: float = 10.0) -> Calibration:
-    curve = Logistic(np.array([0.3]), np.array([1.0]), np.array([steepness]), 0.0)
-    return Calibration((feature,), curve, Thresholds(matched=0.9, ambiguous=0.4), "a test")
+LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02)
+CALIBRATION = Calibration(
+    ("gap", "level"),
+    Logistic(np.array([1.0, 0.0]), np.array([0.25, 0.25]), np.array([1.0, 1.0]), 0.0),
+    np.array([0.5, 0.97, 0.99]),
+    np.array([0.5, 0.9, 0.95]),
+    np.array([0.9, 0.5, 0.3]),
+)
 
 
-def test_the_evidence_of_each_match() -> None:
-    read = features(
-        [found(0.8, 0.7, 0.2, 0.3, inliers=9, dense_full=0.5), found(0.6), found(0.5, 0.1, 0.2, dense_full=0.1)]
+def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = None, reranked: int = 100) -> Ranking:
+    """Views with the sequence numbers 0, 1, ... and these scores, best first."""
+    n = len(scores)
+    places = Places({i: (known or {}).get(i, KnownView()) for i in range(n)}, 5.0)
+    rival = next((i for i in range(1, min(n, reranked)) if places.apart(0, i)), None)
+    nothing = np.zeros(n, np.intp)
+    return Ranking(
+        np.arange(n), np.array(scores, np.float32), {}, nothing, nothing, {}, min(n, reranked), places, rival, (), None
     )
-    assert read["score"].tolist() == [0.8, 0.6, 0.5]
-    assert read["lead"] == pytest.approx([0.2, -0.2, -0.3])
-    assert read["standing"] == pytest.approx([0.5, 0.0, -0.1])
-    assert read["margin"] == pytest.approx([0.4, 0.0, 0.1])
-    assert read["inliers"] == pytest.approx([np.log(10), 0, 0])
-    assert read["part.dense_full"].tolist() == [0.5, 0.0, 0.1]
 
 
-def test_a_view_that_stands_out_is_matched_and_one_among_many_alike_is_not() -> None:
-    outstanding, usual = (
-        found(0.6, similarity=0.9, median_similarity=0.2),
-        found(0.6, similarity=0.9, median_similarity=0.85),
-    )
-    assert decide([outstanding], by("standing")).status == "matched"
-    assert decide([usual], by("standing")).status == "no_match"
+def named(*names: str | None) -> dict[int, KnownView]:
+    return {i: KnownView(name) for i, name in enumerate(names)}
 
 
-def test_an_unknown_place_that_looks_like_the_few_views_of_its_kind_is_not_matched() -> None:
-    place, unknown_place = (
-        found(0.6, 0.9, median_similarity=0.1, p85_similarity=0.2),
-        found(0.6, 0.9, median_similarity=0.1, p85_similarity=0.85),
-    )
-    assert decide([place], by("margin")).status == "matched"
-    assert decide([unknown_place], by("margin")).status == "no_match"
+def decided(
+    scores: Sequence[float],
+    known: Mapping[int, KnownView] | None = None,
+    levels: MapLevels = LEVELS,
+    precision: float = 0.97,
+    searched: int = 100,
+    poor: str | None = None,
+) -> Decision:
+    return decide(ranking(scores, known), levels, CALIBRATION, precision, searched=searched, poor=poor)
 
 
-def test_confidence_never_rises_with_rank() -> None:
-    attributes = decide([found(0.8, 0.5, 0.2), found(0.7, 0.9, 0.2), found(0.1, 0.1, 0.2)], by("standing"))
-    assert attributes.confidence == attributes.confidences[0] == attributes.confidences[1] > attributes.confidences[2]
+def test_features_by_hand() -> None:
+    usual = MapLevels(10, 0.3, 0.02)
+    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0}
+    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5))}
 
 
-def test_nothing_found_is_no_match_and_a_feature_never_seen_is_no_evidence() -> None:
-    assert decide([], UNCALIBRATED).status == "no_match"
-    assert decide([found(0.9)], by("part.unheard of")).confidence < 0.05
+def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:
+    assert (expected_levels(MapLevels()).level, expected_levels(MapLevels()).gap) == (PRIOR.level, PRIOR.gap)
+    few, many = (expected_levels(MapLevels(n, 0.6, 0.06)) for n in (4, 4000))
+    assert few.level == pytest.approx((0.6 + PRIOR.level) / 2)
+    assert many.level == pytest.approx(0.6, abs=0.001)
+    assert many.gap == pytest.approx(0.06, abs=0.001)
+
+
+def test_what_stands_out_from_what_wrong_answers_get_is_matched() -> None:
+    outstanding = decided([0.6, 0.2, 0.19])
+    assert (outstanding.status, outstanding.reason.code) == ("matched", "sure")
+    assert outstanding.confidence > 0.95
+
+
+def test_the_same_scores_in_a_map_where_wrong_answers_get_more_are_not() -> None:
+    elsewhere = decided([0.6, 0.5, 0.49], levels=MapLevels(1000, 0.6, 0.08))
+    assert elsewhere.status == "no_match"
+    assert elsewhere.reason.code == "weak"
+
+
+def test_another_place_that_is_nearly_as_good_is_named_as_look_alike() -> None:
+    twins = decided([0.6, 0.58, 0.2], named("floor 1", "floor 2", "cellar"))
+    assert twins.status != "matched"
+    assert twins.reason.code == "look-alike"
+
+
+def test_another_view_of_the_same_place_is_no_rival() -> None:
+    one = decided([0.6, 0.58, 0.2], named("hall", "hall", "cellar"))
+    assert one.status == "matched"
+    assert [place.views for place in one.places] == [(0, 1), (2,)]
+
+
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=6),
+    st.lists(st.floats(0, 1), min_size=0, max_size=6),
+    st.lists(st.floats(0, 1), min_size=0, max_size=6),
+)
+def test_more_views_of_a_place_never_lower_its_probability(
+    own: list[float], others: list[float], more: list[float]
+) -> None:
+    def probability(own: list[float]) -> float:
+        views = sorted([(s, "here") for s in own] + [(s, f"there {i}") for i, s in enumerate(others)], reverse=True)
+        answer = decided([s for s, _ in views], named(*(name for _, name in views)))
+        return sum(place.probability for place in answer.places if views[place.views[0]][1] == "here")
+
+    assert probability(own + more) >= probability(own) - 1e-9
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=15), st.lists(st.sampled_from("abc"), min_size=15, max_size=15))
+def test_probabilities_of_all_places_and_none_sum_to_one(scores: list[float], names: list[str]) -> None:
+    answer = decided(sorted(scores, reverse=True), named(*names))
+    probabilities = [place.probability for place in answer.places]
+    assert sum(probabilities) + answer.nowhere == pytest.approx(1)
+    assert min([*probabilities, answer.nowhere]) >= 0
+    assert answer.confidence == probabilities[0]
+    assert all(a >= b for a, b in zip(answer.confidences, answer.confidences[1:], strict=False))
+
+
+def test_who_wants_more_precision_gets_matched_less_often() -> None:
+    scores = [0.35, 0.2, 0.2]
+    assert decided(scores, precision=0.9).status == "matched"
+    assert decided(scores, precision=0.999).status == "ambiguous"
+
+
+def test_a_map_with_one_place_never_says_ambiguous() -> None:
+    status = {decided([score, score], named("home", "home")).status for score in np.linspace(0, 1, 101)}
+    assert status == {"matched", "no_match"}
+
+
+def test_the_only_place_must_exceed_what_wrong_answers_get() -> None:
+    assert decided([0.22], levels=LEVELS).status == "no_match"
+    assert decided([0.6], levels=LEVELS).status == "matched"
+
+
+def test_nothing_to_search_is_said() -> None:
+    empty = decided([])
+    assert (empty.status, empty.confidence, empty.reason.code, empty.nowhere) == ("no_match", 0.0, "empty", 1.0)
+
+
+def test_too_few_views_and_a_poor_image_are_said() -> None:
+    assert decided([0.21, 0.2], searched=2).reason.code == "few-views"
+    assert decided([0.21, 0.2], poor="the image is dark").reason.detail == "the image is dark"
+    assert decided([0.6, 0.2], poor="the image is dark").reason.code == "sure"

@@ -27,7 +27,7 @@ def test_metres_and_degrees_never_mix() -> None:
     fix = locate([Position(lat=50.0, lon=14.0), Position(x=0, y=0)], [0.5, 0.5])
     assert fix is not None
     assert fix.agreeing == (0,)
-    assert fix.radius_m == 0
+    assert fix.radius_m is None
 
 
 def test_the_antimeridian_is_no_obstacle() -> None:
@@ -52,3 +52,13 @@ def test_a_single_match_is_its_own_estimate(lat: float, lon: float, x: float, y:
     flat = locate([Position(x=x, y=y)], [1.0])
     assert flat is not None
     assert (flat.position.x, flat.position.y) == pytest.approx((x, y))
+
+
+def test_one_view_is_as_exact_as_the_map_is_dense() -> None:
+    walk = [Position(x=10.0, y=0.0), Position(x=13.0, y=0.0), Position(x=40.0, y=0.0), Position(lat=50.0, lon=14.0)]
+    fix = locate(walk[:1], [0.9], walk)
+    assert fix is not None
+    assert fix.radius_m == pytest.approx(3.0)
+    alone = locate(walk[:1], [0.9], walk[3:])
+    assert alone is not None
+    assert alone.radius_m is None

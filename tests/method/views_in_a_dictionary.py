@@ -8,10 +8,11 @@ import numpy as np
 
 from schemas.description import DETAIL, SEMANTIC, Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import CellGrid, Channel, DescriptionParameters, DescriptionRecipe, RankingConfig, TermWeights
-from schemas.records import Candidates
+from schemas.records import Candidates, KnownView
 from worker.method import dense_cells
 from worker.method.byte_vectors import quantise
-from worker.method.cascade import RankedCandidate, ViewGone, rank
+from worker.method.cascade import ViewGone, rank
+from worker.method.evidence import RankedCandidate
 from worker.method.unit_length import unit
 
 ROWS, COLUMNS, DIMENSIONS = 8, 12, 16
@@ -74,6 +75,7 @@ class Dictionary:
     views: dict[int, Description]
     fetched: list[tuple[str, list[int]]] = field(default_factory=list)
     gone_before: str = ""
+    attributes: dict[int, KnownView] = field(default_factory=dict)
 
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
         return self._fetch("appearances", seqs, lambda view: view.appearance)
@@ -87,6 +89,11 @@ class Dictionary:
             return view.keypoints
 
         return self._fetch("local_features", seqs, kept)
+
+    def known(self, seqs: Sequence[int]) -> list[KnownView]:
+        if self.gone_before == "known":
+            raise ViewGone
+        return [self.attributes.get(seq, KnownView()) for seq in seqs]
 
     def _fetch(self, what: str, seqs: Sequence[int], part: Callable[[Description], T]) -> list[T]:
         self.fetched.append((what, list(seqs)))
@@ -122,7 +129,8 @@ def ranked(
     recipe: DescriptionRecipe = RECIPE,
     **options: Any,
 ) -> list[RankedCandidate]:
-    return rank(query, candidates, recipe, config, views or enrolled(), **{"top": 100} | options)
+    ranking = rank(query, candidates, recipe, config, views or enrolled(), **{"top": 100} | options)
+    return list(ranking.first)
 
 
 def seqs(ranking: Sequence[RankedCandidate]) -> list[int]:

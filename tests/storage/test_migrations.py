@@ -12,6 +12,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 
 from schemas.errors import SetupError
+from schemas.recipe import RankingConfig
 from tests.storage.conftest import Open
 from tests.storage.databases import sqlite_url
 from tests.storage.material import LEASE, NOW, enroll
@@ -182,7 +183,7 @@ def test_a_recipe_of_before_becomes_the_halves_that_are_made_today(name: str) ->
     description, ranked = halves(json.loads(BEFORE[name]["body"]))
 
     assert (identity(description), description) == (today.description.id, today.description.model_dump(mode="json"))
-    assert ranked == today.ranking.model_dump(mode="json")
+    assert RankingConfig.model_validate(ranked) == today.ranking
 
 
 def test_a_data_folder_of_before_keeps_its_views_descriptions_jobs_and_their_order(

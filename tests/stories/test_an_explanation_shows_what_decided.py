@@ -17,7 +17,7 @@ from tests.stories.photos import photo
 from worker.images.codec import shrink
 from worker.images.explanation import WIDTH, Sheet
 from worker.runtime import Runtime, build
-from worker.service.explanations import Explained, headline, rival_of
+from worker.service.explanations import Explained, headline
 from worker.service.query import QueryResult
 from worker.service.results import ScoredView
 from worker.service.sheets import cells_of, name_of, sheet
@@ -44,9 +44,8 @@ def result(runtime: Runtime) -> QueryResult:
 
 
 def explained(result: QueryResult) -> Explained:
-    views = result.results.views
     return Explained(
-        shrink(result.image), result.description, result.results, headline(result.decision), rival_of(views)
+        shrink(result.image), result.description, result.results, headline(result.decision), result.results.rival
     )
 
 
@@ -87,21 +86,16 @@ def test_the_cells_are_those_that_made_the_score(runtime: Runtime, result: Query
 
 
 def test_the_rival_is_the_best_of_another_place(result: QueryResult) -> None:
-    views = result.results.views
-    rival = rival_of(views)
+    views, rival = result.results.views, result.results.rival
 
     assert [view.view.attributes.place for view in views[:2]] == ["mill lane", "mill lane"]
     assert rival is not None
     assert rival.view.attributes.place != "mill lane"
     assert rival.score == max(view.score for view in views if view.view.attributes.place != "mill lane")
-    unnamed = [replace(view, view=replace(view.view, attributes=ViewAttributes())) for view in views]
-    assert rival_of(unnamed) is unnamed[1]
-    assert rival_of([views[0], *unnamed[1:]]) is unnamed[1]
-    assert rival_of(views[:1]) is None
 
 
 def test_a_sheet_says_what_agrees_and_why_the_rival_lost(runtime: Runtime, result: QueryResult) -> None:
-    first, rival = result.results.views[0], rival_of(result.results.views)
+    first, rival = result.results.views[0], result.results.rival
     assert rival is not None
 
     shown = drawn(runtime, result, first, rival)
@@ -141,7 +135,7 @@ def test_a_lower_match_is_compared_with_the_first(runtime: Runtime, result: Quer
 
 
 def test_cells_that_are_not_kept_any_more_are_said_to_be_missing(runtime: Runtime, result: QueryResult) -> None:
-    first, rival = result.results.views[0], rival_of(result.results.views)
+    first, rival = result.results.views[0], result.results.rival
     assert rival is not None
 
     neither = drawn(runtime, result, first, rival, stored={})

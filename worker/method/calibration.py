@@ -169,9 +169,13 @@ class Calibration:
     def from_json(cls, text: str) -> "Calibration":
         """Read what `to_json` wrote."""
         data = json.loads(text)
-        kept = [np.asarray(data[name], np.float64) for name in ("precisions", "thresholds", "shares")]
-        curve = curve_from_json(data["curve"])
-        return cls(tuple(data["features"]), curve, *kept, data["ambiguous"], data["learned_from"])
+        return cls(
+            features=tuple(data["features"]),
+            curve=curve_from_json(data["curve"]),
+            **{name: np.asarray(data[name], np.float64) for name in ("precisions", "thresholds", "shares")},
+            ambiguous=float(data["ambiguous"]),
+            learned_from=data["learned_from"],
+        )
 
 
 def _sigmoid(x: Doubles) -> Doubles:

@@ -10,26 +10,17 @@ No I/O: stored data of candidates comes through `Fetch`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from schemas.description import DETAIL, Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
+from schemas.description import DETAIL, Appearance, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import Candidates, KnownView, Sequence64
+from schemas.records import Candidates, KnownView
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, verification
 from worker.method.byte_vectors import Product, float_product
-from worker.method.context_graph import GraphComparison
-from worker.method.hough import Doubles
+from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
 from worker.method.places import Places
-from worker.method.score_fusion import Rows
-from worker.method.verification import Verified
-
-RIVALS = 3
-"""Views of other places that are compared in full and verified, even if more views of the best place rank above them:
-the decision needs to know what the next place gets."""
 
 
 class ViewGone(Exception):
@@ -54,212 +45,6 @@ class Fetch(Protocol):
     def known(self, seqs: Sequence[int]) -> list[KnownView]:
         """Names, positions and the map's own comparisons, in the order of `seqs`."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class DenseEvidence:
-    """Comparison of dense cells.
-
-    Parameters
-    ----------
-    similarity : float
-        Of the half-resolution cells, 0..1: the larger of all channels' and the aligned detail channel's.
-    median_similarity : float
-        Median over all compared candidates: typical of a wrong view.
-    p85_similarity : float
-        85th percentile over all compared candidates: typical of the wrong views most like the query.
-    shift : (int, int)
-        (rows, columns) by which the view's grid is displaced, in full-resolution cells of the query.
-    scale : float or None
-        How much larger the view shows the place than the query does, 0.5..2; None without full-resolution comparison.
-    detail_rate : float
-        Factor on the similarity of detail alone, where that was compared too at the last resolution; otherwise 0.
-    """
-
-    similarity: float
-    median_similarity: float
-    p85_similarity: float
-    shift: tuple[int, int]
-    scale: float | None
-    detail_rate: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class GraphEvidence:
-    """Comparison of context graphs.
-
-    Parameters
-    ----------
-    similarity : float
-        S of `worker.method.context_graph.compare`, 0..1.
-    view : ContextGraph
-    pairs : tuple of (int, int)
-        Corresponding nodes of query and view.
-    cosines : tuple of float
-        Of the pairs.
-    edges_agreeing : int
-        Edges present in both graphs between corresponding nodes.
-    """
-
-    similarity: float
-    view: ContextGraph
-    pairs: tuple[tuple[int, int], ...]
-    cosines: tuple[float, ...]
-    edges_agreeing: int
-
-
-@dataclass(frozen=True, eq=False)
-class RankedCandidate:
-    """A candidate with its score and the evidence for it.
-
-    Parameters
-    ----------
-    seq : int
-        Sequence number of the view.
-    score : float
-        0..1, never rising with rank.
-    parts : mapping of term to float
-        Sum to the score.
-    distances : mapping of channel to float
-        L2 between histogram vectors.
-    ranks : mapping of channel to int or None
-        Rank in that channel's search, from 1; None when that search did not return the view.
-    dense, graph, verified
-        None where the recipe has no such stage or the rank is too low for it.
-    """
-
-    seq: int
-    score: float
-    parts: Mapping[str, float]
-    distances: Mapping[str, float]
-    ranks: Mapping[str, int | None]
-    dense: DenseEvidence | None
-    graph: GraphEvidence | None
-    verified: Verified | None
-
-
-@dataclass(frozen=True, eq=False)
-class Ranking:
-    """All candidates of a query in order, and the first of them with their evidence.
-
-    Parameters
-    ----------
-    seqs : int64 of shape (candidates,)
-        Sequence numbers, best first.
-    scores : float32 of shape (candidates,)
-    terms : mapping of term to float32 of shape (candidates,)
-        0..1, before weighting; zero where a candidate was not compared.
-    inliers, matches : intp of shape (candidates,)
-        Of the geometric verification; -1 where a candidate was not verified.
-    ranks : mapping of channel to int64 of shape (candidates,)
-        Rank in that channel's search, from 1; 0 when that search did not return the view.
-    reranked : int
-        How many were re-ranked: the first ones.
-    places : Places
-    rival : int or None
-        Index of the best re-ranked view that shows another place than the first; None when there is none.
-    first : tuple of RankedCandidate
-        The first `top`; then the rival, if it is not among them.
-    """
-
-    seqs: Sequence64
-    scores: Floats
-    terms: Mapping[str, Floats]
-    inliers: Rows
-    matches: Rows
-    ranks: Mapping[str, Sequence64]
-    reranked: int
-    places: Places
-    rival: int | None
-    first: tuple[RankedCandidate, ...]
-
-
-@dataclass(eq=False)
-class Evidence:
-    """Evidence about the candidates of one query, filled in by one stage after another.
-
-    Parameters
-    ----------
-    candidates : Candidates
-    config : RankingConfig
-    places : Places
-        Of the candidates.
-    terms : dict of term to float32 of shape (candidates,)
-        0..1; zero where a candidate was not compared.
-    rows : intp of shape (reranked,)
-        The candidates that are re-ranked.
-    appearances : list of Appearance
-        Of `rows`.
-    cell_aspect : float64 of shape (reranked, 2)
-        Height and width of their cells, relative to the query's.
-    shifts : intp of shape (reranked, 2), or None without dense cells
-        Displacements (rows, columns) of their grids, in full-resolution cells of the query.
-    align_scale : float
-        Factor that brings similarities of detail alone to the level of those of all channels.
-    scales : dict of candidate to float
-        How much larger a candidate shows the place; only of those compared at full resolution.
-    joined_only : set of candidate
-        Those compared at full resolution by all channels together only.
-    graph : GraphComparison or None
-        Of `rows`.
-    verified : dict of candidate to Verified
-    """
-
-    candidates: Candidates
-    config: RankingConfig
-    places: Places
-    terms: dict[str, Floats]
-    rows: Rows
-    appearances: list[Appearance] = field(default_factory=list)
-    cell_aspect: Doubles = field(default_factory=lambda: np.ones((0, 2)))
-    shifts: npt.NDArray[np.intp] | None = None
-    align_scale: float = 0.0
-    scales: dict[int, float] = field(default_factory=dict)
-    joined_only: set[int] = field(default_factory=set)
-    graph: GraphComparison | None = None
-    verified: dict[int, Verified] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.place = {int(row): place for place, row in enumerate(self.rows)}
-
-    def put(self, term: str, rows: Rows, values: Floats) -> None:
-        """Set a term of some candidates; it is 0 for the others."""
-        whole = np.zeros(len(self.candidates.seqs), np.float32)
-        whole[rows] = values
-        self.terms[term] = whole
-
-    def seqs(self, rows: Rows) -> list[int]:
-        """Sequence numbers of some candidates."""
-        return [int(seq) for seq in self.candidates.seqs[rows]]
-
-    def best(self, count: int) -> Rows:
-        """At most `count` of the re-ranked candidates, best first by the evidence so far.
-
-        Up to `RIVALS` of another place than the first are among them: where there are fewer, they replace the last
-        views of its own place and neighbourhood.
-        """
-        score, _ = score_fusion.weigh(self.terms, self.config.weights.terms())
-        order = score_fusion.order(score, self.distance, self.rows)[: len(self.rows)]
-        if len(order) <= count:
-            return order
-        rival = self._apart_from_first(order)
-        missing = max(0, min(RIVALS, int(rival.sum())) - int(rival[:count].sum()))
-        own = np.flatnonzero(~rival[:count])[1:]
-        kept = np.setdiff1d(np.arange(count), own[len(own) - missing :] if missing else own[:0])
-        added = count + np.flatnonzero(rival[count:])[: count - len(kept)]
-        chosen: Rows = order[np.concatenate([kept, added])]
-        return chosen
-
-    def _apart_from_first(self, order: Rows) -> npt.NDArray[np.bool_]:
-        """Which rows show another place than the first of them."""
-        first, *_ = seqs = self.seqs(order)
-        return np.array([self.places.apart(first, seq) for seq in seqs], np.bool_)
-
-    @property
-    def distance(self) -> Floats:
-        """Sum of the channels' histogram distances, float32 (candidates,): breaks ties of scores."""
-        total: Floats = np.sum(list(self.candidates.distances.values()), axis=0, dtype=np.float32)
-        return total
 
 
 Observe = Callable[[str, Evidence], None]
@@ -408,20 +193,6 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
     seqs = [int(seq) for seq in candidates.seqs[order]]
     among = range(1, len(evidence.rows) or len(seqs))
     rival = next((i for i in among if evidence.places.apart(seqs[0], seqs[i])), None)
-    shown = order[:top] if rival is None or rival < top else order[[*range(min(top, len(order))), rival]]
-    first = [
-        RankedCandidate(
-            seq=int(candidates.seqs[row]),
-            score=float(score[row]),
-            parts={name: float(part[row]) for name, part in parts.items()},
-            distances={name: float(distances[row]) for name, distances in candidates.distances.items()},
-            ranks={name: int(ranks[row]) or None for name, ranks in candidates.ranks.items()},
-            dense=_dense_of(evidence, int(row)),
-            graph=_graph_of(evidence, int(row)),
-            verified=evidence.verified.get(int(row)),
-        )
-        for row in shown
-    ]
     return Ranking(
         seqs=candidates.seqs[order],
         scores=score[order],
@@ -432,7 +203,23 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
         reranked=len(evidence.rows),
         places=evidence.places,
         rival=rival,
-        first=tuple(first),
+        first=tuple(_candidate(evidence, score, parts, int(row)) for row in order[:top]),
+        opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival])),
+    )
+
+
+def _candidate(evidence: Evidence, score: Floats, parts: Mapping[str, Floats], row: int) -> RankedCandidate:
+    """One candidate with its evidence."""
+    candidates = evidence.candidates
+    return RankedCandidate(
+        seq=int(candidates.seqs[row]),
+        score=float(score[row]),
+        parts={name: float(part[row]) for name, part in parts.items()},
+        distances={name: float(distances[row]) for name, distances in candidates.distances.items()},
+        ranks={name: int(ranks[row]) or None for name, ranks in candidates.ranks.items()},
+        dense=_dense_of(evidence, row),
+        graph=_graph_of(evidence, row),
+        verified=evidence.verified.get(row),
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from schemas.records import MapLevels
 from worker.method.calibration import Calibration, Verdict
-from worker.method.cascade import Ranking
+from worker.method.evidence import Ranking
 
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
@@ -85,7 +85,7 @@ class Decision:
     precision, threshold : float
         Share of matched answers that must be right, and the probability from which an answer is matched.
     levels : MapLevels
-        What wrong answers get in this map, as `typical` gives it.
+        What wrong answers get in this map, as `expected_levels` gives it.
     features : mapping of name to float
         What the calibration read of the first place; empty without a match.
     """
@@ -106,7 +106,7 @@ class Decision:
         return max(0.0, 1.0 - sum(place.probability for place in self.places))
 
 
-def typical(levels: MapLevels) -> MapLevels:
+def expected_levels(levels: MapLevels) -> MapLevels:
     """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared."""
     total = levels.compared + PRIOR.compared
     level = (levels.compared * levels.level + PRIOR.compared * PRIOR.level) / total
@@ -124,7 +124,7 @@ def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
     rival : float
         Of the best view of any other place, 0..1.
     levels : MapLevels
-        As `typical` gives them.
+        As `expected_levels` gives them.
     """
     return {
         "gap": float(np.log1p(max(score - rival, 0.0) / (levels.gap + SOFTENING))),
@@ -165,7 +165,7 @@ def decide(
     the place can only raise it. That of the second place is the probability that the first is wrong times what the
     curve says of the second, and so on, so that all of them and "none" sum to 1.
     """
-    usual, threshold = typical(levels), calibration.threshold(precision)
+    usual, threshold = expected_levels(levels), calibration.threshold(precision)
     if not len(ranking.seqs):
         return Decision("no_match", 0.0, EMPTY, precision, threshold, usual)
     seqs = [int(seq) for seq in ranking.seqs]

@@ -13,7 +13,8 @@ from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import Candidates, Comparison, Selection, Uncompared
 from worker.method import cascade
 from worker.method.byte_vectors import Product
-from worker.method.cascade import Ranking, ViewGone
+from worker.method.cascade import ViewGone
+from worker.method.evidence import Ranking
 from worker.method.places import Places
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher

@@ -17,9 +17,10 @@ from worker.description.scheduler import Scheduler, Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
-from worker.method.cascade import Evidence, ViewGone
+from worker.method.cascade import ViewGone
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, decide
+from worker.method.evidence import Evidence
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
@@ -262,20 +263,20 @@ class QueryService:
                     product=self._product,
                     observe=watch.observe,
                 )
-                views = self._views.at([candidate.seq for candidate in ranked.first])
-                shown = [view.description for view in views.values()]
-                if len(views) < len(ranked.first) or None in shown:
+                shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
+                views = self._views.at(sorted({candidate.seq for candidate in shown}))
+                facts = [views[candidate.seq].description for candidate in shown if candidate.seq in views]
+                if len(facts) < len(shown) or None in facts:
                     raise ViewGone
             except ViewGone:
                 continue
-            if any(of is not None and of.recipe != recipe.id for of in shown):
+            if any(of is not None and of.recipe != recipe.id for of in facts):
                 raise RecipeChanged  # while candidates were compared: views are shown by the map's present recipe
-            scored = tuple(ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in ranked.first)
-            rival = None if ranked.rival is None else min(ranked.rival, len(scored) - 1)
+            scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
             return RankedResults(
-                views=scored[:top],
+                views=tuple(scored[: len(ranked.first)]),
                 ranking=ranked,
-                rival=None if rival is None else scored[rival],
+                rival=None if ranked.opposed is None else scored[-1],
                 levels=self._comparisons.levels(map_name),
                 pending=self._queue.count_pending(map_name),
                 revision=found.revision,

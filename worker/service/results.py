@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from schemas.recipe import MapRecipe
 from schemas.records import MapLevels, ViewRecord
-from worker.method.cascade import RankedCandidate, Ranking
+from worker.method.evidence import RankedCandidate, Ranking
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,190 @@
+"""Models of the answer to a query over HTTP."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from .wire_views import Answer, LabelShare, Position, View
+
+
+class QueryFacts(Answer):
+    """The query image."""
+
+    id: str
+    width: int
+    height: int
+    labels: list[LabelShare]
+    static_share: float
+
+
+class ChannelMatch(Answer):
+    """A match in the histogram search of one channel."""
+
+    distance: float = Field(description="L2 between the histogram vectors.")
+    rank: int | None = Field(description="Rank in this channel's search, from 1; null when outside its candidates.")
+
+
+class DenseMatch(Answer):
+    """Comparison of the dense cells."""
+
+    similarity: float = Field(
+        description="Square root of the share of the query's cells that agree on one shift, 0..1; the larger of all "
+        "channels together and detail alone."
+    )
+    median_similarity: float = Field(description="Median over all candidates: what a wrong view gets.")
+    p85_similarity: float = Field(
+        description="85th percentile over all candidates: what wrong views get that look most like the query."
+    )
+    shift: tuple[int, int] = Field(description="(rows, columns) by which the view's grid is moved against the query's.")
+    scale: float | None = Field(
+        description="Size of the place in the view relative to the query, 0.5..2; null unless compared in full."
+    )
+
+
+class NodePair(Answer):
+    """Two corresponding nodes: same label, cosine above t, each the other's best."""
+
+    label: str
+    cosine: float
+    query: tuple[float, float] = Field(description="(x, y) in fractions of the longer side.")
+    view: tuple[float, float]
+
+
+class GraphMatch(Answer):
+    """Comparison of the context graphs."""
+
+    similarity: float
+    correspondences: int
+    nodes_query: int
+    nodes_view: int
+    edges_agreeing: int
+    pairs: list[NodePair] | None = Field(None, description="Only with explain=true.")
+
+
+class VerificationMatch(Answer):
+    """Geometric verification by local features."""
+
+    inliers: int
+    matches: int
+    transform: list[list[float]] | None = Field(
+        description="2 x 3, maps the query's positions to the view's (fractions of the longer side)."
+    )
+    pairs: list[tuple[tuple[float, float], tuple[float, float]]] | None = Field(
+        None, description="Inlier positions in query and view; only with explain=true."
+    )
+
+
+class MatchLinks(Answer):
+    """URLs of the images of a match."""
+
+    image: str
+    thumbnail: str
+    explanation: str | None = None
+
+
+class Match(Answer):
+    """One view that may show the place."""
+
+    rank: int
+    view: View
+    score: float = Field(ge=0, le=1)
+    confidence: float = Field(description="Calibrated probability that this is the place.", ge=0, le=1)
+    parts: dict[str, float] = Field(description="What each term adds to the score; the parts sum to it.")
+    channels: dict[str, ChannelMatch]
+    dense: DenseMatch | None
+    graph: GraphMatch | None
+    verification: VerificationMatch | None
+    links: MatchLinks
+
+
+class Estimate(Answer):
+    """Estimated position of the query, from the positions of matches that agree."""
+
+    position: Position
+    radius_m: float | None = Field(
+        description="How far off it may be: spread of the views, or of one view the usual distance to its neighbours; "
+        "null when that is not known."
+    )
+    views: list[str]
+
+
+class Difference(Answer):
+    """A region of the query image that speaks for the first match or for its rival."""
+
+    centre: tuple[float, float] = Field(description="(x, y) in fractions of the longer side.")
+    extent: tuple[float, float] = Field(description="(width, height) in fractions of the longer side.")
+    strength: float = Field(description="Above 0: speaks for the first match; below 0: for the rival.")
+
+
+class Rival(Answer):
+    """The best view of another place than the first one's."""
+
+    view: View
+    score: float
+    differs: list[Difference] | None = Field(
+        None, description="Where the first match and this one differ most, largest first; only with explain=true."
+    )
+
+
+class Reason(Answer):
+    """Why the status is what it is."""
+
+    code: Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"] = Field(
+        description="sure: one place stands out; look-alike: another place is nearly as good; weak: nothing stands out "
+        "from what wrong places get in this map; few-views: too little is enrolled to tell; poor-picture: the image "
+        "shows too little; empty: there was nothing to search."
+    )
+    detail: str = Field(description="What was seen.")
+    remedy: str = Field(description="What to do.")
+    rival: Rival | None = Field(None, description="With look-alike.")
+
+
+class ScoredId(Answer):
+    """A view by its id, and its score."""
+
+    id: str
+    score: float
+
+
+class PlaceProbability(Answer):
+    """A place that the query may show: views with one name, near each other, or alike by the map's own comparison."""
+
+    place: str | None = Field(description="Name of its best view's place.")
+    position: Position | None = Field(description="Of its best view.")
+    probability: float = Field(ge=0, le=1)
+    views: list[ScoredId] = Field(description="Best first.")
+
+
+class DecisionFacts(Answer):
+    """What the verdict was made from."""
+
+    precision: float = Field(description="Share of matched answers that must be right.")
+    threshold: float = Field(description="From this confidence on: matched.")
+    features: dict[str, float] = Field(
+        description="What the probability was computed from. gap: log(1 + lead over the best view of another place, in "
+        "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0."
+    )
+    wrong_score: float = Field(description="What wrong answers score in this map.")
+    wrong_gap: float = Field(description="By how much wrong answers lead over the next place in this map.")
+    views_compared: int = Field(description="Views of the map that these two were measured with.")
+
+
+class QueryAnswer(Answer):
+    """The answer to a query: places and views of the map that it may show, best first."""
+
+    query: QueryFacts
+    map: str
+    revision: int
+    recipe: str = Field(description="Id of the description recipe.")
+    ranking: str = Field(description="Id of the ranking.")
+    searched: int
+    pending: int = Field(description="Views of the map that were acknowledged and are not described yet.")
+    status: Literal["matched", "ambiguous", "no_match"]
+    confidence: float = Field(description="Probability that the first place is right.", ge=0, le=1)
+    reason: Reason
+    places: list[PlaceProbability] = Field(description="Best first; with `nowhere` their probabilities sum to 1.")
+    nowhere: float = Field(description="Probability that the image shows none of the places.", ge=0, le=1)
+    decision: DecisionFacts
+    matches: list[Match]
+    estimate: Estimate | None
+    timing_ms: dict[str, float]

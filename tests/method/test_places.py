@@ -1,0 +1,53 @@
+"""Which views are of one place."""
+
+import pytest
+
+from schemas.records import KnownView, Position
+from worker.method.places import Places
+
+
+def at(x: float, y: float = 0.0, name: str | None = None, z: float | None = None) -> KnownView:
+    return KnownView(name, Position(x=x, y=y, z=z))
+
+
+def places(*known: KnownView) -> Places:
+    return Places(dict(enumerate(known)), 5.0)
+
+
+def test_a_name_makes_one_place_of_views_far_apart() -> None:
+    hall = places(at(0, name="hall"), at(100, name="hall"), at(0.5, name=None))
+    assert hall.same(0, 1)
+    assert hall.same(0, 2)
+    assert not hall.same(1, 2)
+
+
+def test_views_without_name_or_position_are_places_of_their_own_unless_the_map_says_otherwise() -> None:
+    alone = places(KnownView(), KnownView(), KnownView(same_spot=frozenset({0})))
+    assert not alone.same(0, 1)
+    assert alone.apart(0, 1)
+    assert alone.same(0, 2)
+    assert alone.same(2, 0)
+
+
+@pytest.mark.parametrize(("gap", "same", "apart"), [(4.9, True, False), (5.1, False, False), (20.1, False, True)])
+def test_neighbours_are_neither_the_same_place_nor_another(gap: float, same: bool, apart: bool) -> None:
+    walk = places(at(0), at(gap))
+    assert (walk.same(0, 1), walk.apart(0, 1)) == (same, apart)
+
+
+def test_floors_above_each_other_are_apart_where_heights_are_given() -> None:
+    assert places(at(0, z=0), at(0, z=30)).apart(0, 1)
+    assert places(at(0, z=0), at(0)).same(0, 1)
+
+
+def test_degrees_are_measured_in_metres_and_never_compared_with_metres() -> None:
+    greenwich = KnownView(position=Position(lat=51.4779, lon=0.0))
+    across = KnownView(position=Position(lat=51.4779, lon=0.00005))  # 3.5 m
+    assert places(greenwich, across).same(0, 1)
+    assert places(greenwich, at(0)).apart(0, 1)
+
+
+def test_a_place_is_that_of_its_best_view() -> None:
+    chain = places(at(0), at(4), at(8), at(50))
+    assert chain.group([1, 3, 0, 2]) == [[0, 2, 3], [1]]
+    assert chain.group([0, 1, 2, 3]) == [[0, 1], [2], [3]]
