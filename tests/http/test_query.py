@@ -128,7 +128,7 @@ def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedCli
     answer = client.post("/query?drive=monday-7", content=photo(), headers=JPEG)
     assert answer.json()["detail"] == (
         "drive: is unknown; known are after, before, candidates, exclude, exclude_last, explain, frame, map, "
-        "metadata.KEY, near, place, top"
+        "metadata.KEY, near, place, precision, top"
     )
 
 
