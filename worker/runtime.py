@@ -17,7 +17,7 @@ from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
 from worker.description.vocabularies import SHIPPED
-from worker.images import codec
+from worker.images import codec, quality
 from worker.loop import Loop
 from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
@@ -301,6 +301,7 @@ def _services(
             catalogue=catalogue,
             decode=decode,
             shrink=codec.shrink,
+            look_for_problem=lambda image: quality.problem(image.pixels),
             calibration=shipped_calibration,
             explanations=explanations,
             product=product,

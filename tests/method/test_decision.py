@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from schemas.records import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import PRIOR, Decision, decide, expected_levels, features
+from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
@@ -44,9 +44,8 @@ def decided(
     levels: MapLevels = LEVELS,
     precision: float = 0.97,
     searched: int = 100,
-    poor: str | None = None,
 ) -> Decision:
-    return decide(ranking(scores, known), levels, CALIBRATION, precision, searched=searched, poor=poor)
+    return decide(ranking(scores, known), levels, CALIBRATION, precision, searched=searched)
 
 
 def test_features_by_hand() -> None:
@@ -136,5 +135,14 @@ def test_nothing_to_search_is_said() -> None:
 
 def test_too_few_views_and_a_poor_image_are_said() -> None:
     assert decided([0.21, 0.2], searched=2).reason.code == "few-views"
-    assert decided([0.21, 0.2], poor="the image is dark").reason.detail == "the image is dark"
-    assert decided([0.6, 0.2], poor="the image is dark").reason.code == "sure"
+    dark = blame_image(decided([0.21, 0.2]), "the image is dark")
+    assert (dark.reason.code, dark.reason.detail) == ("poor-picture", "the image is dark")
+    assert blame_image(decided([0.6, 0.2]), "the image is dark").reason.code == "sure"
+    assert blame_image(decided([]), "the image is dark").reason.code == "empty"
+    assert blame_image(decided([0.21, 0.2]), None).reason.code == "weak"
+
+
+def test_histograms_alone_decide_nothing_in_a_map_that_knows_whole_scores() -> None:
+    alone = decide(ranking([0.9, 0.2]), LEVELS, CALIBRATION, 0.97, searched=100, measured_alike=False)
+    assert alone.status != "matched"
+    assert "histograms alone" in alone.reason.detail

@@ -15,7 +15,7 @@ from worker.runtime import build
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
     data = tmp_path_factory.mktemp("data")
-    with CheckedClient(create_app(build(Settings(data=data, encoder="compact", threads=1)))) as opened:
+    with CheckedClient(create_app(build(Settings(data=data, encoder="compact", threads=1, compare=False)))) as opened:
         yield opened
 
 

@@ -10,7 +10,7 @@ little by itself. Two features say more, and mean the same in every map:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -140,7 +140,7 @@ def decide(
     *,
     searched: int,
     shown: int = GROUPED,
-    poor: str | None = None,
+    measured_alike: bool = True,
 ) -> Decision:
     """Probability of each place, and the verdict on the answer.
 
@@ -156,8 +156,9 @@ def decide(
         Number of views searched.
     shown : int
         Number of views that are grouped into places, if more than `GROUPED`.
-    poor : str, optional
-        What is wrong with the query image, where something is.
+    measured_alike : bool
+        Whether the views of the map were compared with one another by the same stages as the query: what wrong answers
+        get by others says nothing.
 
     Notes
     -----
@@ -173,7 +174,8 @@ def decide(
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
     nothing = usual.level  # what a wrong answer would get where no other place was found
-    first = features(scores[0], float(ranking.scores[rival]) if rival is not None else nothing, usual)
+    best_other = float(ranking.scores[rival]) if rival is not None else nothing
+    first = features(scores[0], best_other if measured_alike else scores[0], usual)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     columns = np.array([[one[name] for name in calibration.features] for one in read])
     places, left = [], 1.0
@@ -185,10 +187,26 @@ def decide(
     only = len(groups) == 1 and rival is None
     if status == "ambiguous" and only:
         status = "no_match"
+    if not measured_alike:
+        reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
+        return Decision(
+            status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first
+        )
     unrivalled = np.array([[features(scores[0], nothing, usual)[name] for name in calibration.features]])
     alone = calibration.verdict(float(calibration.curve.probability(unrivalled)[0]), precision)
-    reason = _reason(status, rival, alone == "matched", searched, poor)
+    reason = _reason(status, rival, alone == "matched", searched)
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first)
+
+
+def blame_image(decision: Decision, problem: str | None) -> Decision:
+    """The decision with what is wrong with the image as its reason, unless it is `matched` or there was nothing to
+    search; `problem` is in words."""
+    if problem is None or decision.reason.code in ("sure", "empty"):
+        return decision
+    return replace(decision, reason=Reason("poor-picture", problem, BETTER_PHOTO))
+
+
+BETTER_PHOTO = "take another photo of the place: lit, sharp, and of things that stay"
 
 
 def _confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
@@ -197,14 +215,13 @@ def _confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
 
 
 EMPTY = Reason("empty", "there was no view to compare with", "enrol images, or widen the filters")
+HISTOGRAMS_ALONE = "ranked by histograms alone, by which the map does not know what wrong answers get"
 SURE = Reason("sure", "one place stands out from all others", "nothing")
 
 
-def _reason(status: Verdict, rival: int | None, alone: bool, searched: int, poor: str | None) -> Reason:
+def _reason(status: Verdict, rival: int | None, alone: bool, searched: int) -> Reason:
     if status == "matched":
         return SURE
-    if poor is not None:
-        return Reason("poor-picture", poor, "take another photo of the place: lit, sharp, and of things that stay")
     if rival is not None and alone:
         return Reason(
             "look-alike",

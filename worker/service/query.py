@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from uuid6 import uuid7
 
@@ -19,7 +19,7 @@ from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
 from worker.method.cell_evidence import Region, contrast
-from worker.method.decision import GROUPED, Decision, decide
+from worker.method.decision import GROUPED, Decision, blame_image, decide
 from worker.method.evidence import Evidence
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
@@ -31,6 +31,10 @@ from worker.service.sheets import cells_of
 
 ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
+
+
+MOSTLY_MOVES = 0.2
+"""Share of static cells below which an image shows too little of its place."""
 
 
 class RecipeChanged(Exception):
@@ -84,6 +88,8 @@ class QueryService:
         Bytes to Image; raises BadImage.
     shrink : function
         Image to a smaller one, which is kept for its explanation.
+    look_for_problem : function
+        What is wrong with an image, in words, or None.
     calibration : function
         Recipe to the calibration of its confidences.
     explanations : Explanations
@@ -106,6 +112,7 @@ class QueryService:
         catalogue: Catalogue,
         decode: Callable[[bytes], Image],
         shrink: Callable[[Image], Image],
+        look_for_problem: Callable[[Image], str | None],
         calibration: Callable[[MapRecipe], Calibration],
         explanations: Explanations,
         product: Product,
@@ -113,7 +120,7 @@ class QueryService:
         self._maps, self._views, self._listings = maps, views, listings
         self._descriptions, self._comparisons, self._queue = descriptions, comparisons, queue
         self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
-        self._decode, self._shrink = decode, shrink
+        self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
         self._calibration, self._explanations, self._product = calibration, explanations, product
 
     def query(
@@ -162,13 +169,17 @@ class QueryService:
             precision or results.recipe.ranking.precision,
             searched=results.searched,
             shown=top,
+            measured_alike=candidates != 0 or results.recipe.ranking.candidates == 0,
         )
+        if decision.status != "matched":
+            decision = blame_image(decision, self._problem(image, described.value))
         query_id = str(uuid7())
         differs: tuple[Region, ...] = ()
         if explain:
-            explained = Explained(self._shrink(image), described.value, results, headline(decision), results.rival)
+            shown = replace(results, views=results.views[:top])
+            explained = Explained(self._shrink(image), described.value, shown, headline(decision), results.rival)
             self._explanations.keep(query_id, explained)
-            differs = self._differs(explained)
+            differs = self._differs(explained) if decision.reason.code == "look-alike" else ()
         return QueryResult(
             id=query_id,
             image=image,
@@ -195,6 +206,12 @@ class QueryService:
     def describe(self, image: Image, describer: Describer) -> Timed[Description]:
         """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy."""
         return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
+
+    def _problem(self, image: Image, description: Description) -> str | None:
+        """What may keep the image from being recognised, in words; None when nothing is seen."""
+        if description.static_share < MOSTLY_MOVES:
+            return f"{1 - description.static_share:.0%} of the image shows things that move"
+        return self._look_for_problem(image)
 
     def _differs(self, explained: Explained) -> tuple[Region, ...]:
         """Where the first match and its rival differ; nothing when there is no rival or its cells are gone."""

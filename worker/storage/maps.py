@@ -11,7 +11,7 @@ from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
 from worker.storage.part import Part
 from worker.storage.rows import COORDINATES, find_map, keep_recipe, map_record, ranking_of
-from worker.storage.tables import MAPS, RECIPES, VIEWS
+from worker.storage.tables import COMPARISONS, MAPS, RECIPES, VIEWS
 
 STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
 
@@ -115,6 +115,13 @@ class Maps(Part):
             ranking = change(map_record(connection, row).recipe).model_dump_json()
             if ranking != row.ranking:
                 switching.set_ranking(connection, row.id, ranking)
+                if _scores(ranking) != _scores(row.ranking):
+                    connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.map_id == row.id))
             if row.next_ranking is not None:  # a running recipe switch must not undo the change
                 connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
             return map_record(connection, find_map(connection, name))
+
+
+def _scores(ranking: str) -> RankingConfig:
+    """The part of a ranking that scores depend on, from its JSON."""
+    return ranking_of(ranking).model_copy(update={"precision": 0.5})

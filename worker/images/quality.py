@@ -1,0 +1,42 @@
+"""What may keep a photo from being recognised: darkness, glare, a covered lens, blur."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+LONGEST = 320
+"""Photos are judged at this length of their longer side, so that the measures do not depend on the camera."""
+
+DARK, BRIGHT = 24.0, 240.0
+"""Mean luminance below which a photo counts as dark, and above which as overexposed, 0..255."""
+
+FLAT = 5.0
+"""Standard deviation of luminance below which a photo shows hardly anything."""
+
+BLURRED = 20.0
+"""Variance of the Laplacian below which a photo counts as blurred; sharp ones of places have hundreds (Pech-Pacheco et
+al. 2000)."""
+
+
+def problem(pixels: npt.NDArray[np.uint8]) -> str | None:
+    """What is wrong with a photo, in words; None when nothing is.
+
+    Parameters
+    ----------
+    pixels : uint8 of shape (height, width, 3)
+        RGB.
+    """
+    factor = LONGEST / max(pixels.shape[:2])
+    size = (max(1, round(pixels.shape[1] * factor)), max(1, round(pixels.shape[0] * factor)))
+    luminance = cv2.cvtColor(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+    mean, spread = float(luminance.mean()), float(luminance.std())
+    if mean < DARK:
+        return f"the image is dark (mean luminance {mean:.0f} of 255)"
+    if mean > BRIGHT:
+        return f"the image is overexposed (mean luminance {mean:.0f} of 255)"
+    if spread < FLAT:
+        return f"the image shows hardly anything (luminance varies by {spread:.1f} of 255): the lens may be covered"
+    sharpness = float(cv2.Laplacian(luminance, cv2.CV_64F).var())
+    if sharpness < BLURRED:
+        return f"the image is blurred (sharpness {sharpness:.0f}; photos of places have hundreds)"
+    return None
