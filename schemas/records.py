@@ -223,8 +223,8 @@ class Comparison:
         By how much that exceeds the best view of yet another place, at least 0; None when there is none.
     same_spot : tuple of int
         Sequence numbers of views that show the same spot, whatever the user said of them.
-    among : int
-        Number of views of the map at that time.
+    among, others : int
+        Number of views of the map at that time, and of those of other places among them.
     """
 
     seq: int
@@ -232,6 +232,7 @@ class Comparison:
     gap: float | None
     same_spot: tuple[int, ...]
     among: int
+    others: int
 
 
 @dataclass(frozen=True)
@@ -254,6 +255,8 @@ class MapLevels:
         Number of compared views, those without another place left out.
     level, gap : float
         Means of `Comparison`'s; 0 without compared views.
+    others : float
+        Mean number of views of other places that they were compared with.
     updated_at : datetime or None
         Of the latest comparison.
     """
@@ -261,6 +264,7 @@ class MapLevels:
     compared: int = 0
     level: float = 0.0
     gap: float = 0.0
+    others: float = 0.0
     updated_at: datetime | None = None
 
 

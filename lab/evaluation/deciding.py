@@ -36,6 +36,9 @@ SIZES: Mapping[int, int] = {1: 5, 3: 5, 10: 3, 40: 2, 200: 1}
 OTHERS_OF_SMALL_MAPS = 100
 """Queries of other sites that each small map gets."""
 
+OTHERS_OF_EVERYTHING = 300
+"""Queries of other sites that the map of everything gets: thousands over ten sets."""
+
 
 class Deciding(Protocol):
     """A service that decides, with a map of its own that is empty at first."""
@@ -90,7 +93,7 @@ class Options:
     sizes : mapping of int to int
         Places of small maps and how many maps are drawn.
     others : int
-        Queries of other sites that each small map gets; the map of everything gets all.
+        Queries of other sites that each small map gets; the map of everything gets `OTHERS_OF_EVERYTHING`.
     spread : bool
         Whether places of small maps come from everywhere instead of one stretch.
     seed : int
@@ -116,15 +119,19 @@ def trials(dataset: Dataset, sets: Sequence[Dataset], options: Options) -> list[
         raise ValueError(f"{dataset.name}: decisions need one map for all queries, not online loop closure")
     generator = np.random.default_rng(options.seed)
     others = elsewhere(dataset, sets)
-    few: tuple[Query, ...] = others
-    if len(others) > options.others:
-        chosen = np.sort(generator.choice(len(others), options.others, replace=False))
-        few = tuple(others[i] for i in chosen)
-    found = [whole(dataset, others), *halves(dataset, options.stretches, options.guard)]
+    few, many = (_drawn(others, count, generator) for count in (options.others, OTHERS_OF_EVERYTHING))
+    found = [whole(dataset, many), *halves(dataset, options.stretches, options.guard)]
     found += without_parts(dataset, options.guard)
     for size, draws in options.sizes.items():
         found += small_maps(dataset, size, draws, generator, few, spread=options.spread, guard=options.guard)
     return found
+
+
+def _drawn(queries: tuple[Query, ...], count: int, generator: np.random.Generator) -> tuple[Query, ...]:
+    """At most so many of the queries, in their order."""
+    if len(queries) <= count:
+        return queries
+    return tuple(queries[i] for i in np.sort(generator.choice(len(queries), count, replace=False)))
 
 
 def decide_all(

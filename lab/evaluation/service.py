@@ -86,7 +86,17 @@ class ServiceRetriever:
 
 def evidence(result: QueryResult) -> dict[str, float]:
     """What a calibration may read of the first answer; empty without one."""
-    return dict(result.decision.features)
+    decision, results = result.decision, result.results
+    if not results.views:
+        return {}
+    measured = {
+        "score": results.views[0].score,
+        "rival_score": 0.0 if results.rival is None else results.rival.score,
+        "others": float(results.ranking.others),
+        "wrong_score": decision.levels.level,
+        "wrong_gap": decision.levels.gap,
+    }
+    return {**decision.features, **measured}
 
 
 @contextmanager

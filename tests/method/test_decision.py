@@ -13,7 +13,7 @@ from worker.method.decision import PRIOR, Decision, blame_image, decide, expecte
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
-LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02)
+LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
 CALIBRATION = Calibration(
     ("gap", "level"),
     Logistic(np.array([1.0, 0.0]), np.array([0.25, 0.25]), np.array([1.0, 1.0]), 0.0),
@@ -27,10 +27,22 @@ def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = Non
     """Views with the sequence numbers 0, 1, ... and these scores, best first."""
     n = len(scores)
     places = Places({i: (known or {}).get(i, KnownView()) for i in range(n)}, 5.0)
-    rival = next((i for i in range(1, min(n, reranked)) if places.apart(0, i)), None)
+    others = [i for i in range(1, min(n, reranked)) if places.apart(0, i)]
+    rival = others[0] if others else None
     nothing = np.zeros(n, np.intp)
     return Ranking(
-        np.arange(n), np.array(scores, np.float32), {}, nothing, nothing, {}, min(n, reranked), places, rival, (), None
+        np.arange(n),
+        np.array(scores, np.float32),
+        {},
+        nothing,
+        nothing,
+        {},
+        min(n, reranked),
+        places,
+        len(others),
+        rival,
+        (),
+        None,
     )
 
 
@@ -56,8 +68,8 @@ def test_features_by_hand() -> None:
 
 def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:
     assert (expected_levels(MapLevels()).level, expected_levels(MapLevels()).gap) == (PRIOR.level, PRIOR.gap)
-    few, many = (expected_levels(MapLevels(n, 0.6, 0.06)) for n in (4, 4000))
-    assert few.level == pytest.approx((0.6 + PRIOR.level) / 2)
+    few, many = (expected_levels(MapLevels(n, 0.6, 0.06, others=n)) for n in (4, 4000))
+    assert few.level == pytest.approx((0.8 * 0.6 + 4 * PRIOR.level) / 4.8)  # 4 of the 20 other views that are enough
     assert many.level == pytest.approx(0.6, abs=0.001)
     assert many.gap == pytest.approx(0.06, abs=0.001)
 
@@ -69,7 +81,7 @@ def test_what_stands_out_from_what_wrong_answers_get_is_matched() -> None:
 
 
 def test_the_same_scores_in_a_map_where_wrong_answers_get_more_are_not() -> None:
-    elsewhere = decided([0.6, 0.5, 0.49], levels=MapLevels(1000, 0.6, 0.08))
+    elsewhere = decided([0.6, 0.5, 0.49], levels=MapLevels(1000, 0.6, 0.08, 1000))
     assert elsewhere.status == "no_match"
     assert elsewhere.reason.code == "weak"
 
@@ -146,3 +158,9 @@ def test_histograms_alone_decide_nothing_in_a_map_that_knows_whole_scores() -> N
     alone = decide(ranking([0.9, 0.2]), LEVELS, CALIBRATION, 0.97, searched=100, measured_alike=False)
     assert alone.status != "matched"
     assert "histograms alone" in alone.reason.detail
+
+
+def test_in_a_map_of_few_places_a_lead_over_the_other_few_is_not_enough() -> None:
+    few, many = [0.28, 0.1], [0.28, *([0.1] * 30)]
+    assert decided(few).status == "no_match"
+    assert decided(many).status == "matched"

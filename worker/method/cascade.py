@@ -192,7 +192,8 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
         inliers[row], matches[row] = verified.inliers, verified.matches
     seqs = [int(seq) for seq in candidates.seqs[order]]
     among = range(1, len(evidence.rows) or len(seqs))
-    rival = next((i for i in among if evidence.places.apart(seqs[0], seqs[i])), None)
+    others = [i for i in among if evidence.places.apart(seqs[0], seqs[i])]
+    rival = others[0] if others else None
     return Ranking(
         seqs=candidates.seqs[order],
         scores=score[order],
@@ -202,6 +203,7 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
         ranks={name: ranks[order] for name, ranks in candidates.ranks.items()},
         reranked=len(evidence.rows),
         places=evidence.places,
+        others=len(others),
         rival=rival,
         first=tuple(_candidate(evidence, score, parts, int(row)) for row in order[:top]),
         opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival])),

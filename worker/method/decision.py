@@ -19,6 +19,9 @@ from schemas.records import MapLevels
 from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
 
+ENOUGH_OTHERS = 20
+"""Views of other places. The best of fewer scores less than wrong answers get in a map of usual size."""
+
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
 
@@ -107,11 +110,14 @@ class Decision:
 
 
 def expected_levels(levels: MapLevels) -> MapLevels:
-    """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared."""
-    total = levels.compared + PRIOR.compared
-    level = (levels.compared * levels.level + PRIOR.compared * PRIOR.level) / total
-    gap = (levels.compared * levels.gap + PRIOR.compared * PRIOR.gap) / total
-    return MapLevels(levels.compared, level, gap)
+    """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared, or are
+    compared with few views of other places."""
+    own = levels.compared * min(1.0, levels.others / ENOUGH_OTHERS)
+    level, gap = (
+        (own * mine + PRIOR.compared * usual) / (own + PRIOR.compared)
+        for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
+    )
+    return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at)
 
 
 def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
@@ -175,6 +181,8 @@ def decide(
     scores = [float(ranking.scores[group[0]]) for group in groups]
     nothing = usual.level  # what a wrong answer would get where no other place was found
     best_other = float(ranking.scores[rival]) if rival is not None else nothing
+    if ranking.others < ENOUGH_OTHERS:
+        best_other = max(best_other, nothing)
     first = features(scores[0], best_other if measured_alike else scores[0], usual)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     columns = np.array([[one[name] for name in calibration.features] for one in read])

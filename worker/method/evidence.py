@@ -121,6 +121,8 @@ class Ranking:
     reranked : int
         How many were re-ranked: the first ones.
     places : Places
+    others : int
+        How many re-ranked views show another place than the first.
     rival : int or None
         Index of the best re-ranked view that shows another place than the first; None when there is none.
     first : tuple of RankedCandidate
@@ -137,6 +139,7 @@ class Ranking:
     ranks: Mapping[str, Sequence64]
     reranked: int
     places: Places
+    others: int
     rival: int | None
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None

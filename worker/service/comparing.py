@@ -139,7 +139,7 @@ class MapComparer:
         level = float(others.scores[0]) if len(others.seqs) else None
         rival = others.rival
         gap = None if level is None or rival is None else level - float(others.scores[rival])
-        return Comparison(seq, level, gap, tuple(sorted(spot)), among)
+        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched)
 
     def _search(self, index: Index, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
         return index.search(query.vectors, max(2, config.candidates), Selection(None, np.array(sorted(never))))

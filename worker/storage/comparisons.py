@@ -59,6 +59,7 @@ class Comparisons(Part):
                     "recipe": recipe,
                     "map_id": row.id,
                     "among": one.among,
+                    "others": one.others,
                     "level": one.level,
                     "gap": one.gap,
                     "made_at": now,
@@ -78,9 +79,11 @@ class Comparisons(Part):
         with self._database.reading() as connection:
             row = find_map(connection, name)
             level, gap, made_at = COMPARISONS.c.level, COMPARISONS.c.gap, COMPARISONS.c.made_at
-            means = sa.func.count(level), sa.func.avg(level), sa.func.avg(gap), sa.func.max(made_at)
-            count, *mean, latest = connection.execute(sa.select(*means).where(*_of(row))).one()
-        return MapLevels(count, float(mean[0] or 0), float(mean[1] or 0), latest)
+            means = (sa.func.avg(column) for column in (level, gap, COMPARISONS.c.others))
+            found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*_of(row))
+            count, latest, *mean = connection.execute(found).one()
+        own_level, own_gap, others = (float(value or 0) for value in mean)
+        return MapLevels(count, own_level, own_gap, others, latest)
 
     def known(self, seqs: Sequence[int], recipe: str) -> dict[int, KnownView]:
         """Name, position and comparison of views by sequence number; deleted views are absent."""

@@ -137,6 +137,7 @@ COMPARISONS = sa.Table(  # of a view with the other views of its map; see schema
     sa.Column("recipe", sa.Text, primary_key=True),
     sa.Column("map_id", sa.BigInteger, nullable=False),  # of the view, for the index below
     sa.Column("among", sa.Integer, nullable=False),
+    sa.Column("others", sa.Integer, nullable=False),
     sa.Column("level", sa.Double),
     sa.Column("gap", sa.Double),
     sa.Column("same_spot", sa.Text, nullable=False),  # JSON: sequence numbers

@@ -17,6 +17,7 @@ def upgrade() -> None:
         sa.Column("recipe", sa.Text, primary_key=True),
         sa.Column("map_id", sa.BigInteger, nullable=False),
         sa.Column("among", sa.Integer, nullable=False),
+        sa.Column("others", sa.Integer, nullable=False),
         sa.Column("level", sa.Double),
         sa.Column("gap", sa.Double),
         sa.Column("same_spot", sa.Text, nullable=False),
