@@ -162,5 +162,5 @@ def test_histograms_alone_decide_nothing_in_a_map_that_knows_whole_scores() -> N
 
 def test_in_a_map_of_few_places_a_lead_over_the_other_few_is_not_enough() -> None:
     few, many = [0.28, 0.1], [0.28, *([0.1] * 30)]
-    assert decided(few).status == "no_match"
+    assert decided(few).status != "matched"
     assert decided(many).status == "matched"
