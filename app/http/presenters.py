@@ -9,7 +9,7 @@ from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
 from schemas.records import JobRecord, Position, Removal, ViewRecord
 from worker.images.palette import colour
-from worker.method.decision import PRIOR, Decision, PlaceProbability
+from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
 from worker.method.evidence import GraphEvidence
 from worker.method.verification import Verified
@@ -139,7 +139,7 @@ def map_facts(state: MapState) -> wire.MapFacts:
             "dimensions": {name: channel.length for name, channel in channels},
         },
         decision=wire.MapDecision(
-            source="own-views" if state.levels.compared > PRIOR.compared else "cohort",
+            source="own-views" if own_share(state.levels) > 0.5 else "cohort",
             views_compared=state.levels.compared,
             expected=wire.ExpectedDecisions(
                 precision=ranking.precision, matched_share=state.calibration.share(ranking.precision)

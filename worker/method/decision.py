@@ -112,12 +112,18 @@ class Decision:
 def expected_levels(levels: MapLevels) -> MapLevels:
     """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared, or are
     compared with few views of other places."""
-    own = levels.compared * min(1.0, levels.others / ENOUGH_OTHERS)
+    own = own_share(levels)
     level, gap = (
-        (own * mine + PRIOR.compared * usual) / (own + PRIOR.compared)
+        own * mine + (1 - own) * usual
         for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
     )
     return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at)
+
+
+def own_share(levels: MapLevels) -> float:
+    """How much of `expected_levels` a map's own views decide, 0..1."""
+    own = levels.compared * min(1.0, levels.others / ENOUGH_OTHERS)
+    return own / (own + PRIOR.compared)
 
 
 def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
