@@ -18,9 +18,7 @@ import numpy as np
 from schemas.records import MapLevels
 from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
-
-ENOUGH_OTHERS = 20
-"""Views of other places. The best of fewer scores less than wrong answers get in a map of usual size."""
+from worker.method.places import ENOUGH_OTHERS
 
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
@@ -114,8 +112,7 @@ def expected_levels(levels: MapLevels) -> MapLevels:
     compared with few views of other places."""
     own = own_share(levels)
     level, gap = (
-        own * mine + (1 - own) * usual
-        for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
+        own * mine + (1 - own) * usual for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
     )
     return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at)
 
