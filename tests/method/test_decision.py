@@ -125,7 +125,7 @@ def test_probabilities_of_all_places_and_none_sum_to_one(scores: list[float], na
 
 
 def test_who_wants_more_precision_gets_matched_less_often() -> None:
-    scores = [0.35, 0.2, 0.2]
+    scores = [0.35, *([0.2] * 30)]
     assert decided(scores, precision=0.9).status == "matched"
     assert decided(scores, precision=0.999).status == "ambiguous"
 
