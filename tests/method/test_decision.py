@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from schemas.records import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, own_share
+from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, floor, own_share
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
@@ -169,3 +169,10 @@ def test_in_a_map_of_few_places_a_lead_over_the_other_few_is_not_enough() -> Non
 def test_a_map_of_usual_size_decides_by_its_own_views() -> None:
     assert own_share(MapLevels()) == 0
     assert own_share(MapLevels(6, 0.3, 0.02, others=5)) < 0.5 < own_share(MapLevels(24, 0.3, 0.02, others=23))
+
+
+def test_a_search_narrowed_down_in_a_map_that_knows_itself_is_judged_by_the_maps_own_level() -> None:
+    known, new = (floor(2, levels) for levels in (LEVELS, MapLevels(0, 0.2, 0.02)))
+    assert known == pytest.approx(LEVELS.level, abs=0.01)
+    assert new > known + 0.1
+    assert floor(20, LEVELS) == 0

@@ -5,7 +5,7 @@ probability that it is right, and thresholds turn the probability into exactly o
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -128,6 +128,11 @@ class Calibration:
         both = self.precisions, self.thresholds
         if len({values.shape for values in both}) != 1 or any(np.any(np.diff(values) < 0) for values in both):
             raise ValueError(f"precisions and thresholds must rise together: {both}")
+
+    def probabilities(self, read: Sequence[Mapping[str, float]]) -> list[float]:
+        """Probability of being right, 0..1, for the features of each of some places."""
+        columns = np.array([[one[name] for name in self.features] for one in read], np.float64)
+        return [float(p) for p in np.clip(self.curve.probability(columns), 0, 1)]
 
     def threshold(self, precision: float) -> float:
         """Lowest probability of an answer that is `matched` at this precision.

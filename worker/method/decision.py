@@ -129,13 +129,13 @@ def own_share(levels: MapLevels) -> float:
 def floor(others: int, levels: MapLevels) -> float:
     """Score that the rival is taken to have at least: views of few other places do not tell what wrong answers get.
 
-    0 where there are `ENOUGH_OTHERS`; the fewer there are, the nearer to `LOOK_ALIKE`, and never below the level of the
-    map.
+    0 where there are `ENOUGH_OTHERS`; otherwise the level of the map, and nearer to `LOOK_ALIKE` the fewer there are and
+    the less the map knows of itself. A search that filters narrow down in a large map has the map's own level.
     """
     if others >= ENOUGH_OTHERS:
         return 0.0
     missing = 1 - max(others, 0) / ENOUGH_OTHERS
-    return levels.level + max(LOOK_ALIKE - levels.level, 0.0) * missing**2
+    return levels.level + max(LOOK_ALIKE - levels.level, 0.0) * missing**2 * (1 - own_share(levels))
 
 
 def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
@@ -197,29 +197,22 @@ def decide(
     rival = ranking.rival
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
-    best_other = max(float(ranking.scores[rival]) if rival is not None else 0.0, floor(ranking.others, usual))
+    least = floor(ranking.others, usual)
+    best_other = max(least, 0.0 if rival is None else float(ranking.scores[rival]))
     first = features(scores[0], best_other if measured_alike else scores[0], usual)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
-    columns = np.array([[one[name] for name in calibration.features] for one in read])
     places, left = [], 1.0
-    for group, p in zip(groups, np.clip(calibration.curve.probability(columns), 0, 1).tolist(), strict=True):
+    for group, p in zip(groups, calibration.probabilities(read), strict=True):
         places.append(PlaceProbability(left * p, tuple(group)))
         left *= 1 - p
     confidence = places[0].probability
     status = calibration.verdict(confidence, precision)
-    only = len(groups) == 1 and rival is None
-    if status == "ambiguous" and only:
+    if status == "ambiguous" and len(groups) == 1 and rival is None:
         status = "no_match"
+    [unrivalled] = calibration.probabilities([features(scores[0], least, usual)])
+    reason = _reason(status, rival is not None and unrivalled >= threshold, searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
-        return Decision(
-            status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first
-        )
-    unrivalled = np.array(
-        [[features(scores[0], floor(ranking.others, usual), usual)[name] for name in calibration.features]]
-    )
-    alone = calibration.verdict(float(calibration.curve.probability(unrivalled)[0]), precision)
-    reason = _reason(status, rival, alone == "matched", searched)
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first)
 
 
@@ -244,10 +237,11 @@ HISTOGRAMS_ALONE = "ranked by histograms alone, by which the map does not know w
 SURE = Reason("sure", "one place stands out from all others", "nothing")
 
 
-def _reason(status: Verdict, rival: int | None, alone: bool, searched: int) -> Reason:
+def _reason(status: Verdict, outrivalled: bool, searched: int) -> Reason:
+    """Why; `outrivalled`: without its rival the first place would be matched."""
     if status == "matched":
         return SURE
-    if rival is not None and alone:
+    if outrivalled:
         return Reason(
             "look-alike",
             "the first place would be sure if another place were not nearly as good",
