@@ -27,8 +27,8 @@ def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = Non
     """Views with the sequence numbers 0, 1, ... and these scores, best first."""
     n = len(scores)
     places = Places({i: (known or {}).get(i, KnownView()) for i in range(n)}, 5.0)
-    others = [i for i in range(1, min(n, reranked)) if places.apart(0, i)]
-    rival = others[0] if others else None
+    rivals = [i for i in range(1, min(n, reranked)) if places.apart(0, i)]
+    rival = rivals[0] if rivals else None
     nothing = np.zeros(n, np.intp)
     return Ranking(
         np.arange(n),
@@ -175,4 +175,4 @@ def test_a_search_narrowed_down_in_a_map_that_knows_itself_is_judged_by_the_maps
     known, new = (floor(2, levels) for levels in (LEVELS, MapLevels(0, 0.2, 0.02)))
     assert known == pytest.approx(LEVELS.level, abs=0.01)
     assert new > known + 0.1
-    assert floor(20, LEVELS) == 0
+    assert floor(10, LEVELS) == 0

@@ -20,7 +20,7 @@ from schemas.records import Candidates, KnownView
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, verification
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
-from worker.method.places import ENOUGH_OTHERS, Places
+from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
 
 
 class ViewGone(Exception):
@@ -193,9 +193,10 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
     places, seqs = evidence.places, [int(seq) for seq in candidates.seqs[order]]
     among = range(1, len(evidence.rows) or len(seqs))
     rivals = [i for i in among if places.apart(seqs[0], seqs[i])]
-    others = candidates.searched - (len(among) + 1 - len(rivals))
-    if others < ENOUGH_OTHERS:
+    others = ENOUGH_PLACES
+    if candidates.searched - (len(among) + 1 - len(rivals)) < ENOUGH_VIEWS:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
+        others = len(places.group([seqs[i] for i in rivals]))
     rival = rivals[0] if rivals else None
     return Ranking(
         seqs=candidates.seqs[order],

@@ -18,7 +18,7 @@ import numpy as np
 from schemas.records import MapLevels
 from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
-from worker.method.places import ENOUGH_OTHERS
+from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS
 
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
@@ -122,19 +122,19 @@ def expected_levels(levels: MapLevels) -> MapLevels:
 
 def own_share(levels: MapLevels) -> float:
     """How much of `expected_levels` a map's own views decide, 0..1."""
-    own = levels.compared * min(1.0, levels.others / ENOUGH_OTHERS)
+    own = levels.compared * min(1.0, levels.others / ENOUGH_VIEWS)
     return own / (own + PRIOR.compared)
 
 
 def floor(others: int, levels: MapLevels) -> float:
     """Score that the rival is taken to have at least: views of few other places do not tell what wrong answers get.
 
-    0 where there are `ENOUGH_OTHERS`; otherwise the level of the map, and nearer to `LOOK_ALIKE` the fewer there are and
-    the less the map knows of itself. A search that filters narrow down in a large map has the map's own level.
+    0 where there are `ENOUGH_PLACES` others; else the level of the map, and nearer to `LOOK_ALIKE` the fewer there are
+    and the less the map knows of itself. A search that filters narrow down in a large map has the map's own level.
     """
-    if others >= ENOUGH_OTHERS:
+    if others >= ENOUGH_PLACES:
         return 0.0
-    missing = 1 - max(others, 0) / ENOUGH_OTHERS
+    missing = 1 - max(others, 0) / ENOUGH_PLACES
     return levels.level + max(LOOK_ALIKE - levels.level, 0.0) * missing**2 * (1 - own_share(levels))
 
 

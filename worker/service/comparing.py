@@ -15,7 +15,7 @@ from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone
 from worker.method.evidence import Ranking
-from worker.method.places import ENOUGH_OTHERS, Places
+from worker.method.places import ENOUGH_VIEWS, Places
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import ComparisonReader, DescriptionReader, Index
@@ -132,7 +132,7 @@ class MapComparer:
                 places = Places(known, config.same_place_m)
                 own = own | {other for other in seqs if places.same(seq, other)}
                 near = near | {other for other in seqs if not places.apart(seq, other)}
-                left_out = near if among - len(near) >= ENOUGH_OTHERS else own
+                left_out = near if among - len(near) >= ENOUGH_VIEWS else own
                 if left_out.isdisjoint(seqs):
                     break
                 found = self._search(index, query, config, left_out)
