@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from schemas.records import KnownView, MapLevels
@@ -39,7 +39,7 @@ def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = Non
         {},
         min(n, reranked),
         places,
-        len(others),
+        min(len(places.group(rivals)), 10),
         rival,
         (),
         None,
@@ -103,6 +103,7 @@ def test_another_view_of_the_same_place_is_no_rival() -> None:
     st.lists(st.floats(0, 1), min_size=0, max_size=6),
     st.lists(st.floats(0, 1), min_size=0, max_size=6),
 )
+@example(own=[0.25], others=[1.0], more=[0.0])  # more views of the second place once spoke for the first
 def test_more_views_of_a_place_never_lower_its_probability(
     own: list[float], others: list[float], more: list[float]
 ) -> None:
