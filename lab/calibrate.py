@@ -27,14 +27,15 @@ PRECISIONS = (0.5, 0.9, 0.95, 0.97, 0.98, 0.99)
 ENOUGH = 20
 """A set counts for the precision of each set when more answers than this are matched."""
 
-SLACK = 0.01
-"""By how much the precision of a single set may fall short: with some hundred answers, chance alone is larger."""
+SLACK = 0.05
+"""By how much the precision of a single set may fall short."""
 
 AMBIGUOUS = 0.4
 """Probability below which an answer is no match, unless ``matched`` begins lower."""
 
-ELSEWHERE = 120
-"""Queries of other sites that each map gives to learn from; they are easy and many, and would drown the others."""
+AT_SITE, ELSEWHERE = 360, 120
+"""Queries at the site and of other sites that each set gives to learn from at most: a set with more protocols than
+others would decide for all, and queries of other sites are easy and many."""
 
 Names = npt.NDArray[np.str_]
 
@@ -72,26 +73,17 @@ def read(path: Path) -> list[Decided]:
     return [Decided(**json.loads(line)) for line in path.read_text().splitlines()]
 
 
-def by_site(decided: Sequence[Decided], apart: Sequence[str] = ()) -> dict[str, Evidence]:
-    """Evidence by site, since sets of one site share places; queries without any answer are left out.
-
-    Parameters
-    ----------
-    decided : sequence of Decided
-    apart : sequence of str
-        Sets whose names begin so are left out.
-    """
-    kept: dict[str, list[Decided]] = {}
-    elsewhere: dict[str, list[Decided]] = {}
+def by_site(decided: Sequence[Decided]) -> dict[str, Evidence]:
+    """Evidence by site, since sets of one site share places; queries without any answer are left out."""
+    found: dict[tuple[str, int], list[Decided]] = {}
     for one in decided:
-        if one.features and not (apart and one.dataset.startswith(tuple(apart))):
-            other = one.kind == "other-site"
-            into, name = (elsewhere, one.dataset) if other else (kept, site_named(one.dataset))
-            into.setdefault(name, []).append(one)
+        if one.features:
+            found.setdefault((one.dataset, ELSEWHERE if one.kind == "other-site" else AT_SITE), []).append(one)
     rng = np.random.default_rng(0)
-    for name, others in elsewhere.items():
-        chosen = rng.permutation(len(others))[:ELSEWHERE]
-        kept.setdefault(site_named(name), []).extend(others[i] for i in np.sort(chosen))
+    kept: dict[str, list[Decided]] = {}
+    for (name, most), some in found.items():
+        chosen = np.sort(rng.permutation(len(some))[:most])
+        kept.setdefault(site_named(name), []).extend(some[i] for i in chosen)
     return {site: _evidence(some) for site, some in kept.items()}
 
 
@@ -123,7 +115,13 @@ class Learned:
     constant: Judgement
 
 
-def learn(sites: Mapping[str, Evidence], names: Sequence[str], source: str, fit: Fit = fit_logistic) -> Learned:
+def learn(
+    sites: Mapping[str, Evidence],
+    names: Sequence[str],
+    source: str,
+    fit: Fit = fit_logistic,
+    judged: Mapping[str, Evidence] | None = None,
+) -> Learned:
     """Learn a curve over some features and its thresholds.
 
     Parameters
@@ -135,6 +133,8 @@ def learn(sites: Mapping[str, Evidence], names: Sequence[str], source: str, fit:
     source : str
         For the record.
     fit : function
+    judged : mapping of name to Evidence, optional
+        Sites that are not learned from, such as those whose terms forbid it; the thresholds must hold for them too.
 
     Raises
     ------
@@ -144,12 +144,17 @@ def learn(sites: Mapping[str, Evidence], names: Sequence[str], source: str, fit:
     rows = {name: (found.columns(names), found.right) for name, found in sites.items()}
     # Judged, and thresholds chosen, by probabilities that were left out: the curve's own are too sure of themselves.
     left_out, guessed = leave_one_out(rows, fit), leave_one_out(rows, _guess)
-    right = np.concatenate([r for _, r in rows.values()])
-    sets = np.concatenate([found.sets for found in sites.values()])
+    everything = [np.concatenate(part) for part in zip(*rows.values(), strict=True)]
+    curve, guess = fit(*everything), _guess(*everything)
+    for name, found in (judged or {}).items():
+        columns = found.columns(names)
+        left_out[name], guessed[name] = curve.probability(columns), guess.probability(columns)
+    whole = {**sites, **(judged or {})}
+    right = np.concatenate([found.right for found in whole.values()])
+    sets = np.concatenate([found.sets for found in whole.values()])
     together, constant = (np.concatenate(list(found.values())) for found in (left_out, guessed))
     thresholds = np.maximum.accumulate([threshold(together, right, sets, wanted) for wanted in PRECISIONS])
     shares = np.array([float((together[right] >= limit).mean()) for limit in thresholds])
-    curve = fit(np.concatenate([f for f, _ in rows.values()]), right)
     return Learned(
         calibration=Calibration(tuple(names), curve, np.array(PRECISIONS), thresholds, shares, AMBIGUOUS, source),
         by_set={name: judge(together[sets == name], right[sets == name]) for name in dict.fromkeys(sets.tolist())},
@@ -210,15 +215,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("decisions", type=Path, nargs="+", help="decisions.jsonl, as lab.decide writes them")
     parser.add_argument("--features", default="gap,level", help="what the curve reads, comma-separated")
     parser.add_argument("--curve", choices=tuple(CURVES), default="logistic", help="isotonic reads one feature")
-    parser.add_argument("--apart", default="", help="leave out sets whose names begin so, comma-separated")
+    parser.add_argument("--apart", default="", help="sites that are judged and not learned from, comma-separated")
     parser.add_argument("--write", type=Path, help="JSON file for the calibration")
     options = parser.parse_args(argv)
     try:
         require(FOR_FITTING)
         decided = [one for path in options.decisions for one in read(path)]
-        sites = by_site(decided, [name for name in options.apart.split(",") if name])
+        whole, apart = by_site(decided), options.apart.split(",")
+        judged = {name: found for name, found in whole.items() if name in apart}
+        sites = {name: found for name, found in whole.items() if name not in apart}
         sets = dict.fromkeys(name for found in sites.values() for name in found.sets.tolist())
-        learned = learn(sites, options.features.split(","), f"decisions on {', '.join(sets)}", CURVES[options.curve])
+        source = f"decisions on {', '.join(sets)}"
+        learned = learn(sites, options.features.split(","), source, CURVES[options.curve], judged)
     except (OSError, RevisitError, ValueError) as refusal:  # ValueError: too little to learn from
         print(refusal, file=sys.stderr)
         return 2

@@ -260,6 +260,8 @@ class MapLevels:
         Mean number of views of other places that they were compared with.
     updated_at : datetime or None
         Of the latest comparison.
+    revision : int
+        Of the map when they were read.
     """
 
     compared: int = 0
@@ -267,6 +269,7 @@ class MapLevels:
     gap: float = 0.0
     others: float = 0.0
     updated_at: datetime | None = None
+    revision: int = 0
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
 from schemas.records import JobRecord, Position, Removal, ViewRecord
 from worker.images.palette import colour
-from worker.method.decision import PRIOR, Decision, PlaceProbability
+from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
 from worker.method.evidence import GraphEvidence
 from worker.method.own_calibration import HeldOut, Share
@@ -150,7 +150,7 @@ def map_facts(state: MapState) -> wire.MapFacts:
 def _map_decision(state: MapState) -> wire.MapDecision:
     levels, own, wanted = state.levels, state.own, state.record.ranking.precision
     source: Literal["cohort", "own-views", "calibration"]
-    source = "own-views" if levels.compared > PRIOR.compared else "cohort"
+    source = "own-views" if own_share(levels) > 0.5 else "cohort"
     return wire.MapDecision(
         source=source if own is None else "calibration",
         views_compared=levels.compared,

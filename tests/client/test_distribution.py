@@ -58,15 +58,16 @@ def run(folder: Path, *arguments: str, **variables: str) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """Top-level names of all modules that a file imports."""
+    """Top-level names of all modules that a file imports, but for its neighbours."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.module is not None
-            assert node.level == 0
-            names.add(node.module.partition(".")[0])
+            assert node.level <= 1
+            if node.level == 0:
+                names.add(node.module.partition(".")[0])
     return names
 
 

@@ -74,10 +74,19 @@ def test_recorded_decisions_are_read_and_sets_of_one_site_kept_together(tmp_path
 
     sites = by_site(read(path))
     assert {name: len(found.right) for name, found in sites.items()} == {"mill": 90, "park": 50 + ELSEWHERE}
-    assert set(by_site(read(path), apart=["park"])) == {"mill"}
     assert sites["mill"].columns(("gap", "unheard of"))[:, 1].tolist() == [0.0] * 90
 
     assert main([str(path), "--write", str(tmp_path / "kept.json")]) == 0
     kept = Calibration.from_json((tmp_path / "kept.json").read_text())
     assert kept.curve.probability(np.array([[2.0, 0.0]]))[0] > 0.8
     assert main([str(tmp_path / "absent.jsonl")]) == 2
+
+
+def test_a_site_may_be_judged_without_being_learned_from() -> None:
+    sites, apart = {name: drawn(i) for i, name in enumerate("abc")}, drawn(7)
+    wrong = Evidence(apart.features, np.zeros_like(apart.right), apart.sets)  # evidence says nothing there
+    plain = learn(sites, ("score", "lead"), "")
+    judged = learn(sites, ("score", "lead"), "", judged={"d": wrong})
+    assert judged.calibration.curve.as_json() == plain.calibration.curve.as_json()
+    assert list(judged.by_set) == ["set 0", "set 1", "set 2", "set 7"]
+    assert judged.calibration.threshold(0.9) > plain.calibration.threshold(0.9)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from schemas.records import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features
+from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, own_share
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
@@ -125,7 +125,7 @@ def test_probabilities_of_all_places_and_none_sum_to_one(scores: list[float], na
 
 
 def test_who_wants_more_precision_gets_matched_less_often() -> None:
-    scores = [0.35, 0.2, 0.2]
+    scores = [0.35, *([0.2] * 30)]
     assert decided(scores, precision=0.9).status == "matched"
     assert decided(scores, precision=0.999).status == "ambiguous"
 
@@ -164,3 +164,8 @@ def test_in_a_map_of_few_places_a_lead_over_the_other_few_is_not_enough() -> Non
     few, many = [0.28, 0.1], [0.28, *([0.1] * 30)]
     assert decided(few).status != "matched"
     assert decided(many).status == "matched"
+
+
+def test_a_map_of_usual_size_decides_by_its_own_views() -> None:
+    assert own_share(MapLevels()) == 0
+    assert own_share(MapLevels(6, 0.3, 0.02, others=5)) < 0.5 < own_share(MapLevels(24, 0.3, 0.02, others=23))

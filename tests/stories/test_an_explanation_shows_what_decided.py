@@ -212,7 +212,7 @@ def test_the_rival_is_shown_whatever_top_is_and_may_be_deleted(runtime: Runtime)
         runtime.services.enroll.enroll(photo(scene(name)), "again", attributes, patience_s=60)
     taken = photo(scene("mill lane").seen_from(turn=2))
     kept = runtime.services.query.query(taken, "again", top=1, explain=True)
-    assert [view.view.attributes.place for view in kept.results.views] == ["mill lane"]
+    assert [view.view.attributes.place for view in kept.results.views[: kept.top]] == ["mill lane"]
     draw = runtime.services.renderings.explanation
 
     with_rival = PilImage.open(io.BytesIO(draw(kept.id, None)))

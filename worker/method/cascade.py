@@ -20,7 +20,7 @@ from schemas.records import Candidates, KnownView
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, verification
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
-from worker.method.places import Places
+from worker.method.places import ENOUGH_OTHERS, Places
 
 
 class ViewGone(Exception):
@@ -190,10 +190,13 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
     inliers, matches = np.full((2, len(order)), -1, np.intp)
     for row, verified in evidence.verified.items():
         inliers[row], matches[row] = verified.inliers, verified.matches
-    seqs = [int(seq) for seq in candidates.seqs[order]]
+    places, seqs = evidence.places, [int(seq) for seq in candidates.seqs[order]]
     among = range(1, len(evidence.rows) or len(seqs))
-    others = [i for i in among if evidence.places.apart(seqs[0], seqs[i])]
-    rival = others[0] if others else None
+    rivals = [i for i in among if places.apart(seqs[0], seqs[i])]
+    others = candidates.searched - (len(among) + 1 - len(rivals))
+    if others < ENOUGH_OTHERS:
+        rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
+    rival = rivals[0] if rivals else None
     return Ranking(
         seqs=candidates.seqs[order],
         scores=score[order],
@@ -202,8 +205,8 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
         matches=matches[order],
         ranks={name: ranks[order] for name, ranks in candidates.ranks.items()},
         reranked=len(evidence.rows),
-        places=evidence.places,
-        others=len(others),
+        places=places,
+        others=others,
         rival=rival,
         first=tuple(_candidate(evidence, score, parts, int(row)) for row in order[:top]),
         opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival])),

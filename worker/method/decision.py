@@ -18,12 +18,13 @@ import numpy as np
 from schemas.records import MapLevels
 from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
-
-ENOUGH_OTHERS = 20
-"""Views of other places. The best of fewer scores less than wrong answers get in a map of usual size."""
+from worker.method.places import ENOUGH_OTHERS
 
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
+
+LOOK_ALIKE = 0.4
+"""What wrong answers get where everything looks alike, as in a corridor or on the floors of one building."""
 
 SOFTENING = 0.02
 """Added to scores in ratios and to the gap of wrong answers, so that small ones do not decide by their noise."""
@@ -112,12 +113,29 @@ class Decision:
 def expected_levels(levels: MapLevels) -> MapLevels:
     """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared, or are
     compared with few views of other places."""
-    own = levels.compared * min(1.0, levels.others / ENOUGH_OTHERS)
+    own = own_share(levels)
     level, gap = (
-        (own * mine + PRIOR.compared * usual) / (own + PRIOR.compared)
-        for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
+        own * mine + (1 - own) * usual for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
     )
     return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at)
+
+
+def own_share(levels: MapLevels) -> float:
+    """How much of `expected_levels` a map's own views decide, 0..1."""
+    own = levels.compared * min(1.0, levels.others / ENOUGH_OTHERS)
+    return own / (own + PRIOR.compared)
+
+
+def floor(others: int, levels: MapLevels) -> float:
+    """Score that the rival is taken to have at least: views of few other places do not tell what wrong answers get.
+
+    0 where there are `ENOUGH_OTHERS`; the fewer there are, the nearer to `LOOK_ALIKE`, and never below the level of the
+    map.
+    """
+    if others >= ENOUGH_OTHERS:
+        return 0.0
+    missing = 1 - max(others, 0) / ENOUGH_OTHERS
+    return levels.level + max(LOOK_ALIKE - levels.level, 0.0) * missing**2
 
 
 def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
@@ -179,10 +197,7 @@ def decide(
     rival = ranking.rival
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
-    nothing = usual.level  # what a wrong answer would get where no other place was found
-    best_other = float(ranking.scores[rival]) if rival is not None else nothing
-    if ranking.others < ENOUGH_OTHERS:
-        best_other = max(best_other, nothing)
+    best_other = max(float(ranking.scores[rival]) if rival is not None else 0.0, floor(ranking.others, usual))
     first = features(scores[0], best_other if measured_alike else scores[0], usual)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     columns = np.array([[one[name] for name in calibration.features] for one in read])
@@ -200,7 +215,9 @@ def decide(
         return Decision(
             status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first
         )
-    unrivalled = np.array([[features(scores[0], nothing, usual)[name] for name in calibration.features]])
+    unrivalled = np.array(
+        [[features(scores[0], floor(ranking.others, usual), usual)[name] for name in calibration.features]]
+    )
     alone = calibration.verdict(float(calibration.curve.probability(unrivalled)[0]), precision)
     reason = _reason(status, rival, alone == "matched", searched)
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first)

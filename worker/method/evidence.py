@@ -122,9 +122,10 @@ class Ranking:
         How many were re-ranked: the first ones.
     places : Places
     others : int
-        How many re-ranked views show another place than the first.
+        How many searched views show another place than the first, as far as is known.
     rival : int or None
-        Index of the best re-ranked view that shows another place than the first; None when there is none.
+        Index of the best re-ranked view that shows another place than the first; None when there is none. Its
+        neighbours count as other places where there are fewer than `worker.method.places.ENOUGH_OTHERS` others.
     first : tuple of RankedCandidate
         The first `top`.
     opposed : RankedCandidate or None

@@ -11,6 +11,11 @@ NEIGHBOURHOOD = 4.0
 much of the same things, so they are evidence neither for the place nor against it."""
 
 
+ENOUGH_OTHERS = 20
+"""Views of other places. The best of fewer scores less than wrong answers get in a map of usual size: then neighbours
+are rivals too."""
+
+
 class Places:
     """Which of some views are of one place.
 

@@ -15,7 +15,7 @@ from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone
 from worker.method.evidence import Ranking
-from worker.method.places import Places
+from worker.method.places import ENOUGH_OTHERS, Places
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import ComparisonReader, DescriptionReader, Index
@@ -125,14 +125,17 @@ class MapComparer:
             ranking = self._rank(query, found, recipe, config, fetcher)
             spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
             own = {seq} | spot
+            near = own
             for _ in range(WIDENED):
                 seqs = [int(other) for other in found.seqs]
                 known = dict(zip([seq, *seqs], fetcher.known([seq, *seqs]), strict=True))
                 places = Places(known, config.same_place_m)
-                own |= {other for other in seqs if not places.apart(seq, other)}
-                if own.isdisjoint(seqs):
+                own = own | {other for other in seqs if places.same(seq, other)}
+                near = near | {other for other in seqs if not places.apart(seq, other)}
+                left_out = near if among - len(near) >= ENOUGH_OTHERS else own
+                if left_out.isdisjoint(seqs):
                     break
-                found = self._search(index, query, config, own)
+                found = self._search(index, query, config, left_out)
             others = self._rank(query, found, recipe, config, fetcher)
         except ViewGone:
             return None

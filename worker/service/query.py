@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 from uuid6 import uuid7
 
@@ -10,7 +11,7 @@ from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
-from schemas.records import Filters, MapRecord
+from schemas.records import Filters, MapLevels, MapRecord
 from worker.description.describer import Describer, components
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -121,6 +122,7 @@ class QueryService:
         self._descriptions, self._comparisons, self._queue = descriptions, comparisons, queue
         self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
         self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
+        self._levels: dict[str, tuple[tuple[datetime, int], MapLevels]] = {}
         self._calibration, self._explanations, self._product = calibration, explanations, product
 
     def query(
@@ -206,6 +208,15 @@ class QueryService:
     def describe(self, image: Image, describer: Describer) -> Timed[Description]:
         """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy."""
         return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
+
+    def _levels_of(self, record: MapRecord) -> MapLevels:
+        """What wrong answers get in a map; read once for each revision."""
+        kept = self._levels.get(record.name)
+        if kept is None or kept[0] != (record.created_at, record.revision):
+            levels = self._comparisons.levels(record.name)
+            kept = (record.created_at, levels.revision), levels
+            self._levels[record.name] = kept
+        return kept[1]
 
     def _problem(self, image: Image, description: Description) -> str | None:
         """What may keep the image from being recognised, in words; None when nothing is seen."""
@@ -294,7 +305,7 @@ class QueryService:
                 views=tuple(scored[: len(ranked.first)]),
                 ranking=ranked,
                 rival=None if ranked.opposed is None else scored[-1],
-                levels=self._comparisons.levels(map_name),
+                levels=self._levels_of(record),
                 pending=self._queue.count_pending(map_name),
                 revision=found.revision,
                 recipe=record.recipe,

@@ -14,6 +14,8 @@ from worker.storage.part import Part
 from worker.storage.rows import COORDINATES, batches, find_map
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
+NOTHING: frozenset[int] = frozenset()
+
 _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 """A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
 
@@ -83,17 +85,18 @@ class Comparisons(Part):
             found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*_of(row))
             count, latest, *mean = connection.execute(found).one()
         own_level, own_gap, others = (float(value or 0) for value in mean)
-        return MapLevels(count, own_level, own_gap, others, latest)
+        return MapLevels(count, own_level, own_gap, others, latest, row.revision)
 
     def known(self, seqs: Sequence[int], recipe: str) -> dict[int, KnownView]:
         """Name, position and comparison of views by sequence number; deleted views are absent."""
         found: dict[int, KnownView] = {}
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                for row in connection.execute(_known(), {"seqs": portion, "recipe": recipe}):
-                    spot = frozenset() if row.same_spot is None else frozenset(json.loads(row.same_spot))
-                    position = Position(*(getattr(row, name) for name in COORDINATES))
-                    found[row.seq] = KnownView(row.place, position, spot)
+                for seq, place, *coordinates, same_spot in connection.execute(
+                    _known(), {"seqs": portion, "recipe": recipe}
+                ):
+                    spot = frozenset(json.loads(same_spot)) if same_spot else NOTHING
+                    found[seq] = KnownView(place, Position(*coordinates), spot)
         return found
 
 

@@ -1,0 +1,122 @@
+"""What a store keeps of views that were compared with the other views of their map."""
+
+from dataclasses import replace
+
+import pytest
+
+from schemas.records import Comparison, KnownView, Position
+from tests.storage.material import NOW, RECIPE, describe_all, enroll, recipe
+from worker.storage.store import SqlStore
+
+ID = RECIPE.description.id
+
+
+def compared(seq: int, among: int, level: float = 0.3, same_spot: tuple[int, ...] = ()) -> Comparison:
+    return Comparison(seq, level, 0.04, same_spot, among, among - 1)
+
+
+def described(store: SqlStore, *names: str) -> list[int]:
+    seqs = [enroll(store, name).view.seq for name in names]
+    describe_all(store)
+    return seqs
+
+
+def due(store: SqlStore, sample: int = 100, count: int = 100) -> set[int]:
+    found = store.comparisons.uncompared(sample, count)
+    return set() if found is None else set(found.seqs)
+
+
+def test_views_are_due_until_they_are_compared_and_again_when_the_map_has_doubled(store: SqlStore) -> None:
+    first = described(store, "gate", "pond")
+    assert due(store) == set(first)
+    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in first], NOW)
+    assert due(store) == set()
+
+    later = described(store, "stairs")
+    assert due(store) == set(later)
+    store.comparisons.keep("campus", ID, [compared(seq, 3) for seq in later], NOW)
+    described(store, "hall")
+    assert set(first) < due(store)
+
+
+def test_the_only_view_of_a_map_has_nothing_to_be_compared_with(store: SqlStore) -> None:
+    described(store, "gate")
+    assert store.comparisons.uncompared(100, 100) is None
+
+
+def test_a_large_map_is_sampled_always_by_the_same_views(store: SqlStore) -> None:
+    seqs = described(store, *(f"view {i}" for i in range(12)))
+    sample = due(store, sample=5)
+    assert len(sample) == 5 == len(due(store, sample=5) & set(seqs))
+    assert due(store, sample=5, count=2) < sample
+    store.comparisons.keep("campus", ID, [compared(seq, 12) for seq in sample], NOW)
+    assert due(store, sample=5) == set()
+    assert len(due(store, sample=8)) == 3
+
+
+def test_a_map_knows_the_means_over_its_compared_views(store: SqlStore) -> None:
+    one, two, three = described(store, "gate", "pond", "stairs")
+    assert store.comparisons.levels("campus").compared == 0
+    rows = [compared(one, 3, 0.2), compared(two, 3, 0.4), Comparison(three, None, None, (), 3, 0)]
+    store.comparisons.keep("campus", ID, rows, NOW)
+    levels = store.comparisons.levels("campus")
+    assert levels.compared == 2
+    assert [levels.level, levels.gap] == pytest.approx([0.3, 0.04])
+    assert levels.others == pytest.approx(4 / 3)
+    assert levels.updated_at == NOW
+
+
+def test_comparisons_change_answers_and_so_the_revision(store: SqlStore) -> None:
+    one, _ = described(store, "gate", "pond")
+    before = store.maps.revision("campus")
+    store.comparisons.keep("campus", ID, [compared(one, 2)], NOW)
+    assert store.maps.revision("campus") == before + 1
+
+
+def test_what_is_known_of_views(store: SqlStore) -> None:
+    one, two = described(store, "gate", "pond")
+    store.comparisons.keep("campus", ID, [compared(one, 2, same_spot=(two,))], NOW)
+    view = store.views.at([one])[one]
+    store.views.change(
+        store.views.at([two])[two].id, lambda now: replace(now, place="pond", position=Position(x=1, y=2))
+    )
+    known = store.comparisons.known([one, two, 999], ID)
+    assert known[one] == KnownView(view.attributes.place, view.attributes.position, frozenset({two}))
+    assert known[two] == KnownView("pond", Position(x=1, y=2))
+    assert 999 not in known
+
+
+def test_a_view_that_moved_is_compared_again_and_a_deleted_one_is_forgotten(store: SqlStore) -> None:
+    one, two = described(store, "gate", "pond")
+    store.comparisons.keep("campus", ID, [compared(one, 2), compared(two, 2)], NOW)
+    ids = {seq: view.id for seq, view in store.views.at([one, two]).items()}
+    store.views.change(ids[one], lambda now: replace(now, place="elsewhere"))
+    assert due(store) == {one}
+    store.removals.delete_view(ids[two])
+    store.comparisons.keep("campus", ID, [compared(two, 2)], NOW)  # finished after the deletion
+    assert store.comparisons.levels("campus").compared == 0
+
+
+def test_another_recipe_or_ranking_begins_anew_and_another_precision_does_not(store: SqlStore) -> None:
+    seqs = described(store, "gate", "pond")
+    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in seqs], NOW)
+    store.maps.change_ranking("campus", lambda now: now.ranking.model_copy(update={"precision": 0.99}))
+    assert due(store) == set()
+    store.maps.change_ranking("campus", lambda now: now.ranking.model_copy(update={"full_resolution_top_k": 3}))
+    assert due(store) == set(seqs)
+    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in seqs], NOW)
+    store.jobs.switch_recipe("campus", recipe("paper"), NOW)
+    describe_all(store)
+    assert due(store) == set(seqs)
+    store.comparisons.keep("campus", ID, [compared(seqs[0], 2)], NOW)  # by the recipe of before
+    assert store.comparisons.levels("campus").compared == 0
+
+
+def test_a_whole_description_is_read_back_as_it_was_stored(store: SqlStore) -> None:
+    [seq] = described(store, "gate")
+    whole = store.descriptions.whole(seq, RECIPE.description)
+    assert whole is not None
+    assert whole.cells.tolist() == store.descriptions.cells([seq], ID)[seq].tolist()
+    changes = store.descriptions.since("campus", 0)
+    assert [v for values in whole.vectors.values() for v in values.tolist()] == changes.vectors[0].tolist()
+    assert store.descriptions.whole(seq + 1, RECIPE.description) is None
