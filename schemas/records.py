@@ -66,13 +66,14 @@ class ViewAttributes:
 
 @dataclass(frozen=True)
 class MapRecord:
-    """A map in the store."""
+    """A map in the store; `calibration` is JSON of `worker.method.own_calibration`, None for the shipped one."""
 
     name: str
     revision: int
     description: DescriptionRecipe
     ranking: RankingConfig
     created_at: datetime
+    calibration: str | None = None
 
     @property
     def recipe(self) -> MapRecipe:

@@ -1,8 +1,8 @@
 """Models of the JSON bodies of requests."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class PutMap(BaseModel):
@@ -38,3 +38,81 @@ class PatchMap(BaseModel):
     ranking: dict[str, Any] = Field(
         description="Ranking parameters to change; the others stay.", examples=[{"candidates": 100}]
     )
+
+
+class _Label(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    block: Annotated[str, Field(min_length=1, max_length=200)] | None = Field(
+        None, description="Queries of one block, such as a drive, are held out together; null: runs of the list."
+    )
+
+
+class ObservedAnswer(_Label):
+    """What an answer of the map was decided from, and whether its first place was right."""
+
+    features: dict[str, Annotated[float, Field(ge=-100, le=100)]] = Field(
+        description="`decision.features` of the answer; empty for an answer without matches.",
+        examples=[{"gap": 1.9, "level": 0.0}],
+    )
+    right: bool = Field(description="Whether the first place was right.")
+    known: bool = Field(True, description="Whether the map has the place; false: none of its places is right.")
+
+    @model_validator(mode="after")
+    def _right_where_known(self) -> Self:
+        if self.right and not self.known:
+            raise ValueError("an answer cannot be right when the map lacks the place")
+        return self
+
+
+class LabelPosition(BaseModel):
+    """Where the right place is: metres in the map's frame, or degrees."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    x: float | None = None
+    y: float | None = None
+    lat: Annotated[float, Field(ge=-90, le=90)] | None = None
+    lon: Annotated[float, Field(ge=-180, le=180)] | None = None
+
+    @model_validator(mode="after")
+    def _one_point(self) -> Self:
+        given = {name for name, value in self if value is not None}
+        if given not in ({"x", "y"}, {"lat", "lon"}):
+            raise ValueError("a position is x and y, or lat and lon")
+        return self
+
+
+class LabelledView(_Label):
+    """An enrolled view, to query the map with while it is left out, and the right place: its name or its position."""
+
+    view: Annotated[str, Field(min_length=1, max_length=100)] = Field(description="Id of a described view of the map.")
+    place: Annotated[str, Field(min_length=1, max_length=200)] | None = Field(
+        None, description="Name of the right place; null: none of the map's places."
+    )
+    position: LabelPosition | None = None
+
+    @model_validator(mode="after")
+    def _one_label(self) -> Self:
+        if ("place" in self.model_fields_set) == (self.position is not None):
+            raise ValueError("either place (null: none of the map's places) or position is needed")
+        return self
+
+
+class PostCalibration(BaseModel):
+    """Labelled queries of a map, in the order in which they were taken."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    observed: list[ObservedAnswer] = Field(
+        default_factory=list, max_length=5000, description="Answers that the map gave to queries."
+    )
+    queries: list[LabelledView] = Field(
+        default_factory=list, max_length=200, description="Enrolled views; each takes as long as a query."
+    )
+    recipe: str | None = Field(None, description="`recipe` of the observed answers: refused when the map has another.")
+    ranking: str | None = Field(None, description="`ranking` of the observed answers, likewise.")
+    within: Annotated[float, Field(ge=0, le=100_000)] = Field(
+        0.0, description="A first place at most this far from a position is right, metres; at least `same_place_m`."
+    )
+    dry_run: bool = Field(False, description="Report, and keep nothing.")

@@ -4,6 +4,18 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from .wire_calibration import (
+    CalibrationReport as CalibrationReport,
+)
+from .wire_calibration import (
+    HeldOutFigures as HeldOutFigures,
+)
+from .wire_calibration import (
+    MeasuredRate as MeasuredRate,
+)
+from .wire_calibration import (
+    PrecisionThreshold as PrecisionThreshold,
+)
 from .wire_query import (
     ChannelMatch as ChannelMatch,
 )
@@ -136,20 +148,26 @@ class Extent(Answer):
 class ExpectedDecisions(Answer):
     """What may be expected of answers with the status matched."""
 
-    precision: float = Field(description="Share of them that are right.")
+    precision: float | None = Field(
+        description="Share of them that are right; null when no held-out query of a calibration was matched."
+    )
     matched_share: float = Field(description="Share of right first answers that are matched.")
+    queries: int | None = Field(
+        None,
+        description="Labelled queries of this map that both were measured on, held out; null: other maps' queries.",
+    )
 
 
 class MapDecision(Answer):
     """What verdicts on queries of a map rest on."""
 
-    source: Literal["cohort", "own-views"] = Field(
+    source: Literal["cohort", "own-views", "calibration"] = Field(
         description="cohort: mostly what wrong answers get in other maps, while few views are compared; own-views: "
-        "mostly what they get in this one."
+        "mostly what they get in this one; calibration: that, by a curve adjusted to labelled queries of this map."
     )
     views_compared: int
     expected: ExpectedDecisions
-    updated_at: Moment | None = Field(description="Of the latest comparison of its views.")
+    updated_at: Moment | None = Field(description="Of the calibration, or of the latest comparison of its views.")
 
 
 class MapFacts(Answer):

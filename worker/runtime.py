@@ -9,6 +9,7 @@ from functools import lru_cache, partial
 
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
+from schemas.records import MapRecord
 from schemas.settings import Settings
 from worker.configure import configure, configure_torch, keep_freed_memory
 from worker.description.describers import Describers
@@ -23,6 +24,7 @@ from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
+from worker.service.calibrating import CalibrationService, own_calibration
 from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
@@ -51,6 +53,7 @@ class Services:
     renderings: RenderingService
     maps: MapService
     jobs: JobService
+    calibration: CalibrationService
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class Runtime:
     default_recipe : MapRecipe
         Recipe of a map that its first enrolment creates.
     calibration : function
-        Recipe to the calibration of its confidences.
+        Recipe to the calibration shipped for it.
     schema_version : str
         Revision of the database's tables.
     serving : bool
@@ -302,7 +305,7 @@ def _services(
             decode=decode,
             shrink=codec.shrink,
             look_for_problem=lambda image: quality.problem(image.pixels),
-            calibration=shipped_calibration,
+            calibration=calibration_of,
             explanations=explanations,
             product=product,
         ),
@@ -322,7 +325,7 @@ def _services(
             removals=store.removals,
             jobs=store.jobs,
             comparisons=store.comparisons,
-            calibration=shipped_calibration,
+            shipped=shipped_calibration,
             encoder=encoder,
             describers=describers,
             catalogue=catalogue,
@@ -330,6 +333,25 @@ def _services(
             wake=_nothing if loop is None else loop.wake_all,
         ),
         jobs=JobService(store.jobs),
+        calibration=CalibrationService(
+            maps=store.maps,
+            views=store.views,
+            listings=store.listings,
+            descriptions=store.descriptions,
+            comparisons=store.comparisons,
+            catalogue=catalogue,
+            shipped=shipped_calibration,
+            product=product,
+        ),
+    )
+
+
+def calibration_of(record: MapRecord) -> Calibration:
+    """The calibration of a map: its own, or the shipped one."""
+    return (
+        shipped_calibration(record.recipe)
+        if record.calibration is None
+        else own_calibration(record.calibration).calibration
     )
 
 

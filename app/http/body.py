@@ -80,7 +80,7 @@ async def take(request: Request) -> Sent:
     return Sent([(None, body)], in_url)
 
 
-async def json_object(request: Request) -> dict[str, Any]:
+async def json_object(request: Request, largest: int = LARGEST_JSON) -> dict[str, Any]:
     """The body as a JSON object; {} when the body is empty.
 
     Raises
@@ -88,13 +88,13 @@ async def json_object(request: Request) -> dict[str, Any]:
     BadBody
         ``malformed-body``: not JSON, or not an object.
     BodyTooLarge
-        The body has more than `LARGEST_JSON` bytes.
+        The body has more than `largest` bytes.
     """
     body = bytearray()
     async for chunk in request.stream():
         body += chunk
-        if len(body) > LARGEST_JSON:
-            raise BodyTooLarge(f"the body has more than {LARGEST_JSON:,} bytes, the most that this request may have")
+        if len(body) > largest:
+            raise BodyTooLarge(f"the body has more than {largest:,} bytes, the most that this request may have")
     if not body.strip():
         return {}
     try:

@@ -8,9 +8,10 @@ from typing import Any, Protocol
 
 from app.http import presenters
 from schemas import wire
-from schemas.records import Filters, JobKind, JobState, Replay, ViewAttributes
-from schemas.requests import PutMap
+from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
+from schemas.requests import PostCalibration, PutMap
 from worker.description.presets import Wanted
+from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.renderings import RenderingService
@@ -50,14 +51,22 @@ class Curator:
     renderings : RenderingService
     maps : MapService
     jobs : JobService
+    calibrations : CalibrationService
     calls : Calls
         Answers of calls with an Idempotency-Key.
     """
 
     def __init__(
-        self, views: ViewService, renderings: RenderingService, maps: MapService, jobs: JobService, calls: Calls
+        self,
+        views: ViewService,
+        renderings: RenderingService,
+        maps: MapService,
+        jobs: JobService,
+        calibrations: CalibrationService,
+        calls: Calls,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
+        self._calibrations = calibrations
 
     # views
 
@@ -146,6 +155,27 @@ class Curator:
     async def change_ranking(self, name: str, changes: Mapping[str, Any]) -> wire.MapFacts:
         """Change fields of a map's ranking config."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.change_ranking, name, changes))
+
+    async def calibrate(self, name: str, labels: PostCalibration) -> wire.CalibrationReport:
+        """Fit a map's calibration to labelled queries, judge it, and keep it if it helps."""
+        observed = [ObservedAnswer(o.features, o.right, o.known, o.block) for o in labels.observed]
+        queries = [
+            LabelledView(q.view, q.place, None if q.position is None else Position(**q.position.model_dump()), q.block)
+            for q in labels.queries
+        ]
+        calibrate = partial(
+            self._calibrations.calibrate,
+            recipe=labels.recipe,
+            ranking=labels.ranking,
+            within_m=labels.within,
+            trial=labels.dry_run,
+        )
+        return presenters.calibration_report(await asyncio.to_thread(calibrate, name, observed, queries))
+
+    async def forget_calibration(self, name: str) -> wire.MapFacts:
+        """Return a map to the shipped calibration."""
+        await asyncio.to_thread(self._calibrations.forget, name)
+        return await self.map(name)
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""

@@ -108,6 +108,49 @@ QUERY_ANSWER: dict[str, Any] = {
 
 PATCH: dict[str, Any] = {"place": "library, east door", "position": {"heading": 95}, "metadata": {"camera": None}}
 
+POST_CALIBRATION: dict[str, Any] = {
+    "observed": [
+        {"features": {"gap": 1.9, "level": 0.0}, "right": True, "block": "monday"},
+        {"features": {"gap": 0.2, "level": -0.4}, "right": False, "known": False, "block": "tuesday"},
+    ],
+    "queries": [{"view": VIEW["id"], "place": VIEW["place"]}],
+}
+
+
+def _rate(count: int, of: int, lowest: float, highest: float, per: float = 1.0) -> dict[str, Any]:
+    return {"value": per * count / of, "interval": [lowest, highest], "count": count, "of": of}
+
+
+CALIBRATION_REPORT: dict[str, Any] = {
+    "map": "campus",
+    "revision": 43,
+    "kept": True,
+    "transfers": True,
+    "detail": "it does better on held-out queries than the shipped calibration, and decides from now on",
+    "queries": 240,
+    "unanswered": 0,
+    "right": 150,
+    "unknown": 60,
+    "blocks": 20,
+    "folds": 5,
+    "precision": 0.97,
+    "shipped": {
+        "log_loss": 0.38,
+        "expected_error": 0.11,
+        "precision": _rate(62, 64, 0.893, 0.991),
+        "matched_share": _rate(62, 150, 0.338, 0.493),
+        "false_accepts_per_1000": _rate(1, 60, 2.9, 88.6, 1000),
+    },
+    "own": {
+        "log_loss": 0.29,
+        "expected_error": 0.05,
+        "precision": _rate(105, 107, 0.934, 0.995),
+        "matched_share": _rate(105, 150, 0.622, 0.768),
+        "false_accepts_per_1000": _rate(1, 60, 2.9, 88.6, 1000),
+    },
+    "thresholds": [{"precision": 0.97, "threshold": 0.81, "matched_share": 0.7}],
+}
+
 PROBLEM_DETAILS: dict[str, str] = {
     "no-picture": "the body is empty; send the image as the multipart part `image`",
     "malformed-body": "the multipart body breaks off before its closing boundary",

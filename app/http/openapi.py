@@ -10,7 +10,7 @@ from app.http import problems
 from app.http.examples import PROBLEM_DETAILS
 from app.http.parameters import METADATA_FILTER
 from app.http.validation import Parameters
-from schemas.requests import PatchMap, PutMap
+from schemas.requests import PatchMap, PostCalibration, PutMap
 from schemas.wire import Problem
 
 Json = dict[str, Any]
@@ -164,7 +164,7 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, PutMap, PatchMap):
+        for model in (Problem, PutMap, PatchMap, PostCalibration):
             schemas.update(_definitions(model))
         for operation in (one for methods in whole["paths"].values() for one in methods.values()):
             if "parameters" in operation:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime
+from typing import Literal
 
 from schemas import wire
 from schemas.description import ContextGraph, Floats
@@ -12,7 +13,9 @@ from worker.images.palette import colour
 from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
 from worker.method.evidence import GraphEvidence
+from worker.method.own_calibration import HeldOut, Share
 from worker.method.verification import Verified
+from worker.service.calibrating import CalibrationResult
 from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
@@ -138,16 +141,25 @@ def map_facts(state: MapState) -> wire.MapFacts:
             "vocabulary_size": {name: channel.vocabulary_size for name, channel in channels},
             "dimensions": {name: channel.length for name, channel in channels},
         },
-        decision=wire.MapDecision(
-            source="own-views" if own_share(state.levels) > 0.5 else "cohort",
-            views_compared=state.levels.compared,
-            expected=wire.ExpectedDecisions(
-                precision=ranking.precision, matched_share=state.calibration.share(ranking.precision)
-            ),
-            updated_at=state.levels.updated_at,
-        ),
+        decision=_map_decision(state),
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),
         created_at=record.created_at,
+    )
+
+
+def _map_decision(state: MapState) -> wire.MapDecision:
+    levels, own, wanted = state.levels, state.own, state.record.ranking.precision
+    source: Literal["cohort", "own-views", "calibration"]
+    source = "own-views" if own_share(levels) > 0.5 else "cohort"
+    return wire.MapDecision(
+        source=source if own is None else "calibration",
+        views_compared=levels.compared,
+        expected=wire.ExpectedDecisions(
+            precision=wanted if own is None else own.precision(wanted),
+            matched_share=state.calibration.share(wanted),
+            queries=None if own is None else own.queries,
+        ),
+        updated_at=levels.updated_at if own is None else datetime.fromisoformat(own.made_at),
     )
 
 
@@ -312,3 +324,56 @@ def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estim
     known = position(fix.position)
     assert known is not None, "a fix has a position"
     return wire.Estimate(position=known, radius_m=fix.radius_m, views=[found[i].view.id for i in fix.agreeing])
+
+
+def calibration_report(result: CalibrationResult) -> wire.CalibrationReport:
+    """What came of a calibration."""
+    fitted, labelled, calibration = result.fitted, result.labelled, result.fitted.own.calibration
+    lines = zip(calibration.precisions, calibration.thresholds, calibration.shares, strict=True)
+    return wire.CalibrationReport(
+        map=result.record.name,
+        revision=result.record.revision,
+        kept=result.kept,
+        transfers=fitted.transfers,
+        detail=_outcome(result),
+        queries=len(labelled.right),
+        unanswered=result.unanswered,
+        right=int(labelled.right.sum()),
+        unknown=int((~labelled.known).sum()),
+        blocks=fitted.blocks,
+        folds=fitted.folds,
+        precision=result.precision,
+        shipped=_held_out(fitted.shipped_does),
+        own=_held_out(fitted.own_does),
+        thresholds=[
+            wire.PrecisionThreshold(precision=float(wanted), threshold=float(limit), matched_share=float(share))
+            for wanted, limit, share in lines
+        ],
+    )
+
+
+def _outcome(result: CalibrationResult) -> str:
+    if not result.fitted.transfers:
+        return (
+            "what was learned from some of these queries does not transfer to the others: the shipped calibration does "
+            "better on them; nothing was changed"
+        )
+    if result.trial:
+        return "it does better on held-out queries than the shipped calibration; as a trial, nothing was changed"
+    return "it does better on held-out queries than the shipped calibration, and decides from now on"
+
+
+def _held_out(figures: HeldOut) -> wire.HeldOutFigures:
+    return wire.HeldOutFigures(
+        log_loss=figures.log_loss,
+        expected_error=figures.expected_error,
+        precision=_rate(figures.precision),
+        matched_share=_rate(figures.matched_share),
+        false_accepts_per_1000=_rate(figures.false_accepts, 1000),
+    )
+
+
+def _rate(share: Share, per: float = 1.0) -> wire.MeasuredRate:
+    lowest, highest = share.interval
+    value = None if share.value is None else share.value * per
+    return wire.MeasuredRate(value=value, interval=(lowest * per, highest * per), count=share.count, of=share.of)

@@ -38,7 +38,14 @@ class Service:
         services = runtime.services
         return cls(
             Recogniser(services.enroll, services.query, runtime.settlements, runtime.settings.queries),
-            Curator(services.views, services.renderings, services.maps, services.jobs, runtime.store.calls),
+            Curator(
+                services.views,
+                services.renderings,
+                services.maps,
+                services.jobs,
+                services.calibration,
+                runtime.store.calls,
+            ),
             Lifecycle(runtime),
             runtime.settings,
         )

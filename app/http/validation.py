@@ -123,7 +123,8 @@ def in_words(one: Mapping[str, Any], path: Sequence[str | int], known: Sequence[
     if one["type"] == _IN_WORDS:
         detail = one["msg"]
     elif one["type"] == "extra_forbidden":
-        detail = f"is unknown; known are {', '.join(known)}" if known else "is unknown; none is taken here"
+        nested = "is unknown" if len(path) > 1 else "is unknown; none is taken here"
+        detail = f"is unknown; known are {', '.join(known)}" if known and len(path) == 1 else nested
     elif one["type"] == "missing":
         detail = "is required"
     else:

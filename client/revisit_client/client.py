@@ -294,6 +294,23 @@ class Revisit:
         """Train a vocabulary on the map's own views, then describe them by it."""
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/vocabulary", repeat=False)
 
+    def calibrate(
+        self,
+        name: str,
+        *,
+        observed: Sequence[Mapping[str, Any]] = (),
+        queries: Sequence[Mapping[str, Any]] = (),
+        **options: Any,
+    ) -> wire.CalibrationReport:
+        """Fit a map's confidences to labelled queries: answers ``{"features": answer.decision.features, "right": ...}``
+        or views ``{"view": id, "place": ...}``; options as in the body of the call, such as ``dry_run=True``."""
+        labels = {"observed": [*map(dict, observed)], "queries": [*map(dict, queries)], **options}
+        return self._connection.receive(wire.CalibrationReport, "POST", f"/maps/{name}/calibration", json=labels)
+
+    def forget_calibration(self, name: str) -> wire.MapFacts:
+        """Return a map to the shipped calibration."""
+        return self._connection.receive(wire.MapFacts, "DELETE", f"/maps/{name}/calibration")
+
     def delete_map(self, name: str) -> wire.Deleted:
         """Delete a map, its views and their images."""
         return self._connection.receive(wire.Deleted, "DELETE", f"/maps/{name}")

@@ -1,5 +1,6 @@
 """Requests that the client sends, answers that it reads, and when it tries again."""
 
+import json
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -9,6 +10,7 @@ import httpx
 import pytest
 from revisit_client import ClientError, JobFailed, Revisit, RevisitProblem, Unreachable
 
+from app.http.examples import CALIBRATION_REPORT
 from tests import answers
 
 Handler = Callable[[httpx.Request], httpx.Response]
@@ -254,3 +256,24 @@ def test_the_address_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("REVISIT_URL", "http://robot:9000/")
     with Revisit() as revisit:
         assert revisit.url == "http://robot:9000"
+
+
+def test_a_map_is_calibrated_and_returns_to_the_shipped_calibration() -> None:
+    seen: list[httpx.Request] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        seen.append(request)
+        return httpx.Response(200, json=CALIBRATION_REPORT if request.method == "POST" else answers.map_facts())
+
+    label = {"features": {"gap": 1.0, "level": 0.0}, "right": True}
+    with client(handler) as revisit:
+        report = revisit.calibrate("campus", observed=[label], queries=[{"view": "v", "place": None}], dry_run=True)
+        facts = revisit.forget_calibration("campus")
+
+    assert (report.transfers, report.own.precision.count, facts.name) == (True, 105, "default")
+    assert json.loads(seen[0].read()) == {
+        "observed": [label],
+        "queries": [{"view": "v", "place": None}],
+        "dry_run": True,
+    }
+    assert [(r.method, r.url.path) for r in seen] == [(m, "/maps/campus/calibration") for m in ("POST", "DELETE")]

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
-from app.http.examples import ENROLLED, PATCH, PROBLEM_DETAILS, QUERY_ANSWER, VIEW
+from app.http.examples import CALIBRATION_REPORT, ENROLLED, PATCH, POST_CALIBRATION, PROBLEM_DETAILS, QUERY_ANSWER, VIEW
 from app.http.problems import KINDS, URN
 from schemas import errors, wire
+from schemas.requests import PostCalibration
 from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -181,6 +182,8 @@ def test_examples_fit_the_models() -> None:
     wire.View.model_validate(VIEW)
     wire.Enrolled.model_validate(ENROLLED)
     assert json.loads(wire.QueryAnswer.model_validate(QUERY_ANSWER).model_dump_json()) == QUERY_ANSWER
+    assert json.loads(wire.CalibrationReport.model_validate(CALIBRATION_REPORT).model_dump_json()) == CALIBRATION_REPORT
+    PostCalibration.model_validate(POST_CALIBRATION, strict=True)
     assert set(PATCH) <= set(wire.View.model_fields)
     assert PROBLEM_DETAILS.keys() == KINDS.keys()
 

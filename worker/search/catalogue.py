@@ -59,6 +59,8 @@ class Catalogue:
                         continue  # the recipe changed between the two reads
                     held.index.apply(changes)
                 self._indexes[name] = held
+                if held.index.revision > record.revision:
+                    continue  # what ranks and calibrates may have changed between the two reads
                 return held.index, record
 
     def forget(self, name: str) -> None:

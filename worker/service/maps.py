@@ -11,18 +11,21 @@ from worker.description.describers import Describers
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, changed_ranking, make_recipe
 from worker.method.calibration import Calibration
+from worker.method.own_calibration import OwnCalibration
 from worker.search.catalogue import Catalogue
+from worker.service.calibrating import own_calibration
 from worker.service.ports import Comparisons, Jobs, Maps, Removals
 
 
 @dataclass(frozen=True)
 class MapState:
-    """A map, its size, and how the running encoder understands its labels."""
+    """A map, its size, its calibration (`own`, or the shipped one), and how the encoder understands its labels."""
 
     record: MapRecord
     counts: MapCounts
     levels: MapLevels
     calibration: Calibration
+    own: OwnCalibration | None
     meanings: tuple[Meaning, ...]
 
 
@@ -33,8 +36,8 @@ class MapService:
     ----------
     maps, removals, jobs, comparisons
         Parts of the store.
-    calibration : function
-        Recipe to the calibration of its confidences.
+    shipped : function
+        Recipe to the calibration shipped for it.
     encoder : Encoder
         The running encoder.
     describers : Describers
@@ -52,7 +55,7 @@ class MapService:
         removals: Removals,
         jobs: Jobs,
         comparisons: Comparisons,
-        calibration: Callable[[MapRecipe], Calibration],
+        shipped: Callable[[MapRecipe], Calibration],
         encoder: Encoder,
         describers: Describers,
         catalogue: Catalogue,
@@ -60,7 +63,7 @@ class MapService:
         wake: Callable[[], None],
     ) -> None:
         self._maps, self._removals, self._jobs = maps, removals, jobs
-        self._comparisons, self._calibration = comparisons, calibration
+        self._comparisons, self._shipped = comparisons, shipped
         self._encoder, self._describers, self._catalogue = encoder, describers, catalogue
         self._preset, self._wake = preset, wake
 
@@ -139,7 +142,9 @@ class MapService:
         else:  # labels of an encoder that is not running
             meanings = tuple(Meaning(label, (), trained=False) for label in labels)
         counts, levels = self._maps.counts(record.name), self._comparisons.levels(record.name)
-        return MapState(record, counts, levels, self._calibration(record.recipe), meanings)
+        own = None if record.calibration is None else own_calibration(record.calibration)
+        calibration = self._shipped(record.recipe) if own is None else own.calibration
+        return MapState(record, counts, levels, calibration, own, meanings)
 
     def _is_own(self, recipe: DescriptionRecipe) -> bool:
         return (recipe.encoder, recipe.weights) == (self._encoder.name, self._encoder.digest)

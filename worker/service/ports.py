@@ -48,6 +48,10 @@ class Maps(Protocol):
         """Replace a map's ranking in one transaction; raises NotFound, and what `change` raises."""
         ...
 
+    def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:
+        """Give a map a calibration of its own, or None; raises NotFound, and Conflict when `fitted_to` is outdated."""
+        ...
+
 
 class Enrolment(Protocol):
     """Storing images."""

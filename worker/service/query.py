@@ -10,7 +10,7 @@ from uuid6 import uuid7
 from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
-from schemas.recipe import DescriptionRecipe, MapRecipe
+from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, MapLevels, MapRecord
 from worker.description.describer import Describer, components
 from worker.description.describers import Describers
@@ -92,7 +92,7 @@ class QueryService:
     look_for_problem : function
         What is wrong with an image, in words, or None.
     calibration : function
-        Recipe to the calibration of its confidences.
+        Map to the calibration of its confidences.
     explanations : Explanations
         Where the latest explained queries are kept.
     product : Product
@@ -114,7 +114,7 @@ class QueryService:
         decode: Callable[[bytes], Image],
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
-        calibration: Callable[[MapRecipe], Calibration],
+        calibration: Callable[[MapRecord], Calibration],
         explanations: Explanations,
         product: Product,
     ) -> None:
@@ -167,7 +167,7 @@ class QueryService:
         decision = decide(
             results.ranking,
             results.levels,
-            self._calibration(results.recipe),
+            results.calibration,
             precision or results.recipe.ranking.precision,
             searched=results.searched,
             shown=top,
@@ -309,6 +309,7 @@ class QueryService:
                 pending=self._queue.count_pending(map_name),
                 revision=found.revision,
                 recipe=record.recipe,
+                calibration=self._calibration(record),
                 searched=found.searched,
                 timing_ms=watch.timing_ms(),
             )

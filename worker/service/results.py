@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from schemas.recipe import MapRecipe
 from schemas.records import MapLevels, ViewRecord
+from worker.method.calibration import Calibration
 from worker.method.evidence import RankedCandidate, Ranking
 
 
@@ -33,6 +34,8 @@ class RankedResults:
         Views of the map that were acknowledged and are not described yet.
     revision : int
     recipe : MapRecipe
+    calibration : Calibration
+        Of the map's confidences.
     searched : int
         Number of views searched.
     timing_ms : mapping of stage to milliseconds
@@ -46,5 +49,6 @@ class RankedResults:
     pending: int
     revision: int
     recipe: MapRecipe
+    calibration: Calibration
     searched: int
     timing_ms: Mapping[str, float]

@@ -10,8 +10,8 @@ from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
 from worker.storage.part import Part
-from worker.storage.rows import COORDINATES, find_map, keep_recipe, map_record, ranking_of
-from worker.storage.tables import COMPARISONS, MAPS, RECIPES, VIEWS
+from worker.storage.rows import COORDINATES, find_map, keep_recipe, map_by, map_record
+from worker.storage.tables import MAPS, RECIPES, VIEWS
 
 STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
 
@@ -42,10 +42,7 @@ class Maps(Part):
                 for row in connection.execute(sa.select(RECIPES).where(RECIPES.c.id.in_(sa.select(MAPS.c.recipe))))
             }
             rows = connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.name))
-            return [
-                MapRecord(row.name, row.revision, recipes[row.recipe], ranking_of(row.ranking), row.created_at)
-                for row in rows
-            ]
+            return [map_by(recipes[row.recipe], row) for row in rows]
 
     def get(self, name: str) -> MapRecord:
         """One map; raises NotFound."""
@@ -114,14 +111,35 @@ class Maps(Part):
             row = find_map(connection, name)
             ranking = change(map_record(connection, row).recipe).model_dump_json()
             if ranking != row.ranking:
-                switching.set_ranking(connection, row.id, ranking)
-                if _scores(ranking) != _scores(row.ranking):
-                    connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.map_id == row.id))
+                switching.set_ranking(connection, row, ranking)
             if row.next_ranking is not None:  # a running recipe switch must not undo the change
                 connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
             return map_record(connection, find_map(connection, name))
 
+    def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:
+        """Give a map a calibration of its own, as JSON, or the shipped one again (None), as of its next revision.
 
-def _scores(ranking: str) -> RankingConfig:
-    """The part of a ranking that scores depend on, from its JSON."""
-    return ranking_of(ranking).model_copy(update={"precision": 0.5})
+        Parameters
+        ----------
+        name : str
+        calibration : str or None
+        fitted_to : MapRecipe or None
+            By which the labelled queries were answered.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The map's scores no longer come from `fitted_to`.
+        """
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            if fitted_to is not None and not switching.scores_alike(map_record(connection, row).recipe, fitted_to):
+                raise Conflict(
+                    f"the recipe or the ranking of the map {name!r} is no longer the one that answered the labelled "
+                    "queries; query the map with them again"
+                )
+            if calibration != row.calibration:
+                connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(calibration=calibration))
+                clock.tick(connection, row.id)
+            return map_record(connection, find_map(connection, name))

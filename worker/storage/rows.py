@@ -73,8 +73,12 @@ def _recipe_of(body: str) -> DescriptionRecipe:
 
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
     """A map from its row."""
-    recipe = find_recipe(connection, row.recipe)
-    return MapRecord(row.name, row.revision, recipe, ranking_of(row.ranking), row.created_at)
+    return map_by(find_recipe(connection, row.recipe), row)
+
+
+def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
+    """A map from its row and its description recipe."""
+    return MapRecord(row.name, row.revision, recipe, ranking_of(row.ranking), row.created_at, row.calibration)
 
 
 @lru_cache(maxsize=64)

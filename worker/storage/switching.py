@@ -10,9 +10,10 @@ from typing import Any
 import sqlalchemy as sa
 from uuid6 import uuid7
 
+from schemas.recipe import MapRecipe, RankingConfig
 from worker.storage import clock
-from worker.storage.rows import as_json, inserting
-from worker.storage.tables import DESCRIPTIONS, JOBS, MAPS, VIEWS
+from worker.storage.rows import as_json, inserting, ranking_of
+from worker.storage.tables import COMPARISONS, DESCRIPTIONS, JOBS, MAPS, VIEWS
 
 UNFINISHED = ("waiting", "running")
 
@@ -94,7 +95,7 @@ def begin(
     if recipe == row.recipe:  # the recipe stays: only failed views are described again
         settle(connection, row.id, recipe)
         if ranking != row.ranking:
-            set_ranking(connection, row.id, ranking)
+            set_ranking(connection, row, ranking)
     else:
         following = {"next_recipe": recipe, "next_ranking": ranking}
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**following))
@@ -102,10 +103,26 @@ def begin(
     return len(seqs)
 
 
-def set_ranking(connection: sa.Connection, map_id: int, ranking: str) -> None:
-    """Replace a map's ranking; a new revision, since it changes answers."""
-    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(ranking=ranking))
-    clock.tick(connection, map_id)
+def set_ranking(connection: sa.Connection, row: sa.Row[Any], ranking: str) -> None:
+    """Replace a map's ranking; a new revision, since it changes answers.
+
+    What was learned from scores, its comparisons and its own calibration, is dropped when these change.
+    """
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(ranking=ranking))
+    if _scoring(ranking_of(ranking)) != _scoring(ranking_of(row.ranking)):
+        connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(calibration=None))
+        connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.map_id == row.id))
+    clock.tick(connection, row.id)
+
+
+def scores_alike(one: MapRecipe, other: MapRecipe) -> bool:
+    """Whether two recipes give the same scores."""
+    return one.description == other.description and _scoring(one.ranking) == _scoring(other.ranking)
+
+
+def _scoring(ranking: RankingConfig) -> RankingConfig:
+    """The part of a ranking that scores depend on."""
+    return ranking.model_copy(update={"precision": 0.5})
 
 
 def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int | None:
@@ -135,7 +152,8 @@ def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: st
     revision = clock.tick(connection, map_id)
     present = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == map_id))
     after = {"recipe": recipe, "ranking": ranking, "next_recipe": None, "next_ranking": None, "anew": revision}
-    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(previous_recipe=present, **after))
+    learned = {"calibration": None, "previous_recipe": present}  # what was learned by the old recipe is dropped
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**learned, **after))
     settle(connection, map_id, recipe)
     end_jobs(connection, map_id, recipe, now)
     return revision

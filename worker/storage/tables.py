@@ -47,6 +47,7 @@ MAPS = sa.Table(
     sa.Column("revision", sa.BigInteger, nullable=False),
     sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision is rebuilt
     sa.Column("created_at", UtcDateTime, nullable=False),
+    sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
     sqlite_autoincrement=True,
 )
 

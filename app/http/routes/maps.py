@@ -6,23 +6,27 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel
 
-from app.http.body import json_object
+from app.http.body import LARGEST_JSON, json_object
 from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.validation import validated
-from schemas.requests import PatchMap, PutMap
-from schemas.wire import Deleted, Job, MapFacts, Maps
+from schemas.requests import PatchMap, PostCalibration, PutMap
+from schemas.wire import CalibrationReport, Deleted, Job, MapFacts, Maps
 
 M = TypeVar("M", bound=BaseModel)
 
 router = APIRouter(tags=["maps"], dependencies=[no_parameters])
 
+MOST_LABELS = 2 * 1024 * 1024
+"""Bytes of the largest body with labelled queries: 5,000 take some 500 kB."""
+
 _STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
 
 
-async def _body(request: Request, model: type[M]) -> M:
+async def _body(request: Request, model: type[M], largest: int = LARGEST_JSON) -> M:
     """The JSON body as a model; raises BadBody, BodyTooLarge, InvalidParameters."""
-    return validated(model, await json_object(request), strict=True)
+    return validated(model, await json_object(request, largest), strict=True)
 
 
 @router.get("/maps", response_model=Maps, responses=refusals())
@@ -97,6 +101,29 @@ async def switch_recipe(name: MapName, request: Request, curator: Curates) -> Re
 async def train_vocabulary(name: MapName, curator: Curates) -> Response:
     """Train a vocabulary on the map's own views, then describe them by it."""
     return _started(await curator.train_vocabulary(name))
+
+
+@router.post(
+    "/maps/{map}/calibration",
+    response_model=CalibrationReport,
+    openapi_extra=takes_json({"$ref": "#/components/schemas/PostCalibration"}, required=True, example=POST_CALIBRATION),
+    responses={
+        200: {"content": {"application/json": {"example": CALIBRATION_REPORT}}},
+        **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full"),
+    },
+)
+async def calibrate(name: MapName, request: Request, curator: Curates) -> CalibrationReport:
+    """Fit the map's confidences to labelled queries of its own, judge that on held-out ones, and keep it if it helps.
+
+    It is dropped when the map's recipe changes, or its ranking (other than `precision`).
+    """
+    return await curator.calibrate(name, await _body(request, PostCalibration, MOST_LABELS))
+
+
+@router.delete("/maps/{map}/calibration", response_model=MapFacts, responses=refusals("not-found", "disk-full"))
+async def forget_calibration(name: MapName, curator: Curates) -> MapFacts:
+    """Return the map to the shipped calibration."""
+    return await curator.forget_calibration(name)
 
 
 def _started(job: Job) -> Response:
