@@ -1,5 +1,6 @@
 """Compare the views of a map with one another, in the background, to learn what wrong answers get there."""
 
+import logging
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Description
+from schemas.errors import NotFound
 from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import Candidates, Comparison, Selection, Uncompared
 from worker.method import cascade
@@ -20,6 +22,8 @@ from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import ComparisonReader, DescriptionReader, Index
 
+log = logging.getLogger("revisit.worker")
+
 SAMPLE = 2000
 """Views of a map that are compared at most: means over so many views are exact enough for a map of any size."""
 
@@ -30,8 +34,8 @@ PORTION = 8
 """Views compared at a time; after each the thread rests as long as it worked."""
 
 SAME_SPOT_INLIERS, SAME_SPOT_SCORE = 40, 0.55
-"""Two views show the same spot when this many keypoints agree, of 300, and they score this much. Views of look-alike
-floors reach 31 and 0.5."""
+"""Two views show the same spot when this many keypoints agree, of 300, and they score this much. Of pairs of views of
+look-alike floors 99 in 100 have at most 31."""
 
 WIDENED = 3
 """How often a search is repeated because too many of its candidates show the view's own place."""
@@ -39,6 +43,10 @@ WIDENED = 3
 
 class ComparisonStore(ComparisonReader, Protocol):
     """Comparisons of views."""
+
+    def last_revision(self) -> int:
+        """The last revision given to any map."""
+        ...
 
     def uncompared(self, sample: int, count: int) -> Uncompared | None:
         """Up to `count` views, of one map, that should be compared, or None."""
@@ -82,6 +90,7 @@ class MapComparer:
     ) -> None:
         self._comparisons, self._descriptions = comparisons, descriptions
         self._catalogue, self._product, self._rest = catalogue, product, rest
+        self._nothing_due: tuple[int, int] | None = None  # sample and revision at which nothing was due
 
     def step(self, *, busy: bool = False) -> bool:
         """Compare a portion of views; returns whether there was anything to do.
@@ -91,14 +100,21 @@ class MapComparer:
         busy : bool
             Images wait to be described: compare no more than `FIRST` of each map.
         """
-        due = self._comparisons.uncompared(FIRST if busy else SAMPLE, PORTION)
+        sample, revision = FIRST if busy else SAMPLE, self._comparisons.last_revision()
+        if (sample, revision) == self._nothing_due:
+            return False
+        due = self._comparisons.uncompared(sample, PORTION)
         if due is None:
+            self._nothing_due = sample, revision
             return False
         began = time.monotonic()
-        index, record = self._catalogue.index(due.map)
+        try:
+            index, record = self._catalogue.index(due.map)
+        except NotFound:
+            return True  # the map has just been deleted
         if record.description.id != due.recipe:
             return True  # the map has just changed over
-        made = [self._compare(seq, index, record.description, record.ranking, due.among) for seq in due.seqs]
+        made = [self._attempt(seq, index, record.description, record.ranking, due.among) for seq in due.seqs]
         self._comparisons.keep(due.map, due.recipe, [one for one in made if one is not None], datetime.now(UTC))
         self._rest(time.monotonic() - began)
         return True
@@ -111,6 +127,16 @@ class MapComparer:
                 pass
         finally:
             self._rest = rest
+
+    def _attempt(
+        self, seq: int, index: Index, recipe: DescriptionRecipe, config: RankingConfig, among: int
+    ) -> Comparison | None:
+        """As `_compare`; a view that cannot be compared is logged and left until the map has doubled."""
+        try:
+            return self._compare(seq, index, recipe, config, among)
+        except Exception:
+            log.exception("the view with the sequence number %d could not be compared with its map", seq)
+            return Comparison(seq, None, None, (), among, 0)
 
     def _compare(
         self, seq: int, index: Index, recipe: DescriptionRecipe, config: RankingConfig, among: int

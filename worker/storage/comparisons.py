@@ -23,6 +23,11 @@ _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 class Comparisons(Part):
     """What views find when their own map is queried with them, and what is known of views besides their images."""
 
+    def last_revision(self) -> int:
+        """The last revision given to any map: while it stays, nothing new is due."""
+        with self._database.reading() as connection:
+            return clock.read(connection)
+
     def uncompared(self, sample: int, count: int) -> Uncompared | None:
         """Up to `count` views, of one map, that should be compared, or None.
 

@@ -1,0 +1,39 @@
+"""A damaged description keeps its map from being compared, and nothing else from running."""
+
+import logging
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from scenes import scene
+from schemas.records import Filters, ViewAttributes
+from schemas.settings import Settings
+from tests.stories.photos import photo
+from worker.runtime import build
+from worker.storage.tables import CELLS
+
+
+def test_views_that_cannot_be_compared_are_logged_and_not_tried_for_ever(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    runtime.start()
+    try:
+        for town in ("whole", "damaged"):
+            for name in ("mill lane", "rose garden", "castle park"):
+                look = photo(scene(name))
+                runtime.services.enroll.enroll(look, town, ViewAttributes(place=name), patience_s=60)
+        seq = runtime.store.views.list("damaged", Filters())[0][0].seq
+        with sa.create_engine(f"sqlite:///{tmp_path / 'revisit.db'}").begin() as connection:
+            connection.execute(sa.update(CELLS).where(CELLS.c.seq == seq).values(body=b"not cells"))
+
+        with caplog.at_level(logging.ERROR, "revisit.worker"):
+            runtime.comparer.all()
+
+        assert runtime.store.comparisons.levels("whole").compared == 3
+        assert runtime.store.comparisons.uncompared(100, 100) is None
+        assert f"sequence number {seq} could not be compared" in caplog.text
+        assert not runtime.comparer.step()
+    finally:
+        runtime.stop()
