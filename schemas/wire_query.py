@@ -147,7 +147,7 @@ class ScoredId(Answer):
 
 
 class PlaceProbability(Answer):
-    """A place that the query may show: views with one name, near each other, or alike by the map's own comparison."""
+    """A place that the query may show: views with one name, near each other or else alike to the map."""
 
     place: str | None = Field(description="Name of its best view's place.")
     position: Position | None = Field(description="Of its best view.")

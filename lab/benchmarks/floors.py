@@ -65,6 +65,7 @@ def measured(runtime: Runtime, preset: str, one: Building, count: int) -> tuple[
     for floor, spot, image in one.enrolments():
         attributes = ViewAttributes(place=f"{floor}/{spot}")
         runtime.services.enroll.enroll(_encoded(image), map_name, attributes, patience_s=PATIENCE_S)
+    runtime.comparer.all()  # as the service does in the background
     return _answers(runtime, map_name, one.queries(count)), _answers(runtime, map_name, one.unknown(count))
 
 

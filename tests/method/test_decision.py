@@ -92,6 +92,14 @@ def test_another_place_that_is_nearly_as_good_is_named_as_look_alike() -> None:
     assert twins.reason.code == "look-alike"
 
 
+def test_floors_that_the_map_takes_for_one_stand_out_together() -> None:
+    known = {0: KnownView("floor 1"), 1: KnownView("floor 2", same_spot=frozenset({0})), 2: KnownView("cellar")}
+    together = decided([0.6, 0.6, 0.2], known)
+    assert (together.status, together.reason.code) == ("ambiguous", "look-alike")
+    assert together.confidence < 0.5
+    assert decided([0.6, 0.6, 0.55], known).status == "no_match"
+
+
 def test_another_view_of_the_same_place_is_no_rival() -> None:
     one = decided([0.6, 0.58, 0.2], named("hall", "hall", "cellar"))
     assert one.status == "matched"

@@ -29,6 +29,23 @@ def test_views_without_name_or_position_are_places_of_their_own_unless_the_map_s
     assert alone.same(2, 0)
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (at(0, name="lift, floor 1"), at(0.1, name="lift, floor 2"), True),  # so near that names do not matter
+        (KnownView("lift, floor 1"), KnownView("lift, floor 2"), False),
+        (KnownView("lift, floor 1"), KnownView(), True),
+        (at(0), at(19), True),
+        (at(0), at(21), False),
+        (at(0), KnownView(), True),
+    ],
+)
+def test_the_maps_comparison_does_not_overrule_the_user(one: KnownView, other: KnownView, same: bool) -> None:
+    compared = KnownView(other.name, other.position, frozenset({0}))
+    assert places(one, compared).same(0, 1) is same
+    assert places(one, compared).same(1, 0) is same
+
+
 @pytest.mark.parametrize(("gap", "same", "apart"), [(4.9, True, False), (5.1, False, False), (20.1, False, True)])
 def test_neighbours_are_neither_the_same_place_nor_another(gap: float, same: bool, apart: bool) -> None:
     walk = places(at(0), at(gap))

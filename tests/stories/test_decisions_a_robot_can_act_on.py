@@ -9,6 +9,7 @@ import pytest
 
 from app.http.application import create_app
 from scenes import building, scene
+from scenes.building import BuildingKind
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
@@ -132,6 +133,25 @@ def test_floors_that_look_alike_name_each_other_as_rivals(client: CheckedClient)
             assert rival["view"]["place"] != answer["places"][0]["place"]
             assert rival["differs"], "where the two differ"
             assert all(-1 <= region["centre"][0] <= 1 for region in rival["differs"])
+
+
+@pytest.mark.parametrize("kind", ["corridor", "lobby"])
+def test_nobody_is_sent_to_the_wrong_floor(client: CheckedClient, kind: BuildingKind) -> None:
+    floors = building(1, floors=3, spots=4, kind=kind)
+    name = f"floors-{kind}"
+    for floor, spot, image in floors.enrolments():
+        enroll(client, name, f"floor {floor}, spot {spot}", jpeg(image))
+    settled(client, name)
+
+    answers = [
+        (f"floor {floor}, spot {spot}", query(client, name, jpeg(image)))
+        for floor, spot, image in [*floors.queries(1), *floors.unknown(1)]
+    ]
+    verdicts = [(answer["status"], answer["reason"]["code"]) for _, answer in answers]
+    wrong = [place for place, answer in answers if answer["matches"][0]["view"]["place"] != place]
+    assert wrong  # from a step aside and in other light nobody tells all of them apart
+    assert verdicts.count(("ambiguous", "look-alike")) >= len(answers) * 0.9, verdicts
+    assert not [p for p, a in answers if a["status"] == "matched" and a["matches"][0]["view"]["place"] != p]
 
 
 def test_a_covered_lens_is_told_from_an_unknown_place(client: CheckedClient, town: dict[str, Any]) -> None:

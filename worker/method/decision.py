@@ -210,10 +210,29 @@ def decide(
     if status == "ambiguous" and len(groups) == 1 and rival is None:
         status = "no_match"
     [unrivalled] = calibration.probabilities([features(scores[0], least, usual)])
-    reason = _reason(status, rival is not None and unrivalled >= threshold, searched)
+    outrivalled = rival is not None and unrivalled >= threshold
+    if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
+        unlike = best_unlike(ranking)
+        alone = features(scores[0], max(least, unlike), usual)
+        if calibration.probabilities([alone])[0] >= threshold:
+            status = "ambiguous"
+    reason = _reason(status, outrivalled, searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first)
+
+
+def best_unlike(ranking: Ranking) -> float:
+    """Score of the best re-ranked view that the map itself can tell from the first; 0 when there is none.
+
+    Places that look alike to the map (floors of one building) may stand out together: the query then shows one of them,
+    and is not of an unknown place.
+    """
+    first = int(ranking.seqs[0])
+    for seq, score in zip(ranking.seqs[: ranking.reranked], ranking.scores, strict=False):
+        if not ranking.places.alike(first, int(seq)):
+            return float(score)
+    return 0.0
 
 
 def blame_image(decision: Decision, problem: str | None) -> Decision:

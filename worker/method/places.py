@@ -28,8 +28,9 @@ class Places:
     Notes
     -----
     Two views are of one place when they have the same name, or lie at most `same_place_m` apart, or the map's own
-    comparison says so. This is no equivalence: along a path each view shares a place with the next. A place is
-    therefore always that of one view, the best.
+    comparison says so and the user does not tell them apart: equal doors on two floors look like one spot. This is no
+    equivalence: along a path each view shares a place with the next. A place is therefore always that of one view, the
+    best.
     """
 
     def __init__(self, known: Mapping[int, KnownView], same_place_m: float) -> None:
@@ -42,13 +43,17 @@ class Places:
     def same(self, one: int, other: int) -> bool:
         """Whether two views, by sequence number, are of one place."""
         a, b = self._known[one], self._known[other]
-        return (
-            one == other
-            or (a.name is not None and a.name == b.name)
-            or distance(a.position, b.position) <= self._within
-            or other in a.same_spot
-            or one in b.same_spot
-        )
+        named = a.name is not None and b.name is not None
+        gap = distance(a.position, b.position)
+        if one == other or (named and a.name == b.name) or gap <= self._within:
+            return True
+        told_apart = named or NEIGHBOURHOOD * self._within < gap < inf
+        return not told_apart and (other in a.same_spot or one in b.same_spot)
+
+    def alike(self, one: int, other: int) -> bool:
+        """Whether two views are of one place, or of places that the map's own comparison takes for one."""
+        a, b = self._known[one], self._known[other]
+        return self.same(one, other) or other in a.same_spot or one in b.same_spot
 
     def apart(self, one: int, other: int) -> bool:
         """Whether two views are of different places and not neighbours either."""
