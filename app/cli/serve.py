@@ -75,7 +75,7 @@ def run_serve(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
     settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
     _refuse_open(settings)
-    logs.configure(settings.log)
+    logs.configure(settings.log, settings.log_level)
     listening = _listen(settings)
     try:
         return _serve(settings, listening)
@@ -189,7 +189,7 @@ def announce(runtime: "Runtime", url: str) -> None:
 def run_worker(arguments: argparse.Namespace) -> int:
     """Describe images until SIGINT or SIGTERM."""
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
-    logs.configure(settings.log)
+    logs.configure(settings.log, settings.log_level)
     from worker.runtime import build
 
     runtime = build(settings, serving=False)

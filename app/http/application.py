@@ -57,6 +57,7 @@ def application(service: Service) -> FastAPI:
     )
     app.state.service = service
     app.state.metrics = metrics = Metrics()
+    metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
     for group in (views, images, maps, places, jobs, health):
@@ -67,5 +68,5 @@ def application(service: Service) -> FastAPI:
     # and BodyLimit let the request through.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
-    app.add_middleware(RequestContext, metrics=metrics)
+    app.add_middleware(RequestContext, metrics=metrics, slow_s=service.settings.slow_s)
     return app
