@@ -43,6 +43,7 @@ class Settings(BaseSettings):
     log: Literal["text", "json"] = Field("text", description="Format of log lines.")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level of log lines.")
     slow_s: float = Field(5, gt=0, description="Seconds after which a request is logged as slow.")
+    traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
 
     @property

@@ -352,7 +352,8 @@ class FakeRuntime:
     recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
     settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
 
-    def app(self) -> FastAPI:
+    def app(self, tracer_provider: Any = None) -> FastAPI:
         """The application of this runtime."""
         fake = self.recogniser
-        return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings))
+        service = Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings)
+        return application(service, tracer_provider)
