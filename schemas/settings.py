@@ -41,6 +41,9 @@ class Settings(BaseSettings):
     queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
     explanations: int = Field(200, ge=0, description="Latest explained queries that are kept for drawing.")
     log: Literal["text", "json"] = Field("text", description="Format of log lines.")
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level of log lines.")
+    slow_s: float = Field(5, gt=0, description="Seconds after which a request is logged as slow.")
+    traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
 
     @property

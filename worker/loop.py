@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
@@ -12,6 +13,7 @@ from typing import Protocol
 from schemas.description import Description
 from schemas.errors import LeaseLost, RevisitError
 from schemas.image import Image
+from schemas.log_context import bound
 from schemas.records import Claim, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -179,7 +181,9 @@ class Loop:
                 underway += self._take(AHEAD * self._batch - len(underway))
                 if underway:
                     self._idle.clear()
-                    self._settle(underway.pop(0))
+                    item = underway.pop(0)
+                    with _of(item.claim):
+                        self._settle(item)
                 else:
                     self._idle.set()
                     self._awake.wait(self._idle_s)
@@ -191,7 +195,8 @@ class Loop:
             if item.future.cancel():
                 self._jobs.release(item.claim)
             else:
-                self._settle(item)
+                with _of(item.claim):
+                    self._settle(item)
 
     def _run_map_jobs(self) -> None:
         """Run jobs of maps; when none waits, compare views and prune; until `stop`."""
@@ -200,7 +205,8 @@ class Loop:
             try:
                 claim = self._jobs.claim_map_job(self._name, self._lease, _now())
                 if claim is not None:
-                    self._train(claim, self._stopping.is_set)
+                    with bound(job_id=claim.job_id, map=claim.map):
+                        self._train(claim, self._stopping.is_set)
                     continue
                 if time.monotonic() - pruned >= PRUNE_EVERY_S:
                     if self._pruning.prune():
@@ -218,13 +224,16 @@ class Loop:
             return []
         taken = []
         for claim in self._jobs.claim(self._name, count, self._lease, _now()):
-            try:
-                image = self._decode(self._views.image(claim.view.id))
-                describer = self._describers.of(claim.recipe)
-                future = self._scheduler.submit(image, describer.describe, urgent=False, parallel=describer.keypoints)
-                taken.append(_Underway(claim, future))
-            except Exception as error:
-                self._give_up(claim, error)
+            with _of(claim):
+                try:
+                    image = self._decode(self._views.image(claim.view.id))
+                    describer = self._describers.of(claim.recipe)
+                    future = self._scheduler.submit(
+                        image, describer.describe, urgent=False, parallel=describer.keypoints
+                    )
+                    taken.append(_Underway(claim, future))
+                except Exception as error:
+                    self._give_up(claim, error)
         return taken
 
     def _settle(self, item: _Underway) -> None:
@@ -257,6 +266,11 @@ class Loop:
     def _tell(self, claim: Claim) -> None:
         for notify in self._on_finish:
             notify(claim.view.id)
+
+
+def _of(claim: Claim) -> AbstractContextManager[None]:
+    """The fields of log lines about a describe job."""
+    return bound(job_id=claim.job_id, view_id=claim.view.id)
 
 
 def _now() -> datetime:

@@ -6,6 +6,8 @@ import sys
 from datetime import UTC, datetime
 from typing import Literal
 
+from schemas.log_context import fields
+
 _USUAL = frozenset(vars(logging.LogRecord("", 0, "", 0, "", (), None))) | {"message", "asctime", "color_message"}
 
 
@@ -26,8 +28,12 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str, ensure_ascii=False)
 
 
+_SHOWN = ("request_id", "trace_id", "job_id", "view_id", "job_ids", "view_ids", "problem", "slow")
+_CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160), 0x2028, 0x2029)}
+
+
 class TextLines(logging.Formatter):
-    """A line of text; of an event's fields, only `ms` is shown."""
+    """A line of text with the fields that find it again; a traceback follows on lines of its own."""
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)-7s %(message)s", "%Y-%m-%d %H:%M:%S")
@@ -35,8 +41,14 @@ class TextLines(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """The record as text."""
         text = super().format(record)
-        ms = getattr(record, "ms", None)
-        return text if ms is None else f"{text} {ms:g} ms"
+        line, newline, traceback = text, "", ""
+        if record.exc_info:  # formatted, it is the last part of the text
+            traceback = text[len(self.formatMessage(record)) + 1 :]
+            line, newline = self.formatMessage(record), "\n"
+        shown = [f"{name}={getattr(record, name)}" for name in _SHOWN if hasattr(record, name)]
+        # A path may hold line breaks: they must not look like lines of ours.
+        took = [f"{record.ms:g} ms"] if hasattr(record, "ms") else []
+        return " ".join([line, *took, *shown]).translate(_CONTROL) + newline + traceback
 
 
 class _NoSetupTraceback(logging.Filter):
@@ -46,11 +58,22 @@ class _NoSetupTraceback(logging.Filter):
         return "SetupError" not in record.getMessage() and "Application startup failed" not in record.getMessage()
 
 
-def configure(form: Literal["text", "json"]) -> None:
-    """Send the lines of all loggers to stderr, as text or JSON."""
+class _WithContext(logging.Filter):
+    """Gives each record the fields that are bound where it is written, such as the request's id."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        for name, value in fields().items():
+            if not hasattr(record, name):
+                setattr(record, name, value)
+        return True
+
+
+def configure(form: Literal["text", "json"], level: str = "info") -> None:
+    """Send the lines of all loggers to stderr, as text or JSON, from a level on."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
-    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    handler.addFilter(_WithContext())
+    logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     for talkative in ("alembic", "faiss", "httpx"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
     # The command line itself reports starting and stopping.

@@ -75,7 +75,7 @@ def run_serve(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
     settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
     _refuse_open(settings)
-    logs.configure(settings.log)
+    logs.configure(settings.log, settings.log_level)
     listening = _listen(settings)
     try:
         return _serve(settings, listening)
@@ -107,7 +107,8 @@ def _listen(settings: "Settings") -> socket.socket:
     listening: socket.socket | None = None
     try:
         family = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0][0]
-        listening = socket.socket(family, socket.SOCK_STREAM)
+        # asyncio sets TCP_NODELAY only where the protocol is named; without it each answer takes some 40 ms longer.
+        listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((settings.host, settings.port))
     except OSError as error:
@@ -189,7 +190,7 @@ def announce(runtime: "Runtime", url: str) -> None:
 def run_worker(arguments: argparse.Namespace) -> int:
     """Describe images until SIGINT or SIGTERM."""
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
-    logs.configure(settings.log)
+    logs.configure(settings.log, settings.log_level)
     from worker.runtime import build
 
     runtime = build(settings, serving=False)

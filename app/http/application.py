@@ -1,8 +1,9 @@
 """The FastAPI application: middleware, routes, and the use-cases that the routes call."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fastapi import FastAPI
 
@@ -13,6 +14,7 @@ from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
 from app.http.routes import enroll, health, images, jobs, maps, places, query, views
 from app.http.service import Service
+from app.http.tracing import Tracing, make_provider
 from app.version import VERSION
 from schemas.settings import MEGA
 
@@ -34,8 +36,17 @@ def create_app(runtime: "Runtime") -> FastAPI:
     return application(Service.of(runtime))
 
 
-def application(service: Service) -> FastAPI:
-    """The application of a service; the service starts and stops with it."""
+def application(service: Service, tracer_provider: Any = None) -> FastAPI:
+    """The application of a service; the service starts and stops with it.
+
+    Parameters
+    ----------
+    service : Service
+    tracer_provider : TracerProvider, optional
+        Of OpenTelemetry; None makes one if the settings ask for traces.
+    """
+    if tracer_provider is None and service.settings.traces:
+        tracer_provider = make_provider()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -44,6 +55,8 @@ def application(service: Service) -> FastAPI:
             yield
         finally:
             await service.lifecycle.stop()
+            if tracer_provider is not None:  # sends what is left
+                await asyncio.to_thread(tracer_provider.shutdown)
 
     app = FastAPI(
         title="revisit",
@@ -57,6 +70,7 @@ def application(service: Service) -> FastAPI:
     )
     app.state.service = service
     app.state.metrics = metrics = Metrics()
+    metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
     for group in (views, images, maps, places, jobs, health):
@@ -67,5 +81,7 @@ def application(service: Service) -> FastAPI:
     # and BodyLimit let the request through.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
-    app.add_middleware(RequestContext, metrics=metrics)
+    if tracer_provider is not None:
+        app.add_middleware(Tracing, provider=tracer_provider, metrics=metrics)
+    app.add_middleware(RequestContext, metrics=metrics, slow_s=service.settings.slow_s)
     return app

@@ -3,13 +3,18 @@
 import asyncio
 import platform
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
+from app.http.statistics import StatisticsReader
 from app.version import VERSION
 from schemas import wire
 from schemas.errors import RevisitError
+from schemas.statistics import LiveStatistics, ServiceStatistics
+from worker.service.comparing import SAMPLE
+from worker.service.statistics import StatisticsService
 
 if TYPE_CHECKING:
     from worker.runtime import Runtime
@@ -31,6 +36,12 @@ class Lifecycle:
         self._draining = False
         # A thread of its own: the probes must be answered while all other threads are busy.
         self._thread = ThreadPoolExecutor(1, "revisit-lifecycle")
+        gather = StatisticsService(
+            store=lambda: runtime.store.statistics(datetime.now(UTC), SAMPLE),
+            indexes=runtime.catalogue,
+            data=runtime.settings.data,
+        ).gather
+        self._statistics = StatisticsReader(gather)
 
     @property
     def started(self) -> bool:
@@ -52,6 +63,7 @@ class Lifecycle:
         self._draining = True
         await asyncio.to_thread(self._runtime.stop)
         self._thread.shutdown()
+        self._statistics.close()
 
     async def readiness(self) -> wire.Readiness:
         """Checks of the database, the encoder, the worker, and of each map that cannot be served (the others are)."""
@@ -74,9 +86,14 @@ class Lifecycle:
                     maps[f"map {record.name}"] = error.detail
         return wire.Readiness(ready=all(state == "ok" for state in needed.values()), checks=needed | maps)
 
-    async def queue_length(self) -> int:
-        """Number of images that wait to be described."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._runtime.store.jobs.count_waiting)
+    def live(self) -> LiveStatistics:
+        """What the metrics show and is known without asking the database."""
+        loop, scheduler = self._runtime.loop, self._runtime.scheduler
+        return LiveStatistics(scheduler.queries_waiting, scheduler.alive, None if loop is None else loop.alive)
+
+    async def statistics(self) -> tuple[ServiceStatistics | None, float]:
+        """What the metrics show of database and disk (None before the first), and its age in seconds; never hangs."""
+        return await self._statistics.read()
 
     async def version(self) -> wire.Version:
         """Versions of the service, its encoder and its libraries."""

@@ -1,64 +1,110 @@
-"""The metrics of `/metrics`; each service has a registry of its own, so that several fit into one process."""
+"""What `/metrics` counts when it happens; each service has a registry of its own, so that several fit into a process.
 
-from collections.abc import Mapping
+Names and units follow https://prometheus.io/docs/practices/naming/. No label holds an id, a path or a caller.
+"""
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from collections.abc import Callable, Mapping
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, PlatformCollector, ProcessCollector
+from prometheus_client import generate_latest as _generate
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 
-from schemas.wire import MapFacts
+from app.http.statistics import StatisticsCollector
 
 MEDIA_TYPE = CONTENT_TYPE_LATEST
 
 # Bounds of the buckets: from a cached answer to a batch of large images on a slow machine.
-_SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
+_SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60)
+
+LIMITS = {
+    "too-many-requests": "queue",
+    "body-too-large": "body-bytes",
+    "picture-too-large": "image-pixels",
+    "request-timeout": "slow-body",
+}
+"""Problem types that say that a limit was reached, and the value of the label `reason`."""
+
+OnStages = Callable[[str, Mapping[str, float]], None]
+"""Called with the operation and the milliseconds of each stage, in the order in which they ran."""
 
 
 class Metrics:
-    """Counters, histograms and gauges of one service."""
+    """Counters and histograms of one service; `statistics` has the gauges."""
 
     def __init__(self) -> None:
-        self._registry = CollectorRegistry()
+        self._registry = registry = CollectorRegistry()
+        self.statistics = StatisticsCollector()
+        self.on_stages: list[OnStages] = []
+        registry.register(self.statistics)
+        ProcessCollector(registry=registry)
+        PlatformCollector(registry=registry)
+        labels = ["method", "route"]
         self._requests = Counter(
-            "revisit_requests", "Requests answered.", ["method", "route", "status"], registry=self._registry
+            "revisit_http_requests", "Requests answered, by status class.", [*labels, "status"], registry=registry
         )
         self._seconds = Histogram(
-            "revisit_request_seconds",
+            "revisit_http_request_duration_seconds",
             "From the first byte of a request to the last of its answer.",
-            ["method", "route"],
+            labels,
             buckets=_SECONDS,
-            registry=self._registry,
+            registry=registry,
+        )
+        self.in_flight = Gauge("revisit_http_requests_in_flight", "Requests being answered.", registry=registry)
+        self._received = Counter("revisit_http_request_bytes", "Bytes of bodies read.", labels, registry=registry)
+        self._sent = Counter("revisit_http_response_bytes", "Bytes of bodies sent.", labels, registry=registry)
+        self._problems = Counter("revisit_http_problems", "Errors answered, by type.", ["type"], registry=registry)
+        self._rejected = Counter(
+            "revisit_rejected", "Requests or images refused by a limit.", ["reason"], registry=registry
         )
         self._stages = Histogram(
-            "revisit_stage_seconds",
+            "revisit_stage_duration_seconds",
             "Time of each stage of enrolments and queries.",
             ["operation", "stage"],
             buckets=_SECONDS,
-            registry=self._registry,
+            registry=registry,
         )
-        self._queue = Gauge("revisit_queue_length", "Images waiting to be described.", registry=self._registry)
-        self._views = Gauge("revisit_views", "Views of each map by state.", ["map", "state"], registry=self._registry)
-        self._revisions = Gauge("revisit_map_revision", "Revision of each map.", ["map"], registry=self._registry)
+        self._verdicts = Counter(
+            "revisit_query_verdicts", "Queries answered, by verdict.", ["status", "reason"], registry=registry
+        )
 
-    def answered(self, method: str, route: str, status: int, seconds: float) -> None:
-        """Count a request; `route` is its template, so that ids do not become labels."""
-        self._requests.labels(method, route, str(status)).inc()
+    def answered(
+        self, method: str, route: str, status: int, seconds: float, *, received: int = 0, sent: int = 0
+    ) -> None:
+        """Count a request.
+
+        Parameters
+        ----------
+        method : str
+        route : str
+            Its template, so that ids do not become labels.
+        status : int
+            0 when the connection broke before there was an answer.
+        seconds : float
+        received, sent : int
+            Bytes of the two bodies.
+        """
+        self._requests.labels(method, route, f"{status // 100}xx" if status else "none").inc()
         self._seconds.labels(method, route).observe(seconds)
+        self._received.labels(method, route).inc(received)
+        self._sent.labels(method, route).inc(sent)
+
+    def refused(self, code: str) -> None:
+        """Count an error by its problem type; one that says that a limit was reached is counted as a rejection too."""
+        self._problems.labels(code).inc()
+        if code in LIMITS:
+            self._rejected.labels(LIMITS[code]).inc()
+
+    def verdict(self, status: str, reason: str) -> None:
+        """Count the answer to a query."""
+        self._verdicts.labels(status, reason).inc()
 
     def stages(self, operation: str, timing_ms: Mapping[str, float]) -> None:
         """Record the time of each stage of an answer, in ms."""
         for stage, milliseconds in timing_ms.items():
             self._stages.labels(operation, stage).observe(milliseconds / 1000)
-
-    def state(self, queue_length: int, maps: list[MapFacts]) -> None:
-        """Set the gauges; maps that no longer exist disappear."""
-        self._queue.set(queue_length)
-        self._views.clear()
-        self._revisions.clear()
-        for facts in maps:
-            self._revisions.labels(facts.name).set(facts.revision)
-            for state, count in facts.views.items():
-                self._views.labels(facts.name, state).set(count)
+        for told in self.on_stages:
+            told(operation, timing_ms)
 
     def text(self) -> bytes:
         """All metrics in Prometheus's text format."""
-        return generate_latest(self._registry)
+        return _generate(self._registry)

@@ -13,8 +13,10 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.metrics import Metrics
+from app.http.notes import Notes, noting
 from app.http.problems import internal, problem_of
 from schemas.errors import BodyTooLarge, Unavailable
+from schemas.log_context import bound
 
 access = logging.getLogger("revisit.access")
 
@@ -31,9 +33,10 @@ DRAINING_RETRY_S = 10
 class RequestContext:
     """Outermost: gives each request an id, logs and counts its answer, and answers 500 to uncaught exceptions."""
 
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, metrics: Metrics, slow_s: float = 5) -> None:
         self._app = app
         self._metrics = metrics
+        self._slow_s = slow_s  # requests that take longer are logged as warnings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -44,10 +47,17 @@ class RequestContext:
         given = Headers(scope=scope).get("x-request-id", "")
         request_id = given if _SANE_ID.fullmatch(given) else secrets.token_hex(16)
         scope.setdefault("state", {})["request_id"] = request_id
-        status = 0
+        status = received = sent = 0
+
+        async def receive_counted() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            return message
 
         async def send_with_id(message: Message) -> None:
-            nonlocal status
+            nonlocal status, sent
+            sent += len(message.get("body", b""))
             if message["type"] == "http.response.start":
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
@@ -56,25 +66,31 @@ class RequestContext:
                 headers["X-Content-Type-Options"] = "nosniff"
             await send(message)
 
-        try:
-            await self._app(scope, receive, send_with_id)
-        except Exception as error:
-            response = internal(error, request_id)
-            if status == 0:
-                await response(scope, receive, send_with_id)
-            else:
-                # The status line is sent: only breaking the connection can still tell the client of the failure.
-                raise
-        finally:
-            self._record(scope, request_id, status, time.perf_counter() - begin)
+        with bound(request_id=request_id), noting() as notes, self._metrics.in_flight.track_inprogress():
+            try:
+                await self._app(scope, receive_counted, send_with_id)
+            except Exception as error:
+                response = internal(error, request_id)
+                if status == 0:
+                    await response(scope, receive, send_with_id)
+                else:
+                    # The status line is sent: only breaking the connection can still tell the client of the failure.
+                    raise
+            finally:
+                self._record(scope, notes, status, time.perf_counter() - begin, received, sent)
 
-    def _record(self, scope: Scope, request_id: str, status: int, seconds: float) -> None:
+    def _record(self, scope: Scope, notes: Notes, status: int, seconds: float, received: int, sent: int) -> None:
+        """Count the request, and write its one log line."""
         route: Any = scope.get("route")
         template = getattr(route, "path", "unmatched")
         method = scope["method"] if scope["method"] in _METHODS else "other"
-        self._metrics.answered(method, template, status, seconds)
+        self._metrics.answered(method, template, status, seconds, received=received, sent=sent)
+        for code in notes.problems:
+            self._metrics.refused(code)
+        slow = seconds > self._slow_s
         # The path without its query string: positions and metadata are private to the caller.
-        access.info(
+        access.log(
+            logging.WARNING if slow or status == 500 else logging.INFO,
             "%s %s %d",
             method,
             scope["path"],
@@ -86,7 +102,12 @@ class RequestContext:
                 "route": template,
                 "status": status,
                 "ms": round(seconds * 1000, 2),
-                "request_id": request_id,
+                "request_bytes": received,
+                "response_bytes": sent,
+                "request_id": scope["state"]["request_id"],
+                **({"slow": True} if slow else {}),
+                **({"problem": notes.problems[0]} if notes.problems else {}),
+                **notes.fields,
             },
         )
 

@@ -10,6 +10,7 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from app.http.notes import note_problem
 from app.http.validation import in_words
 from schemas.errors import BadBody, Busy, InvalidParameters, NotFound, ParameterError, RevisitError, SetupError
 from schemas.wire import Problem, ProblemParameter
@@ -93,6 +94,7 @@ def problem(
 ) -> Response:
     """The answer for a problem of one kind; `code` is a key of `KINDS`."""
     kind = KINDS[code]
+    note_problem(code)
     body = Problem(
         type=URN + code,
         title=kind.title,

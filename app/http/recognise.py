@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 
@@ -102,5 +103,5 @@ class Recogniser:
             precision=precision,
             explain=explain,
         )
-        result = await asyncio.get_running_loop().run_in_executor(self._threads, query)
+        result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
         return presenters.query_answer(map_name, result)

@@ -24,6 +24,14 @@ from schemas.image import ImageFacts
 from schemas.records import Filters, Replay, ViewAttributes
 from schemas.requests import PutMap
 from schemas.settings import Settings
+from schemas.statistics import (
+    IndexLag,
+    LiveStatistics,
+    MapStatistics,
+    QueueStatistics,
+    ServiceStatistics,
+    StoreStatistics,
+)
 from worker.images.codec import Limits, decode, facts, thumbnail
 
 NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
@@ -312,8 +320,16 @@ class FakeRecogniser:
     async def abandon_call(self, key: str) -> None:
         del self.calls[key]
 
-    async def queue_length(self) -> int:
-        return 3
+    def live(self) -> LiveStatistics:
+        return LiveStatistics(queries_waiting=2, encoder_alive=True, worker_alive=True)
+
+    async def statistics(self) -> tuple[ServiceStatistics | None, float]:
+        names = sorted({kept.map for kept in self.kept.values()})
+        maps = tuple(
+            MapStatistics(name, 1, {"ready": sum(k.map == name for k in self.kept.values())}, 10, 0) for name in names
+        )
+        queues = (QueueStatistics("describe", 3, 1, 4.5),)
+        return ServiceStatistics(StoreStatistics(maps, queues, 100), {"m": IndexLag(1, 2.0)}, 10, 20, (1.5,)), 0.1
 
     async def start(self) -> None:
         self.events.append("start")
@@ -336,7 +352,8 @@ class FakeRuntime:
     recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
     settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
 
-    def app(self) -> FastAPI:
+    def app(self, tracer_provider: Any = None) -> FastAPI:
         """The application of this runtime."""
         fake = self.recogniser
-        return application(Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings))
+        service = Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings)
+        return application(service, tracer_provider)

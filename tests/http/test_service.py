@@ -132,12 +132,12 @@ def test_metrics_count_requests_by_route_and_stages(client: CheckedClient) -> No
     client.get("/views/nothing-of-the-kind")
     client.get("/nowhere")
     text = client.get("/metrics").text
-    assert 'revisit_requests_total{method="POST",route="/enroll",status="201"} 1.0' in text
-    assert 'revisit_requests_total{method="GET",route="/views/{view_id}",status="404"} 1.0' in text
-    assert 'route="unmatched",status="404"' in text
-    assert 'revisit_stage_seconds_count{operation="enroll",stage="decode"} 1.0' in text
+    assert 'revisit_http_requests_total{method="POST",route="/enroll",status="2xx"} 1.0' in text
+    assert 'revisit_http_requests_total{method="GET",route="/views/{view_id}",status="4xx"} 1.0' in text
+    assert 'route="unmatched",status="4xx"' in text
+    assert 'revisit_stage_duration_seconds_count{operation="enroll",stage="decode"} 1.0' in text
     assert 'revisit_views{map="m",state="ready"} 1.0' in text
-    assert "revisit_queue_length 3.0" in text
+    assert 'revisit_jobs{kind="describe",state="waiting"} 3.0' in text
     assert "nothing-of-the-kind" not in text
 
 

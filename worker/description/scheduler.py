@@ -1,5 +1,6 @@
 """The scheduler of the encoder: batches images, queries before enrolments."""
 
+import contextvars
 import logging
 import queue
 import threading
@@ -53,6 +54,7 @@ class _Request:
     segment: bool = field(compare=False, default=False)
     parallel: Callable[[Image], Any] | None = field(compare=False, default=None)
     made: "Future[Any] | None" = field(compare=False, default=None)
+    context: contextvars.Context = field(compare=False, default_factory=contextvars.copy_context)  # of its log lines
 
 
 class Scheduler:
@@ -94,6 +96,11 @@ class Scheduler:
     def pace_s(self) -> float:
         """Measured seconds per image."""
         return self._pace_s
+
+    @property
+    def queries_waiting(self) -> int:
+        """Queries that wait for the encoder or are in it."""
+        return self._pending_queries
 
     @property
     def alive(self) -> bool:
@@ -194,7 +201,7 @@ class Scheduler:
         for request in batch:
             if request.parallel is not None and request.made is None:
                 thread = self._parallel_queries if request.urgency == QUERY else self._describing
-                request.made = thread.submit(request.parallel, request.image)
+                request.made = thread.submit(request.context.copy().run, request.parallel, request.image)
         try:
             fields = self._fields(batch)
             for request in batch:
@@ -213,8 +220,8 @@ class Scheduler:
                 for request in left:
                     self._serve([request])
                 return
-            log.exception("the encoder failed on an image")
             for request in left:
+                request.context.run(log.exception, "the encoder failed on an image")
                 request.future.set_exception(error)
         if batch:
             self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
@@ -232,7 +239,7 @@ def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_
     began = time.perf_counter()
     try:
         made = () if request.made is None else (request.made.result(),)
-        value = request.finish(request.image, pixel_field, *made)
+        value = request.context.run(request.finish, request.image, pixel_field, *made)
     except BaseException as error:  # is the result of this request, not an error of the scheduler
         request.future.set_exception(error)
         return

@@ -7,6 +7,8 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from schemas.errors import SetupError
+from schemas.statistics import StoreStatistics
+from worker.storage import statistics
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
@@ -87,6 +89,10 @@ class SqlStore:
         if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
             return f"the folder {folder} is missing or cannot be written"
         return "ok"
+
+    def statistics(self, now: datetime, sample: int) -> StoreStatistics:
+        """Numbers of views, jobs and bytes; `sample` views of a map are compared at most."""
+        return statistics.read(self._database, now, sample)
 
     def close(self) -> None:
         """Close connections and release the data folder; a second time does nothing."""

@@ -10,6 +10,7 @@ from app.http.body import Sent, take
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import ENROLLED
 from app.http.idempotency import HEADER, fingerprint, key_of, once
+from app.http.notes import note, note_problem
 from app.http.openapi import refusals, takes_images
 from app.http.parameters import EnrollParameters
 from app.http.problems import KINDS, URN, code_of
@@ -70,6 +71,10 @@ async def enroll(request: Request, recogniser: Recognises, curator: Curates, met
         for outcome in outcomes:
             if isinstance(outcome, Enrolled):
                 metrics.stages("enroll", outcome.timing_ms)
+        note(
+            view_ids=[one.view.id for one in outcomes if isinstance(one, Enrolled)],
+            job_ids=[one.job for one in outcomes if isinstance(one, Enrolled) and one.job],
+        )
         return _answer(sent, outcomes)
 
     key = key_of(request)
@@ -111,6 +116,7 @@ def _status(views: list[Enrolled], some_refused: bool) -> int:
 
 def _refusal(index: int, filename: str | None, error: RevisitError) -> EnrolmentError:
     code = code_of(error)
+    note_problem(code)
     kind = KINDS[code]
     return EnrolmentError(
         index=index,

@@ -54,11 +54,14 @@ async def readyz(lifecycle: Lifecycles) -> Response:
     response_class=Response,
     responses={**answers_bytes("text/plain", description="Prometheus's text format."), **refusals(always_open=True)},
 )
-async def metrics(lifecycle: Lifecycles, curator: Curates, measures: Measures) -> Response:
-    """Metrics in Prometheus's text format."""
-    maps = await _maps(lifecycle, curator)
-    if maps is not None:
-        measures.state(await lifecycle.queue_length(), maps.maps)
+async def metrics(lifecycle: Lifecycles, measures: Measures) -> Response:
+    """Metrics in Prometheus's text format; what is read from the database may be some seconds old."""
+    gauges = measures.statistics
+    gauges.state = "draining" if lifecycle.draining else "ready" if lifecycle.started else "starting"
+    gauges.version = await lifecycle.version()
+    gauges.live = lifecycle.live()
+    if lifecycle.started and not lifecycle.draining:
+        gauges.statistics, gauges.age_s = await lifecycle.statistics()
     return Response(measures.text(), media_type=MEDIA_TYPE)
 
 

@@ -52,4 +52,5 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures) -> 
         explain=params.explain,
     )
     metrics.stages("query", answer.timing_ms)
+    metrics.verdict(answer.status, answer.reason.code)
     return Response(answer.model_dump_json(), media_type="application/json")

@@ -1,0 +1,119 @@
+"""OpenTelemetry traces, off unless `REVISIT_TRACES` is set: a span for each request and one for each of its stages.
+
+The standard variables ``OTEL_*`` say where traces go; nothing of OpenTelemetry is imported while traces are off.
+"""
+
+import os
+import time
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from schemas.errors import SetupError
+from schemas.log_context import bound
+
+if TYPE_CHECKING:
+    from app.http.metrics import Metrics
+
+WITHOUT_SPANS = frozenset({"/livez", "/readyz", "/metrics"})
+"""Asked every few seconds by supervisors: their spans would hide all others."""
+
+
+class Tracing:
+    """Middleware around every route; continues the caller's trace (W3C Trace Context, header ``traceparent``).
+
+    Parameters
+    ----------
+    app : ASGIApp
+    provider : TracerProvider
+        Of OpenTelemetry.
+    metrics : Metrics
+        Tells the times of the stages.
+    """
+
+    def __init__(self, app: ASGIApp, provider: Any, metrics: "Metrics") -> None:
+        self._app, self._provider = app, provider
+        self._tracer = provider.get_tracer("revisit")
+        metrics.on_stages.append(self._stages)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request within a span."""
+        if scope["type"] != "http" or scope["path"] in WITHOUT_SPANS:
+            await self._app(scope, receive, send)
+            return
+        from opentelemetry import propagate
+        from opentelemetry.trace import SpanKind, StatusCode
+
+        parent = propagate.extract(dict(Headers(scope=scope)))
+        facts = {"http.request.method": scope["method"], "revisit.request_id": scope["state"]["request_id"]}
+        with self._tracer.start_as_current_span(
+            scope["method"], parent, SpanKind.SERVER, facts, record_exception=False, set_status_on_exception=False
+        ) as span:
+
+            async def send_seen(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    span.set_attribute("http.response.status_code", message["status"])
+                    if message["status"] >= 500:
+                        span.set_status(StatusCode.ERROR)
+                await send(message)
+
+            try:
+                with _logged(span):
+                    await self._app(scope, receive, send_seen)
+            except Exception as error:
+                # The type alone: messages may hold what is private, and the log has the traceback.
+                span.set_attribute("error.type", type(error).__name__)
+                span.set_status(StatusCode.ERROR)
+                raise
+            # The template of the route is known once the router has seen the request; ids stay out of names.
+            route = getattr(scope.get("route"), "path", None)
+            if route is not None:
+                span.update_name(f"{scope['method']} {route}")
+                span.set_attribute("http.route", route)
+
+    def _stages(self, operation: str, timing_ms: Mapping[str, float]) -> None:
+        """Add a span for each stage. Stages are measured as durations: their spans are laid end to end, up to now."""
+        stages = {stage: round(ms * 1e6) for stage, ms in timing_ms.items() if stage != "total"}
+        begin = time.time_ns() - sum(stages.values())
+        for stage, nanoseconds in stages.items():
+            self._tracer.start_span(f"{operation} {stage}", start_time=begin).end(begin + nanoseconds)
+            begin += nanoseconds
+
+
+def _logged(span: Any) -> AbstractContextManager[None]:
+    """The trace's id in every log line."""
+    context = span.get_span_context()
+    return bound(trace_id=f"{context.trace_id:032x}") if context.is_valid else nullcontext()
+
+
+def make_provider() -> Any:
+    """A provider that sends spans as the variables ``OTEL_*`` say.
+
+    Raises
+    ------
+    SetupError
+        OpenTelemetry is not installed, or an exporter is asked for that is not known here.
+    """
+    try:
+        from opentelemetry.sdk.resources import SERVICE_NAME, Resource
+        from opentelemetry.sdk.trace import TracerProvider
+        from opentelemetry.sdk.trace.export import BatchSpanProcessor, ConsoleSpanExporter
+    except ModuleNotFoundError:
+        raise SetupError("REVISIT_TRACES needs an extra: pip install 'revisit[otel]', or switch it off") from None
+    named = {} if os.environ.get("OTEL_SERVICE_NAME") else {SERVICE_NAME: "revisit"}
+    provider = TracerProvider(resource=Resource.create(named))
+    exporter = os.environ.get("OTEL_TRACES_EXPORTER", "otlp")
+    if exporter == "otlp":
+        try:
+            from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+        except ModuleNotFoundError:
+            raise SetupError("REVISIT_TRACES needs an extra: pip install 'revisit[otel]', or switch it off") from None
+        provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+    elif exporter == "console":
+        provider.add_span_processor(BatchSpanProcessor(ConsoleSpanExporter()))
+    elif exporter != "none":
+        raise SetupError(f"OTEL_TRACES_EXPORTER={exporter}: use otlp (over HTTP), console or none")
+    return provider

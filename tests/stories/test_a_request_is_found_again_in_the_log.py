@@ -1,0 +1,56 @@
+"""A caller reports the id of an error; the operator finds everything that the request caused."""
+
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from tests.sample_images import photo
+from tests.stories.running import RunningService
+
+JPEG = {"content-type": "image/jpeg"}
+
+
+def lines(service: RunningService) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in service.output if line.startswith("{")]
+
+
+def test_every_line_of_a_failing_request_has_the_id_of_its_problem(tmp_path: Path) -> None:
+    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_COMPARE="false") as service:
+        enrolled = httpx.post(f"{service.url}/enroll", content=photo(), headers=JPEG, timeout=60).json()
+        database = sqlite3.connect(tmp_path / "revisit.db")
+        database.execute("UPDATE views SET metadata = 'no JSON at all'")
+        database.commit()
+        database.close()
+        answer = httpx.get(f"{service.url}/views/{enrolled['view']['id']}", timeout=60)
+        assert answer.status_code == 500, answer.text
+    mine = [line for line in lines(service) if line.get("request_id") == answer.json()["request_id"]]
+    (failed,) = [line for line in mine if "traceback" in line]
+    assert "JSONDecodeError" in failed["traceback"]
+    (access,) = [line for line in mine if line.get("event") == "request"]
+    assert (access["status"], access["problem"], access["level"]) == (500, "internal", "warning")
+
+
+def test_nothing_private_is_in_the_log_and_the_view_of_a_request_is(tmp_path: Path) -> None:
+    private = {"authorization": "Bearer secret-of-the-caller", "x-api-key": "another-secret"}
+    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_LOG_LEVEL="debug", REVISIT_SLOW_S="0.000001") as service:
+        enrolled = httpx.post(
+            f"{service.url}/enroll?lat=48.137222&lon=11.575555&metadata=%7B%22who%22%3A%22anna%22%7D",
+            content=photo(),
+            headers=JPEG | private | {"x-request-id": "mine"},
+            timeout=60,
+        ).json()
+    (access,) = [line for line in lines(service) if line.get("request_id") == "mine" and line.get("event") == "request"]
+    assert access["view_ids"] == [enrolled["view"]["id"]]
+    assert (access["slow"], access["level"]) == (True, "warning")
+    text = "".join(service.output)
+    for secret in ("secret", "48.137", "11.575", "anna", "JFIF"):
+        assert secret not in text
+
+
+def test_only_what_is_slow_or_fails_is_logged_on_request(tmp_path: Path) -> None:
+    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_LOG_LEVEL="warning") as service:
+        assert httpx.get(f"{service.url}/maps", timeout=60).status_code == 200
+    assert [line for line in lines(service) if line.get("event") == "request"] == []

@@ -1,0 +1,92 @@
+"""The dashboard and the alerts name metrics that exist, and each alert has its advice in docs/operations.md."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.http.fakes import FakeRuntime
+from tests.openapi import CheckedClient
+
+ROOT = Path(__file__).parents[1]
+ALERTS = ROOT / "deploy" / "prometheus" / "alerts.yml"
+DASHBOARD = ROOT / "deploy" / "grafana" / "dashboard.json"
+PAGE = ROOT / "docs" / "operations.md"
+
+
+@pytest.fixture
+def printed() -> dict[str, str]:
+    """Names of all series that `/metrics` can print, with their types."""
+    with CheckedClient(FakeRuntime().app()) as client:
+        types = dict(re.findall(r"^# TYPE (\S+) (\S+)$", client.get("/metrics").text, re.MULTILINE))
+    ends = {"histogram": ("_bucket", "_sum", "_count")}
+    return {name + end: kind for name, kind in types.items() for end in ends.get(kind, ("",))}
+
+
+def alerts() -> list[dict[str, str]]:
+    """The alerts: the file has one field a line."""
+    found = []
+    for text in ALERTS.read_text().split("- alert: ")[1:]:
+        fields = dict(re.findall(r"^ +(\w+): '?(.*?)'?$", text, re.MULTILINE))
+        found.append({"alert": text.splitlines()[0], **fields})
+    return found
+
+
+def expressions() -> list[str]:
+    panels = json.loads(DASHBOARD.read_text())["panels"]
+    drawn = [target["expr"] for panel in panels for target in panel["targets"]]
+    return drawn + [alert["expr"] for alert in alerts()]
+
+
+def metrics_of(expression: str) -> set[str]:
+    return set(re.findall(r"\b(?:revisit|process|python)_\w+", expression))
+
+
+def test_every_metric_that_is_drawn_or_alerted_on_is_printed(printed: dict[str, str]) -> None:
+    named = set().union(*(metrics_of(expression) for expression in expressions()))
+    assert len(named) > 25
+    assert named - printed.keys() == set()
+
+
+@pytest.mark.parametrize("expression", expressions())
+def test_an_expression_is_whole_and_takes_rates_of_counters_alone(expression: str, printed: dict[str, str]) -> None:
+    assert all(expression.count(a) == expression.count(b) for a, b in ("()", "{}", "[]"))
+    for name in re.findall(r"\b(?:rate|increase)\((\w+)", expression):
+        assert printed[name] in ("counter", "histogram"), name
+    for name in re.findall(r"\b(?:delta|deriv|predict_linear)\((\w+)", expression):
+        assert printed[name] == "gauge", name
+
+
+def test_every_alert_says_what_is_wrong_and_its_page_what_to_do() -> None:
+    page = PAGE.read_text()
+    headings = {heading.lower(): heading for heading in re.findall(r"^### (\w+)$", page, re.MULTILINE)}
+    names = [alert["alert"] for alert in alerts()]
+    assert len(set(names)) == len(names) > 10
+    for alert in alerts():
+        assert alert["severity"] in ("critical", "warning", "info")
+        assert alert["summary"]
+        assert alert["description"]
+        assert alert["runbook_url"] == f"docs/operations.md#{alert['alert'].lower()}"
+        assert headings[alert["alert"].lower()] == alert["alert"]
+    assert set(headings.values()) == set(names)
+
+
+def test_the_page_lists_every_metric_of_the_service(printed: dict[str, str]) -> None:
+    listed = set(re.findall(r"^\| `(revisit_\w+)", PAGE.read_text(), re.MULTILINE))
+    of_histograms = {name.removesuffix("_count") if kind == "histogram" else name for name, kind in printed.items()}
+    families = {
+        name for name in of_histograms if name.startswith("revisit_") and not re.search(r"_(bucket|sum|created)$", name)
+    }
+    assert listed == families
+
+
+def test_promtool_accepts_the_rules_and_the_configuration() -> None:
+    promtool = shutil.which("promtool")
+    if promtool is None:
+        pytest.skip("RULES ARE NOT CHECKED BY PROMETHEUS: promtool is not installed")
+    for what, file in (("rules", ALERTS), ("config", ALERTS.with_name("prometheus.yml"))):
+        checked = subprocess.run([promtool, "check", what, str(file)], capture_output=True, text=True, check=False)
+        assert checked.returncode == 0, checked.stdout + checked.stderr
