@@ -10,6 +10,7 @@ from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.images.codec import facts
+from worker.service import steady
 from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
 from worker.service.settlements import Settlements
 
@@ -113,7 +114,7 @@ class EnrollService:
         if waiting >= self._limit:
             raise Busy.queue(waiting, self._pace_s(), "enrolments")
         submitted = self._enrolment.submit(
-            map_name, data, facts(image), attributes, self._default_recipe, datetime.now(UTC)
+            map_name, data, facts(image), attributes, self._default_recipe, datetime.now(UTC), steady.reading_s()
         )
         if submitted.job_id is not None:
             self._wake()

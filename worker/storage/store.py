@@ -71,7 +71,7 @@ class SqlStore:
         Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
         """
         with self._database.writing(in_turn=False) as connection:
-            connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now))
+            connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None)))
         self.removals.clear_deleted_maps()
         self._images.sweep()
 
