@@ -63,6 +63,10 @@ class Catalogue:
                     continue  # what ranks and calibrates may have changed between the two reads
                 return held.index, record
 
+    def revisions(self) -> dict[str, int]:
+        """The revision that each index in memory has, by the map's name."""
+        return {name: held.index.revision for name, held in list(self._indexes.items())}
+
     def forget(self, name: str) -> None:
         """Drop the index of a deleted map."""
         with self._lock:

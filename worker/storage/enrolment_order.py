@@ -50,13 +50,14 @@ class EnrolmentOrder:
         """Remember the view that was just stored."""
         self._last = None if steady_s is None else _Last(seq, elapsed_us, steady_s)
 
-    def _elapsed_us(self, newest: sa.Row[Any] | None, now: datetime, steady_s: float | None) -> int:
+    def _elapsed_us(self, newest: Any, now: datetime, steady_s: float | None) -> int:
         last = self._last
         if last is not None and steady_s is not None and (newest is None or newest.seq <= last.seq):
-            return last.elapsed_us + max(0, round((steady_s - last.steady_s) * 1e6))
+            return int(last.elapsed_us) + max(0, round((steady_s - last.steady_s) * 1e6))
         if newest is None:
             return 0
-        return int(newest.elapsed_us) + max(0, (now - newest.enrolled_at) // _MICROSECOND)
+        passed = int((now - newest.enrolled_at) // _MICROSECOND)
+        return int(newest.elapsed_us) + max(0, passed)
 
 
 def following_id(previous: str | None) -> str:
