@@ -12,7 +12,7 @@
     ├── Conflict           conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden
-    ├── Busy               too-many-requests     Unavailable unavailable
+    ├── Busy               too-many-requests     Unavailable, StorageFailed  unavailable
     ├── DiskFull           disk-full
     ├── LeaseLost          lease-lost            (in workers; never sent to a client)
     ├── DescriptorMismatch descriptor-mismatch   (descriptors do not fit the vocabulary)
@@ -152,7 +152,7 @@ class Busy(RevisitError):
 
 
 class Unavailable(Busy):
-    """The service cannot answer now: it is starting, stopping or overtaken by deletions."""
+    """The service cannot answer now: it is starting, stopping, overtaken by deletions, or has no worker."""
 
     code = "unavailable"
 
@@ -161,6 +161,13 @@ class DiskFull(RevisitError):
     """The disk is full; reading and deleting still work."""
 
     code = "disk-full"
+
+
+class StorageFailed(Unavailable):
+    """The disk cannot be written or read; the service goes on by itself when it can."""
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(detail, 5)
 
 
 class LeaseLost(RevisitError):

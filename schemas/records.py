@@ -182,6 +182,17 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class WorkerRecord:
+    """A process that describes images; `beats` counts its signs of life."""
+
+    name: str
+    kind: str
+    host: str
+    pid: int
+    beats: int
+
+
+@dataclass(frozen=True)
 class MapClaim:
     """A job of a map claimed by a worker under a lease; reporting progress renews the lease."""
 

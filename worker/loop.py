@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
@@ -17,6 +17,7 @@ from schemas.log_context import bound
 from schemas.records import Claim, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
+from worker.service.trouble import STORAGE_ERRORS, StoringTrouble
 
 log = logging.getLogger("revisit.worker")
 
@@ -29,6 +30,9 @@ PRUNE_EVERY_S = 5.0
 MAP_WORK_EVERY_S = 1.0
 """Seconds between checks for jobs of maps and for views to compare."""
 
+STORE_ATTEMPTS = 3
+"""Attempts to store a description, errors of the disk apart, before its job is failed."""
+
 MAP_JOB_PATIENCE_S = 10.0
 """Seconds that `Loop.stop` waits for a job of a map to be put back."""
 
@@ -39,12 +43,13 @@ Decode = Callable[[bytes], Image]
 class _Underway:
     claim: Claim
     future: "Future[Timed[Description]]"
+    refusals: list[Exception] = field(default_factory=list)  # what the store said to its description
 
 
 class DescribeJobs(Protocol):
     """The queues of describe jobs and of jobs of maps."""
 
-    def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
+    def claim(self, worker: str, count: int, lease: timedelta | None, now: datetime) -> list[Claim]:
         """Claim up to `count` of the oldest describe jobs."""
         ...
 
@@ -60,7 +65,7 @@ class DescribeJobs(Protocol):
         """Put a job back without counting the attempt."""
         ...
 
-    def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
+    def claim_map_job(self, worker: str, lease: timedelta | None, now: datetime) -> MapClaim | None:
         """Claim the oldest waiting job of a map."""
         ...
 
@@ -103,7 +108,8 @@ class Loop:
         Of this worker, written to leases.
     batch : int
         Images encoded together.
-    lease : timedelta
+    trouble : StoringTrouble
+        Is told when descriptions cannot be stored. They are kept and tried again until they can.
     idle_s : float
         Seconds to sleep when no job waits; `wake` ends the sleep.
     """
@@ -121,7 +127,7 @@ class Loop:
         decode: Decode,
         name: str,
         batch: int,
-        lease: timedelta,
+        trouble: StoringTrouble,
         idle_s: float = 0.5,
     ) -> None:
         self._jobs, self._views, self._pruning = jobs, views, pruning
@@ -131,7 +137,7 @@ class Loop:
         self._decode = decode
         self._name = name
         self._batch = batch
-        self._lease = lease
+        self._trouble = trouble
         self._idle_s = idle_s
         self._awake = threading.Event()
         self._stopping = threading.Event()
@@ -178,32 +184,43 @@ class Loop:
         underway: list[_Underway] = []
         while not self._stopping.is_set():
             try:
-                underway += self._take(AHEAD * self._batch - len(underway))
+                if self._trouble.error is None or not underway:
+                    underway += self._take(AHEAD * self._batch - len(underway))
                 if underway:
                     self._idle.clear()
-                    item = underway.pop(0)
-                    with _of(item.claim):
-                        self._settle(item)
+                    with _of(underway[0].claim):
+                        self._settle(underway[0])
+                    underway.pop(0)
                 else:
+                    self._trouble.ends()  # looking for jobs, which needs the store, went well
                     self._idle.set()
                     self._awake.wait(self._idle_s)
                     self._awake.clear()
+            except STORAGE_ERRORS as error:
+                self._stopping.wait(self._trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
                 self._stopping.wait(self._idle_s)
         for item in underway:
+            self._put_back(item)
+
+    def _put_back(self, item: _Underway) -> None:
+        """Before the end: release a job that has not begun, store the description of another if that is possible."""
+        try:
             if item.future.cancel():
                 self._jobs.release(item.claim)
             else:
                 with _of(item.claim):
                     self._settle(item)
+        except Exception as error:  # without this worker's signs of life the job goes back to the queue
+            log.warning("job %s is left to the next worker: %s", item.claim.job_id, error)
 
     def _run_map_jobs(self) -> None:
         """Run jobs of maps; when none waits, compare views and prune; until `stop`."""
         pruned = -PRUNE_EVERY_S
         while not self._stopping.is_set():
             try:
-                claim = self._jobs.claim_map_job(self._name, self._lease, _now())
+                claim = self._jobs.claim_map_job(self._name, None, _now())
                 if claim is not None:
                     with bound(job_id=claim.job_id, map=claim.map):
                         self._train(claim, self._stopping.is_set)
@@ -215,6 +232,8 @@ class Loop:
                 if not self._compare(not self._idle.is_set()):
                     self._map_awake.wait(max(self._idle_s, MAP_WORK_EVERY_S))
                     self._map_awake.clear()
+            except STORAGE_ERRORS as error:
+                self._stopping.wait(self._trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
                 self._stopping.wait(self._idle_s)
@@ -223,7 +242,7 @@ class Loop:
         if count <= 0:
             return []
         taken = []
-        for claim in self._jobs.claim(self._name, count, self._lease, _now()):
+        for claim in self._jobs.claim(self._name, count, None, _now()):
             with _of(claim):
                 try:
                     image = self._decode(self._views.image(claim.view.id))
@@ -231,9 +250,10 @@ class Loop:
                     future = self._scheduler.submit(
                         image, describer.describe, urgent=False, parallel=describer.keypoints
                     )
-                    taken.append(_Underway(claim, future))
                 except Exception as error:
-                    self._give_up(claim, error)
+                    future = Future()
+                    future.set_exception(error)
+            taken.append(_Underway(claim, future))
         return taken
 
     def _settle(self, item: _Underway) -> None:
@@ -246,6 +266,15 @@ class Loop:
             self._jobs.finish(item.claim, description, _now())
         except LeaseLost:
             log.info("job %s was given to another worker, or its view was deleted", item.claim.job_id)
+        except STORAGE_ERRORS:
+            raise
+        except Exception as error:
+            item.refusals.append(error)
+            if len(item.refusals) < STORE_ATTEMPTS:
+                raise
+            self._give_up(item.claim, error)
+            return
+        self._trouble.ends()
         self._tell(item.claim)
 
     def _give_up(self, claim: Claim, error: Exception) -> None:
@@ -261,6 +290,7 @@ class Loop:
             self._jobs.fail(claim, code, detail, _now())
         except LeaseLost:
             log.info("job %s was given to another worker, or its view was deleted", claim.job_id)
+        self._trouble.ends()
         self._tell(claim)
 
     def _tell(self, claim: Claim) -> None:

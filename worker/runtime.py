@@ -1,16 +1,15 @@
 """Builds all parts of a service from its settings; the only module that names adapters."""
 
 import os
-import platform
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import lru_cache, partial
 
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import MapRecord
-from schemas.settings import Settings
+from schemas.settings import MEGA, Settings
 from worker.configure import configure, configure_torch, keep_freed_memory
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
@@ -24,6 +23,7 @@ from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
+from worker.service.attendance import Attendance, this_process
 from worker.service.calibrating import CalibrationService, own_calibration
 from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
@@ -33,6 +33,7 @@ from worker.service.maps import MapService
 from worker.service.query import QueryService
 from worker.service.renderings import RenderingService
 from worker.service.settlements import Settlements
+from worker.service.trouble import StoringTrouble
 from worker.service.views import ViewService
 from worker.storage.locks import lock_for_serving
 from worker.storage.migrating import newest
@@ -78,6 +79,8 @@ class Runtime:
         None when only other processes describe images.
     settlements : Settlements
         Waits for a view to be described.
+    attendance : Attendance
+        Knows which workers are alive.
     services : Services
     default_recipe : MapRecipe
         Recipe of a map that its first enrolment creates.
@@ -101,6 +104,7 @@ class Runtime:
     comparer: MapComparer
     loop: Loop | None
     settlements: Settlements
+    attendance: Attendance
     services: Services
     default_recipe: MapRecipe
     calibration: Callable[[MapRecipe], Calibration]
@@ -111,7 +115,8 @@ class Runtime:
     def start(self) -> None:
         """Clean up after a crash, then start the scheduler and the loop."""
         if self.serving:  # a worker would delete the calls that the service is answering
-            self.store.recover(datetime.now(UTC))
+            self.store.recover()
+        self.attendance.start()
         self.scheduler.start()
         if self.loop is not None:
             self.loop.start()
@@ -120,6 +125,7 @@ class Runtime:
         """Finish running work, put waiting jobs back, and release the data folder."""
         if self.loop is not None:
             self.loop.stop()
+        self.attendance.stop()
         self.scheduler.stop()
         self.store.close()
         self.unlock()
@@ -196,7 +202,7 @@ def build(
     unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
     try:
         encoder, segmenter = make_encoder(settings, threads)
-        store = open_store(settings.database_url, settings.data)
+        store = open_store(settings.database_url, settings.data, int(settings.reserve_mb * MEGA))
         batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
         scheduler = make_scheduler(encoder, batch, settings.queries, segmenter)
         product = make_product(settings)
@@ -204,7 +210,6 @@ def build(
         describers = Describers(encoder, store.vocabularies, general, product)
         catalogue = Catalogue(store.maps, store.descriptions, _empty_index)
         decode = partial(codec.decode, limits=codec.Limits.of(settings))
-        lease = timedelta(seconds=settings.lease_s)
         trainer = VocabularyTrainer(
             maps=store.maps,
             views=store.views,
@@ -213,11 +218,12 @@ def build(
             describers=describers,
             scheduler=scheduler,
             decode=decode,
-            lease=lease,
         )
         comparer = MapComparer(
             comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
         )
+        settlements = Settlements(store.views)
+        me = this_process("serve" if serving else "worker")
         loop = None
         if settings.inline_worker or not serving:
             loop = Loop(
@@ -229,11 +235,11 @@ def build(
                 train=trainer.run,
                 compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
                 decode=decode,
-                name=f"{platform.node()}:{os.getpid()}",
+                name=me.name,
                 batch=batch,
-                lease=lease,
+                trouble=StoringTrouble(settlements.refuse),
             )
-        settlements = Settlements(store.views)
+        attendance = Attendance.of(store, me, loop, settings.lease_s)
         if loop is not None:
             loop.on_finish(settlements.notify)
         default_recipe = make_recipe(encoder, Wanted(), preset=settings.preset)
@@ -248,9 +254,10 @@ def build(
             comparer=comparer,
             loop=loop,
             settlements=settlements,
+            attendance=attendance,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, decode, product, settlements,
-                default_recipe, loop,
+                default_recipe, loop, attendance,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -275,6 +282,7 @@ def _services(
     settlements: Settlements,
     default_recipe: MapRecipe,
     loop: Loop | None,
+    attendance: Attendance,
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
@@ -291,6 +299,7 @@ def _services(
             limit=settings.queue,
             pace_s=lambda: scheduler.pace_s,
             wake=_nothing if loop is None else loop.wake,
+            workers=lambda: attendance.alive,
         ),
         query=QueryService(
             maps=store.maps,

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ from schemas import wire
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PostCalibration, PutMap
 from worker.description.presets import Wanted
+from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
@@ -211,11 +212,11 @@ class Curator:
 
     async def begin_call(self, key: str, fingerprint: str) -> Replay | None:
         """Claim an Idempotency-Key; see `Calls.begin`."""
-        return await asyncio.to_thread(self._calls.begin, key, fingerprint, datetime.now(UTC))
+        return await asyncio.to_thread(self._calls.begin, key, fingerprint, steady.now())
 
     async def end_call(self, key: str, replay: Replay) -> None:
         """Remember the answer to a call; see `Calls.end`."""
-        await asyncio.to_thread(self._calls.end, key, replay, datetime.now(UTC))
+        await asyncio.to_thread(self._calls.end, key, replay, steady.now())
 
     async def abandon_call(self, key: str) -> None:
         """Forget a call that failed; see `Calls.abandon`."""

@@ -8,10 +8,10 @@ from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
+from app.http.readiness import ReadinessCheck
 from app.http.statistics import StatisticsReader
 from app.version import VERSION
 from schemas import wire
-from schemas.errors import RevisitError
 from schemas.statistics import LiveStatistics, ServiceStatistics
 from worker.service.comparing import SAMPLE
 from worker.service.statistics import StatisticsService
@@ -32,6 +32,7 @@ class Lifecycle:
 
     def __init__(self, runtime: "Runtime") -> None:
         self._runtime = runtime
+        self._check = ReadinessCheck(runtime)
         self._started = False
         self._draining = False
         # A thread of its own: the probes must be answered while all other threads are busy.
@@ -64,27 +65,11 @@ class Lifecycle:
         await asyncio.to_thread(self._runtime.stop)
         self._thread.shutdown()
         self._statistics.close()
+        self._check.close()
 
     async def readiness(self) -> wire.Readiness:
-        """Checks of the database, the encoder, the worker, and of each map that cannot be served (the others are)."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._readiness)
-
-    def _readiness(self) -> wire.Readiness:
-        runtime = self._runtime
-        needed = {
-            "database": runtime.store.check(),
-            "encoder": "ok" if runtime.scheduler.alive else "its thread has ended; restart the service",
-        }
-        if runtime.loop is not None:
-            needed["worker"] = "ok" if runtime.loop.alive else "its thread has ended; restart the service"
-        maps = {}
-        if needed["database"] == "ok":
-            for record in runtime.store.maps.all():
-                try:
-                    runtime.describers.of(record.description)
-                except RevisitError as error:
-                    maps[f"map {record.name}"] = error.detail
-        return wire.Readiness(ready=all(state == "ok" for state in needed.values()), checks=needed | maps)
+        """Whether the service can enrol and answer now, and the state of each part."""
+        return await self._check.current()
 
     def live(self) -> LiveStatistics:
         """What the metrics show and is known without asking the database."""

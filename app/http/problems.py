@@ -69,7 +69,9 @@ KINDS: Mapping[str, Kind] = {
     ),
     "too-many-requests": Kind(429, "Too many requests are waiting", "Try again after `Retry-After` seconds."),
     "internal": Kind(500, "The service failed", "Try again; report it with the request id, which the log has too."),
-    "unavailable": Kind(503, "The service is starting or stopping", "Try again after `Retry-After` seconds."),
+    "unavailable": Kind(
+        503, "The service cannot do this now", "Follow `detail`; try again after `Retry-After` seconds."
+    ),
     "disk-full": Kind(507, "The disk is full", "Free space or delete views; reading and deleting still work."),
 }
 """All problem types by their codes."""

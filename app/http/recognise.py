@@ -17,9 +17,6 @@ from worker.service.enroll import Accepted, EnrollService
 from worker.service.query import QueryService
 from worker.service.settlements import Settlements
 
-PATIENCE_S = 120.0
-"""Seconds that an enrolment waits for its description before it answers as with ``wait=false``."""
-
 SEARCHING = 8
 """Threads for queries that search, beside one for each query that may wait for the encoder."""
 
@@ -34,10 +31,15 @@ class Recogniser:
     settlements : Settlements
     queries : int
         Most queries that may wait for the encoder; each waits in a thread of its own.
+    wait_s : float
+        Seconds that an enrolment waits at most for its description, all its images together.
     """
 
-    def __init__(self, enroll: EnrollService, query: QueryService, settlements: Settlements, queries: int) -> None:
+    def __init__(
+        self, enroll: EnrollService, query: QueryService, settlements: Settlements, queries: int, wait_s: float
+    ) -> None:
         self._enroll, self._query, self._settlements = enroll, query, settlements
+        self._wait_s = wait_s
         self._threads = ThreadPoolExecutor(queries + SEARCHING, "revisit-query")
 
     async def enroll(
@@ -52,7 +54,8 @@ class Recogniser:
             The map is made when there is none of this name.
         attributes : ViewAttributes
         wait : bool
-            Whether to wait until the views are described; otherwise return once the images are durable.
+            Whether to wait until the views are described, within a bound; otherwise, or where the queue says that this
+            bound is too short, return once the images are durable.
 
         Returns
         -------
@@ -60,20 +63,24 @@ class Recogniser:
             For each image, in order, its view or the error. A refused image leaves nothing behind, except one without
             static cells, which is kept as a `failed` view.
         """
-        accepted = [await self._submit(data, map_name, attributes) for _, data in images]
-        return [one if isinstance(one, RevisitError) else await self._outcome(one, wait) for one in accepted]
+        until = time.monotonic() + self._wait_s
+        accepted = [await self._submit(data, map_name, attributes, wait) for _, data in images]
+        return [one if isinstance(one, RevisitError) else await self._outcome(one, wait, until) for one in accepted]
 
-    async def _submit(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Accepted | RevisitError:
+    async def _submit(
+        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool
+    ) -> Accepted | RevisitError:
         try:
-            return await asyncio.to_thread(self._enroll.submit, data, map_name, attributes)
+            return await asyncio.to_thread(self._enroll.submit, data, map_name, attributes, waits=wait)
         except RevisitError as error:
             return error
 
-    async def _outcome(self, accepted: Accepted, wait: bool) -> wire.Enrolled | RevisitError:
+    async def _outcome(self, accepted: Accepted, wait: bool, until: float) -> wire.Enrolled | RevisitError:
         view = None
-        if wait and accepted.submitted.job_id is not None:
+        hopeless = accepted.expected_s > self._wait_s
+        if wait and accepted.submitted.job_id is not None and not hopeless:
             describing = time.perf_counter()
-            view = await settled(self._settlements, accepted.submitted.view.id, PATIENCE_S)
+            view = await settled(self._settlements, accepted.submitted.view.id, until)
             waited_ms = (time.perf_counter() - describing) * 1000
             accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
         try:

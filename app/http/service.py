@@ -37,7 +37,13 @@ class Service:
         """The use-cases of a runtime."""
         services = runtime.services
         return cls(
-            Recogniser(services.enroll, services.query, runtime.settlements, runtime.settings.queries),
+            Recogniser(
+                services.enroll,
+                services.query,
+                runtime.settlements,
+                runtime.settings.queries,
+                runtime.settings.wait,
+            ),
             Curator(
                 services.views,
                 services.renderings,

@@ -94,7 +94,7 @@ def test_a_crash_between_file_and_row_leaves_a_file_that_recovery_sweeps(store: 
         raise PowerCut
     assert len(files(data)) == 2
 
-    store.recover(NOW)
+    store.recover()
 
     assert [path.name for path in files(data)] == [kept.image.sha256]
     assert store.views.image(kept.id) == image("pond")
@@ -105,7 +105,7 @@ def test_a_crash_while_writing_leaves_an_unfinished_file_that_recovery_sweeps(st
     [whole] = files(data)
     unfinished = whole.parent.parent / ".writing-of-a-dead-process"
     unfinished.write_bytes(b"half a pic")
-    store.recover(NOW)
+    store.recover()
     assert files(data) == [whole]
 
 
@@ -124,7 +124,7 @@ def test_a_crash_between_the_deletion_of_a_row_and_its_file_is_made_good(
     with pytest.raises(NotFound):
         store.views.get(view.id)
     assert len(files(data)) == 1
-    store.recover(NOW)
+    store.recover()
     assert files(data) == []
 
 
@@ -185,7 +185,7 @@ def test_an_image_enrolled_while_others_sweep_and_delete_it_is_never_taken_away(
 
     def sweep() -> None:
         while not stop:
-            store.recover(NOW)
+            store.recover()
 
     def come_and_go() -> None:
         while not stop:
@@ -232,7 +232,7 @@ def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(
             acknowledged.append(receive.recv())
     receive.close()
 
-    store.recover(NOW)
+    store.recover()
 
     views, _ = store.views.list("campus", Filters(), limit=1000)
     kept = {view.id for view in views}

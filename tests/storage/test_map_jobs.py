@@ -58,7 +58,7 @@ def test_jobs_of_maps_survive_a_restart(store: SqlStore, reopen: Open) -> None:
     job = store.jobs.switch_recipe("campus", PAPER, NOW)
     store.close()
     again = reopen()
-    again.recover(NOW)
+    again.recover()
     assert again.jobs.get(job.id) == job
     describe_all(again)
     assert again.jobs.get(job.id).state == "done"

@@ -348,7 +348,7 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     with pytest.raises(LeaseLost):
         finish(store, claim)
     anew = enroll(store, "0").view
-    store.recover(NOW)
+    store.recover()
     assert [path.name for path in (data / "pictures").glob("??/??/*")] == [anew.image.sha256]
     assert store.views.image(anew.id) == image("0")
 
@@ -381,7 +381,7 @@ def test_a_call_that_a_crash_cut_short_can_be_made_again(reopen: Open) -> None:
     store.calls.begin("cut short", "fingerprint", NOW)
     store.close()
     store = reopen()
-    store.recover(NOW)
+    store.recover()
     assert store.calls.begin("cut short", "fingerprint", NOW) is None
     assert store.calls.begin("finished", "fingerprint", NOW) == Replay(200, {}, b"")
 

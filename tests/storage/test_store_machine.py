@@ -235,7 +235,7 @@ class StoreMachine(RuleBasedStateMachine):
     def restart(self) -> None:
         self.store.close()
         self.store = open_store(self.url, self.folder)
-        self.store.recover(self.now)
+        self.store.recover()
         for follower in self.followers.values():
             follower.store = self.store
 

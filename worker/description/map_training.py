@@ -67,7 +67,7 @@ class VocabularyWriter(Protocol):
 class TrainingJobs(Protocol):
     """Jobs of maps, held under a lease."""
 
-    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta, now: datetime) -> None:
+    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta | None, now: datetime) -> None:
         """Report the progress of a job and renew its lease; raises LeaseLost."""
         ...
 
@@ -95,7 +95,6 @@ class VocabularyTrainer:
     scheduler : Scheduler
     decode : function
         Bytes to Image; raises BadImage.
-    lease : timedelta
     """
 
     def __init__(
@@ -108,19 +107,16 @@ class VocabularyTrainer:
         describers: Describers,
         scheduler: Scheduler,
         decode: Callable[[bytes], Image],
-        lease: timedelta,
     ) -> None:
         self._maps, self._views, self._vocabularies, self._jobs = maps, views, vocabularies, jobs
-        self._describers, self._scheduler, self._decode, self._lease = describers, scheduler, decode, lease
+        self._describers, self._scheduler, self._decode = describers, scheduler, decode
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
         """Train a vocabulary and queue the descriptions by it until `stopping()` is true; an error fails the job."""
         try:
             recipe = self._maps.get(claim.map).description
             describer = self._describers.of(recipe)
-            with _Heartbeat(
-                lambda progress: self._jobs.report(claim, progress, self._lease, _now()), self._lease
-            ) as beat:
+            with _Heartbeat(lambda progress: self._jobs.report(claim, progress, None, _now())) as beat:
                 learned = vocabularies.train(
                     self._fields(claim, recipe.parameters.seed, beat, stopping),
                     lambda field: describer.segment(field).static,
@@ -167,18 +163,20 @@ class VocabularyTrainer:
             yield self._scheduler.submit(image, lambda _, field: field, urgent=False).result().value
 
 
+LOOK_EVERY_S = 20.0
+
+
 class _Heartbeat:
-    """Renews a lease in a thread of its own while its block runs.
+    """Looks in a thread of its own, while its block runs, whether the job is still this worker's.
 
     Parameters
     ----------
     report : function
         Called with the progress; raises LeaseLost.
-    lease : timedelta
     """
 
-    def __init__(self, report: Callable[[JobProgress], None], lease: timedelta) -> None:
-        self._report, self._every_s = report, lease.total_seconds() / 3
+    def __init__(self, report: Callable[[JobProgress], None]) -> None:
+        self._report = report
         self._progress = JobProgress(0, 0)
         self._ended = threading.Event()
         self._lost: LeaseLost | None = None
@@ -202,7 +200,7 @@ class _Heartbeat:
         self._report(progress)
 
     def _run(self) -> None:
-        while not self._ended.wait(self._every_s):
+        while not self._ended.wait(LOOK_EVERY_S):
             try:
                 self._report(self._progress)
             except LeaseLost as lost:

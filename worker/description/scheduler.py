@@ -87,6 +87,7 @@ class Scheduler:
         self._lock = threading.Lock()
         self._pending_queries = 0
         self._pace_s = 0.2  # seconds per image, a moving average; an initial guess
+        self._encoded = 0
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
@@ -101,6 +102,11 @@ class Scheduler:
     def queries_waiting(self) -> int:
         """Queries that wait for the encoder or are in it."""
         return self._pending_queries
+
+    @property
+    def encoded(self) -> int:
+        """Number of images encoded so far."""
+        return self._encoded
 
     @property
     def alive(self) -> bool:
@@ -209,6 +215,7 @@ class Scheduler:
                 pixel_field = next(fields)
                 encoded = time.perf_counter()
                 timed += 1
+                self._encoded += 1
                 waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
                 if request.urgency == QUERY:
                     _finish(request, pixel_field, waited_ms, encode_ms)

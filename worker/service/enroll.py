@@ -5,13 +5,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from schemas.errors import Busy, NothingStatic, RevisitError
+from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, RevisitError, StorageFailed, Unavailable
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.images.codec import facts
+from worker.service import steady
 from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
 from worker.service.settlements import Settlements
+
+NO_WORKER = (
+    "no worker is alive to describe the image: start one with `./revisit worker`, or `serve` without "
+    "REVISIT_INLINE_WORKER=false; with wait=false the image is kept until one comes"
+)
+NO_WORKER_RETRY_S = 10
 
 
 @dataclass(frozen=True)
@@ -23,11 +30,14 @@ class Accepted:
     submitted : Submitted
     began : float
         Reading of `time.perf_counter` when the call began.
+    expected_s : float
+        Seconds until it is described, by the length of the queue and the measured pace.
     timing_ms : mapping of stage to milliseconds
     """
 
     submitted: Submitted
     began: float
+    expected_s: float
     timing_ms: dict[str, float]
 
 
@@ -76,6 +86,8 @@ class EnrollService:
         Returns the measured seconds per image.
     wake : function
         Called when a description was queued.
+    workers : function
+        Returns how many workers are alive.
     """
 
     def __init__(
@@ -92,18 +104,27 @@ class EnrollService:
         limit: int,
         pace_s: Callable[[], float],
         wake: Callable[[], None],
+        workers: Callable[[], int] = lambda: 1,
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
         self._decode, self._default_recipe = decode, default_recipe
-        self._limit, self._pace_s, self._wake = limit, pace_s, wake
+        self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
 
-    def submit(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Accepted:
+    def submit(self, data: bytes, map_name: str, attributes: ViewAttributes, *, waits: bool = False) -> Accepted:
         """Store an image durably and queue its description.
+
+        Parameters
+        ----------
+        data : bytes
+        map_name : str
+        attributes : ViewAttributes
+        waits : bool
+            Whether the caller wants to wait for the description, which is refused when no worker is alive.
 
         Raises
         ------
-        BadImage, Busy, Conflict, DiskFull
+        BadImage, Busy, Conflict, DiskFull, StorageFailed, Unavailable
             Nothing is stored.
         """
         began = time.perf_counter()
@@ -112,12 +133,18 @@ class EnrollService:
         waiting = self._queue.count_waiting()
         if waiting >= self._limit:
             raise Busy.queue(waiting, self._pace_s(), "enrolments")
+        workers = self._workers()
+        if waits and workers == 0:
+            raise Unavailable(NO_WORKER, NO_WORKER_RETRY_S)
+        if waits and isinstance(self._settlements.trouble, DiskFull | StorageFailed):
+            raise self._settlements.trouble
         submitted = self._enrolment.submit(
-            map_name, data, facts(image), attributes, self._default_recipe, datetime.now(UTC)
+            map_name, data, facts(image), attributes, self._default_recipe, datetime.now(UTC), steady.reading_s()
         )
         if submitted.job_id is not None:
             self._wake()
-        return Accepted(submitted, began, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
+        expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
+        return Accepted(submitted, began, expected_s, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
         """The outcome of an accepted image.
@@ -132,11 +159,17 @@ class EnrollService:
         ------
         NothingStatic
             The view is kept, `failed`.
+        DiskFull, StorageFailed
+            The description cannot be stored now, and the view that this call created is removed. Where it cannot be
+            removed, or was there before, it stays pending and is described later: that is no error.
         RevisitError
             Describing the image failed; a view that this call created is removed.
         """
         submitted = accepted.submitted
         record = submitted.view if view is None else view
+        trouble = self._settlements.trouble
+        if view is not None and record.state == "pending" and trouble is not None and self._undone(submitted):
+            raise trouble
         if view is not None and record.state == "failed" and record.failure is not None:
             code, detail = record.failure
             if code == NothingStatic.code:
@@ -157,6 +190,18 @@ class EnrollService:
             job_id=submitted.job_id if record.state == "pending" else None,
             timing_ms={**accepted.timing_ms, "total": _since(accepted.began)},
         )
+
+    def _undone(self, submitted: Submitted) -> bool:
+        """Whether the view of a call that will be answered with an error is removed."""
+        if not submitted.created:
+            return False
+        try:
+            self._removals.delete_view(submitted.view.id)
+        except NotFound:
+            return True
+        except RevisitError:
+            return False
+        return True
 
     def enroll(self, data: bytes, map_name: str, attributes: ViewAttributes, *, patience_s: float) -> Enrolled:
         """Submit an image, wait up to `patience_s` for its description; raises as `submit` and `outcome`."""

@@ -57,9 +57,18 @@ class Enrolment(Protocol):
     """Storing images."""
 
     def submit(
-        self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: MapRecipe, now: datetime
+        self,
+        name: str,
+        image: bytes,
+        facts: ImageFacts,
+        attributes: ViewAttributes,
+        recipe: MapRecipe,
+        now: datetime,
+        steady_s: float | None = None,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
+
+        `steady_s` is the reading of a steady clock at `now`.
 
         Raises
         ------

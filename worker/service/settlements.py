@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from schemas.errors import RevisitError
 from schemas.records import ViewRecord
 from worker.service.ports import Views
 
@@ -16,7 +17,7 @@ Notify = Callable[[], None]
 
 
 class Settlements:
-    """Wakes callers that wait for a view when the worker of this process has settled it.
+    """Wakes callers that wait for a view when the worker of this process has settled it, or when waiting is in vain.
 
     Parameters
     ----------
@@ -27,6 +28,29 @@ class Settlements:
         self._views = views
         self._waiting: dict[str, set[Notify]] = defaultdict(set)
         self._lock = threading.Lock()
+        self._given_up = False
+        self._trouble: RevisitError | None = None
+
+    @property
+    def trouble(self) -> RevisitError | None:
+        """Why descriptions cannot be stored now, or None."""
+        return self._trouble
+
+    @property
+    def in_vain(self) -> bool:
+        """Whether nobody should wait: the service stops, or descriptions cannot be stored."""
+        return self._given_up or self._trouble is not None
+
+    def give_up(self) -> None:
+        """Wake all callers, now and from now on: the service stops, and their views are described later."""
+        self._given_up = True
+        self._wake_all()
+
+    def refuse(self, trouble: RevisitError | None) -> None:
+        """Wake all callers because descriptions cannot be stored; None when they can again."""
+        self._trouble = trouble
+        if trouble is not None:
+            self._wake_all()
 
     def notify(self, view_id: str) -> None:
         """Wake the callers that wait for a view; called in the worker's thread."""
@@ -35,9 +59,15 @@ class Settlements:
         for call in waiting:
             call()
 
+    def _wake_all(self) -> None:
+        with self._lock:
+            waiting = [call for calls in self._waiting.values() for call in calls]
+        for call in waiting:
+            call()
+
     @contextmanager
     def subscribed(self, view_id: str, call: Notify) -> Iterator[None]:
-        """While the block runs, `call` is called in the worker's thread when the view is settled."""
+        """While the block runs, `call` is called in another thread when the view is settled or waiting is in vain."""
         with self._lock:
             self._waiting[view_id].add(call)
         try:
@@ -58,9 +88,10 @@ class Settlements:
         until = time.monotonic() + patience_s
         with self.subscribed(view_id, event.set):
             while True:
+                vain = self.in_vain
                 record = self.look(view_id)
                 left = until - time.monotonic()
-                if record.state != "pending" or left <= 0:
+                if record.state != "pending" or left <= 0 or vain:
                     return record
                 event.wait(min(LOOK_AGAIN_S, left))
                 event.clear()

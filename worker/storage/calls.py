@@ -55,7 +55,7 @@ class Calls(Part):
 
     def abandon(self, key: str) -> None:
         """Delete an unfinished call that failed, so that it can be tried again."""
-        with self._database.writing(in_turn=False) as connection:
+        with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None)))
 
 

@@ -1,12 +1,23 @@
 """Transactions: context managers for reading and writing."""
 
-from collections.abc import Iterator
+import logging
+import sqlite3
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import sqlalchemy as sa
 
 from schemas.errors import DiskFull
 from worker.storage import dialect
+from worker.storage.disk_errors import problem_of, translated
+from worker.storage.space import Space
+
+T = TypeVar("T")
+
+log = logging.getLogger("revisit")
+
+TRUNCATE_PATIENCE_MS = 500
 
 
 class Database:
@@ -25,28 +36,34 @@ class Database:
 
     def __init__(self, url: str) -> None:
         self.engine = dialect.make_engine(url)
+        self.space: Space | None = None
+        self.trouble: str | None = None  # why the last transaction that wrote could not be stored
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A transaction whose reads all see the same snapshot."""
-        with self.engine.connect() as connection:
+        """A transaction whose reads all see the same snapshot; raises StorageFailed when the disk fails."""
+        with translated("database"), self.engine.connect() as connection:
             connection = dialect.for_reading(connection)
             with connection.begin():
                 yield connection
 
     @contextmanager
-    def writing(self, *, in_turn: bool = True) -> Iterator[sa.Connection]:
+    def writing(self, *, in_turn: bool = True, frees: bool = False) -> Iterator[sa.Connection]:
         """A transaction that is committed durably at the end of the block, or rolled back when the block raises.
 
         Parameters
         ----------
         in_turn : bool
             Whether to exclude other writers; False only for writes without a new revision.
+        frees : bool
+            Whether it deletes, or replaces little: it may then use the last space of the disk.
 
         Raises
         ------
-        DiskFull
+        DiskFull, StorageFailed
         """
+        if self.space is not None and not frees:
+            self.space.require()
         try:
             with self.engine.connect() as connection:
                 connection = dialect.for_writing(connection)
@@ -54,10 +71,45 @@ class Database:
                     if in_turn:
                         dialect.take_turn(connection)
                     yield connection
-        except sa.exc.DBAPIError as error:
-            if dialect.is_full(error):
-                raise DiskFull("the disk of the database is full; free some space or delete views") from error
-            raise
+            self.trouble = None
+        except (OSError, sa.exc.DBAPIError) as error:
+            problem = problem_of(error, "database")
+            if problem is None:
+                raise
+            self.trouble = problem.detail
+            raise problem from error
+
+    def freeing(self, work: Callable[[sa.Connection], T]) -> T:
+        """Run a deletion in a transaction, on a full disk with the reserve given up for it; raises DiskFull."""
+        try:
+            with self.writing(frees=True) as connection:
+                return work(connection)
+        except DiskFull:
+            if self.space is None or not self.space.give_up():
+                raise
+        self._truncate_journal()
+        with self.writing(frees=True) as connection:
+            return work(connection)
+
+    def tidy(self) -> None:
+        """After deletions on a disk that is nearly full: give the journal's space back and make the reserve again."""
+        if self.space is not None and self.space.low():
+            self._truncate_journal()
+            self.space.restore()
+
+    def _truncate_journal(self) -> None:
+        """Copy SQLite's journal into the database and give its space back, unless readers are in the way."""
+        if not dialect.is_file(self.engine):
+            return
+        try:
+            with self.engine.connect() as connection:
+                raw = connection.connection.cursor()
+                raw.execute(f"PRAGMA busy_timeout={TRUNCATE_PATIENCE_MS}")
+                raw.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+                raw.execute(f"PRAGMA busy_timeout={dialect.BUSY_S * 1000}")
+                raw.close()
+        except (sqlite3.Error, sa.exc.DBAPIError) as error:
+            log.debug("the journal keeps its size: %s", error)
 
     def close(self) -> None:
         """Close all connections."""

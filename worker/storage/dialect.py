@@ -63,6 +63,7 @@ def _sqlite(url: sa.URL) -> sa.Engine:
             "secure_delete=ON",  # deleted content is overwritten in the file
             "journal_size_limit=67108864",  # bytes of the WAL file kept after a large change
             "cache_size=-16384",  # KiB
+            "temp_store=MEMORY",  # sorting for a query must not need the disk
         ):
             connection.execute(f"PRAGMA {pragma}").close()
 

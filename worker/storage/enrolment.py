@@ -5,14 +5,16 @@ from functools import cache
 from typing import Any
 
 import sqlalchemy as sa
-from uuid6 import uuid7
 
 from schemas.errors import Conflict, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes
 from worker.storage import switching
+from worker.storage.database import Database
+from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
+from worker.storage.image_files import Images
 from worker.storage.maps import make_map
 from worker.storage.part import Part
 from worker.storage.rows import (
@@ -64,10 +66,23 @@ def _same_image() -> sa.Select[Any]:
 class Enrolment(Part):
     """See `worker.service.ports.Enrolment`."""
 
+    def __init__(self, database: Database, images: Images) -> None:
+        super().__init__(database, images)
+        self._order = EnrolmentOrder()
+
     def submit(
-        self, name: str, image: bytes, facts: ImageFacts, attributes: ViewAttributes, recipe: MapRecipe, now: datetime
+        self,
+        name: str,
+        image: bytes,
+        facts: ImageFacts,
+        attributes: ViewAttributes,
+        recipe: MapRecipe,
+        now: datetime,
+        steady_s: float | None = None,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
+
+        `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured.
 
         For an image that the map has already the result is its view, which is queued again if it had failed.
 
@@ -79,6 +94,8 @@ class Enrolment(Part):
         ValueError
             The SHA-256 in `facts` is not that of the image.
         """
+        if self._database.space is not None:
+            self._database.space.admit(len(image))
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:
             try:
                 row = find_map(connection, name)
@@ -87,19 +104,26 @@ class Enrolment(Part):
                 row = find_map(connection, name)
             view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
-                return self._enrol(connection, row, facts, attributes, now)
+                return self._enrol(connection, row, facts, attributes, now, steady_s)
             return self._enrol_again(connection, row, view, attributes, now)
 
     def _enrol(
-        self, connection: sa.Connection, row: sa.Row[Any], facts: ImageFacts, attributes: ViewAttributes, now: datetime
+        self,
+        connection: sa.Connection,
+        row: sa.Row[Any],
+        facts: ImageFacts,
+        attributes: ViewAttributes,
+        now: datetime,
+        steady_s: float | None,
     ) -> Submitted:
-        view_id = str(uuid7())
+        view_id, elapsed_us = self._order.following(connection, now, steady_s)
         connection.execute(
             inserting(VIEWS),
             {
                 "id": view_id,
                 "map_id": row.id,
                 "enrolled_at": now,
+                "elapsed_us": elapsed_us,
                 "sha256": facts.sha256,
                 "width": int(facts.width),
                 "height": int(facts.height),
@@ -110,6 +134,7 @@ class Enrolment(Part):
             },
         )
         view = view_record(find_view(connection, view_id))
+        self._order.note(view.seq, elapsed_us, steady_s)
         keep_pairs(connection, view.seq, attributes)
         job = self._queue(connection, row, view.seq, now)
         return Submitted(view, job, created=True, revision=row.revision)

@@ -15,7 +15,6 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.records import Filters
-from worker.storage.columns import UtcDateTime
 from worker.storage.rows import as_json, unit_vector
 from worker.storage.tables import METADATA_PAIRS, VIEWS
 
@@ -73,9 +72,9 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
     scope: list[Clause] = [] if map_id is None else [VIEWS.c.map_id == map_id]
     last = filters.exclude_last
     if isinstance(last, timedelta):
-        newest = connection.scalar(sa.select(sa.func.max(VIEWS.c.enrolled_at, type_=UtcDateTime())).where(*scope))
-        if newest is not None:
-            conditions.append(VIEWS.c.enrolled_at >= newest - last)
+        newest = connection.scalar(sa.select(sa.func.max(VIEWS.c.elapsed_us)).where(*scope))
+        if newest is not None:  # back from the newest by the time that passed, whatever the clock said meanwhile
+            conditions.append(VIEWS.c.elapsed_us >= newest - last // timedelta(microseconds=1))
     elif last:
         newest_first = sa.select(VIEWS.c.seq).where(*scope).order_by(VIEWS.c.seq.desc())
         oldest = connection.scalar(newest_first.offset(int(last) - 1).limit(1))

@@ -15,8 +15,7 @@ from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 
-from schemas.errors import DiskFull
-from worker.storage import dialect
+from worker.storage.disk_errors import translated
 from worker.storage.locks import held
 
 UNFINISHED = ".writing-"
@@ -106,7 +105,7 @@ class Images:
 
     @contextmanager
     def _locked(self, first: str) -> Iterator[None]:
-        with held(self._folder / first / ".lock"):
+        with translated("images"), held(self._folder / first / ".lock"):
             yield
 
     def _write(self, digest: str, image: bytes) -> bool:
@@ -125,11 +124,9 @@ class Images:
                 os.fsync(file.fileno())
             unfinished.rename(path)
             self._sync_name(path)
-        except BaseException as error:
+        except BaseException:
             unfinished.unlink(missing_ok=True)
             path.unlink(missing_ok=True)
-            if dialect.is_full(error):
-                raise DiskFull("the disk of the images is full; free some space or delete views") from error
             raise
         return True
 

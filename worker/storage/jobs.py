@@ -48,9 +48,10 @@ _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 class Jobs(Part):
     """The queue of describe jobs."""
 
-    def claim(self, worker: str, count: int, lease: timedelta, now: datetime) -> list[Claim]:
+    def claim(self, worker: str, count: int, lease: timedelta | None, now: datetime) -> list[Claim]:
         """Claim up to `count` of the oldest jobs that wait or whose lease has ended; a job at most three times.
 
+        Without a lease a job stays claimed until it ends or its worker is found dead (see workers.py).
         Enrolments, whose callers may be waiting, go before the jobs of a recipe switch.
         """
         with self._database.reading() as connection:  # with no job to claim, no writer has to wait
@@ -66,9 +67,11 @@ class Jobs(Part):
             if left:
                 jobs += connection.execute(_OLDEST_LEFT, {"moment": now, "most": int(count)})
             jobs = sorted(jobs, key=lambda job: (job.background, job.number))[:count]
-            return self._lease(connection, jobs, worker, now + lease)
+            return self._lease(connection, jobs, worker, None if lease is None else now + lease)
 
-    def _lease(self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str, until: datetime) -> list[Claim]:
+    def _lease(
+        self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str, until: datetime | None
+    ) -> list[Claim]:
         tokens = {job.number: secrets.token_hex(16) for job in jobs}
         views = {}
         for portion in batches(job.seq for job in jobs):
@@ -87,7 +90,7 @@ class Jobs(Part):
         with self._database.writing() as connection:
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
             # Its last worker may have finished late rather than died.
-            if job is not None and job.state == "running" and job.lease_until <= now:
+            if job is not None and job.state == "running" and job.lease_until and job.lease_until <= now:
                 self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
@@ -138,7 +141,7 @@ class Jobs(Part):
 
     def release(self, claim: Claim) -> None:
         """Put a job back without counting the attempt; does nothing when the lease is lost."""
-        with self._database.writing(in_turn=False) as connection:
+        with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(
                 sa.update(JOBS)
                 .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)

@@ -8,7 +8,7 @@ import json
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -48,9 +48,10 @@ class FolderLock:
 
     def sign(self, now: datetime) -> None:
         """Write the holder (process, host, time) to the file, for `holder`."""
-        os.ftruncate(self._file, 0)
         text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": now.isoformat(" ", "seconds")})
-        os.pwrite(self._file, text.encode(), 0)
+        with suppress(OSError):  # on a full disk the lock holds all the same
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, text.encode(), 0)
 
     def holder(self) -> str:
         """The last holder that signed, as text for messages."""

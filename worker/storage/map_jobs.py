@@ -65,7 +65,7 @@ class MapJobs(Jobs):
             connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
             return _record(connection, job_id)
 
-    def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
+    def claim_map_job(self, worker: str, lease: timedelta | None, now: datetime) -> MapClaim | None:
         """Claim the oldest job of a map that waits or whose lease has ended; a job at most three times."""
         waits = (JOBS.c.kind == "vocabulary") & (JOBS.c.recipe.is_(None))
         left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
@@ -81,18 +81,22 @@ class MapJobs(Jobs):
                 _end(connection, job.number, "failed", now, ("worker-died", WORKER_DIED))
                 return None
             token = secrets.token_hex(16)
-            held = {"state": "running", "worker": worker, "token": token, "lease_until": now + lease}
+            held = {"state": "running", "worker": worker, "token": token, "lease_until": _until(now, lease)}
             connection.execute(
                 sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
             )
             name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
             return MapClaim(job.id, job.kind, token, str(name))
 
-    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta, now: datetime) -> None:
+    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta | None, now: datetime) -> None:
         """Report the progress of a claimed job and renew its lease; raises LeaseLost, also when it was cancelled."""
         with self._database.writing(in_turn=False) as connection:
             job = _held(connection, claim)
-            values = {"progress_done": progress.done, "progress_total": progress.total, "lease_until": now + lease}
+            values = {
+                "progress_done": progress.done,
+                "progress_total": progress.total,
+                "lease_until": _until(now, lease),
+            }
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
 
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
@@ -199,6 +203,10 @@ def _held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:
     if job.state != "running" or job.token != claim.token:
         raise LeaseLost(f"the job {claim.job_id} is {job.state} without this worker")
     return job
+
+
+def _until(now: datetime, lease: timedelta | None) -> datetime | None:
+    return None if lease is None else now + lease
 
 
 def _end(connection: sa.Connection, number: int, state: JobState, now: datetime, failure: tuple[str, str]) -> None:

@@ -29,7 +29,7 @@ class Pruning(Part):
         with self._database.reading() as connection:
             if connection.execute(_STALE).first() is None:
                 return 0
-        with self._database.writing() as connection:
+        with self._database.writing(frees=True) as connection:
             stale = connection.execute(_STALE).one_or_none()
             if stale is None:
                 return 0

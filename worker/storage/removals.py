@@ -51,14 +51,17 @@ class Removals(Part):
 
     def delete_map(self, name: str) -> Removal:
         """Remove a map, its views and their images; raises NotFound."""
-        with self._database.writing() as connection:
-            map_id = find_map(connection, name).id
+
+        def take_name(connection: sa.Connection) -> int:
+            map_id = int(find_map(connection, name).id)
             # So that a later map of this name begins after every index of this one.
             clock.tick(connection, map_id)
             # Without a name no call finds it; its views are deleted next, or by recovery after a crash.
             connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(name=None))
             connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
-        return self._clear(map_id)
+            return map_id
+
+        return self._clear(self._database.freeing(take_name))
 
     def clear_deleted_maps(self) -> None:
         """Finish deletions of maps that a crash interrupted."""
@@ -77,13 +80,13 @@ class Removals(Part):
                 break
             portion = self._remove(map_id, seqs)
             views, images = views + portion.views, images + portion.images
-        with self._database.writing() as connection:
-            connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id))
+        self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
         return Removal(views, images, revision=None)
 
     def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
         """Delete views of a map, then the images that no view needs."""
-        with self._database.writing() as connection:
+
+        def remove(connection: sa.Connection) -> tuple[int, list[str], int]:
             which = VIEWS.c.seq.in_(seqs)
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))
             if rows:
@@ -93,4 +96,9 @@ class Removals(Part):
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
-        return _Gone(len(rows), self._images.discard(row.sha256 for row in rows), int(revision))
+            return len(rows), [row.sha256 for row in rows], int(revision)
+
+        views, digests, revision = self._database.freeing(remove)
+        images = self._images.discard(digests)
+        self._database.tidy()
+        return _Gone(views, images, revision)

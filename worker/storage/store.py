@@ -1,14 +1,14 @@
 """The store: one database, SQLite or PostgreSQL, and a folder of images."""
 
+import logging
 import os
-from datetime import datetime
 from pathlib import Path
 
 import sqlalchemy as sa
 
-from schemas.errors import SetupError
+from schemas.errors import DiskFull, RevisitError, SetupError, StorageFailed
 from schemas.statistics import StoreStatistics
-from worker.storage import statistics
+from worker.storage import dialect, statistics
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
@@ -17,14 +17,17 @@ from worker.storage.enrolment import Enrolment
 from worker.storage.image_files import Images
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
-from worker.storage.map_jobs import MapJobs
 from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
 from worker.storage.rows import batches
+from worker.storage.space import Space
 from worker.storage.tables import CALLS, CLOCK, VIEWS
 from worker.storage.views import Views
+from worker.storage.workers import Workers
+
+log = logging.getLogger("revisit")
 
 
 class SqlStore:
@@ -49,7 +52,7 @@ class SqlStore:
         self._images = images = Images(data / "pictures", self._owned)
         self.maps = Maps(database, images)
         self.enrolment = Enrolment(database, images)
-        self.jobs = MapJobs(database, images)
+        self.jobs = self.workers = Workers(database, images)
         self.views = Views(database, images)
         self.removals = Removals(database, images)
         self.listings = Listings(database, images)
@@ -67,15 +70,18 @@ class SqlStore:
                 found.update(connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion))))
         return found
 
-    def recover(self, now: datetime) -> None:
+    def recover(self) -> None:
         """Clean up after a crash: delete unfinished calls and image files without a view, finish deletions.
 
         Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
         """
-        with self._database.writing(in_turn=False) as connection:
-            connection.execute(sa.delete(CALLS).where(CALLS.c.finished_at.is_(None), CALLS.c.begun_at <= now))
-        self.removals.clear_deleted_maps()
-        self._images.sweep()
+        left = CALLS.c.finished_at.is_(None)
+        try:
+            self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
+            self.removals.clear_deleted_maps()
+            self._images.sweep()
+        except (DiskFull, StorageFailed) as error:  # queries can be answered all the same
+            log.error("what a crash left could not be cleaned up: %s; the next start tries again", error.detail)
 
     def check(self) -> str:
         """``ok``, or what is wrong with the database or the folder."""
@@ -83,6 +89,8 @@ class SqlStore:
             with self._database.reading() as connection:
                 if connection.scalar(sa.select(CLOCK.c.revision)) is None:
                     return "the database has lost its clock; restore a snapshot"
+        except RevisitError as error:
+            return error.detail
         except sa.exc.SQLAlchemyError as error:
             return f"the database does not answer: {getattr(error, 'orig', None) or error}"
         folder = self._data / "pictures"
@@ -94,13 +102,26 @@ class SqlStore:
         """Numbers of views, jobs and bytes; `sample` views of a map are compared at most."""
         return statistics.read(self._database, now, sample)
 
+    def check_space(self) -> str:
+        """``ok``, or why nothing can be enrolled now: the disk is full or cannot be written."""
+        try:
+            problem = None if self._database.space is None else self._database.space.problem()
+        except OSError as error:
+            problem = f"the folder {self._data} cannot be read: {error.strerror}"
+        return problem or self._database.trouble or "ok"
+
+    def keep_reserve(self) -> None:
+        """Make the reserve for deletions where it is missing and there is room."""
+        if self._database.space is not None:
+            self._database.space.restore()
+
     def close(self) -> None:
         """Close connections and release the data folder; a second time does nothing."""
         self._database.close()
         self._share.release()
 
 
-def open_store(url: str, data: Path) -> SqlStore:
+def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
     """Open the store of a data folder.
 
     A SQLite file is migrated first, if no other process uses the folder; a PostgreSQL database only when it is empty
@@ -112,6 +133,8 @@ def open_store(url: str, data: Path) -> SqlStore:
         SQLAlchemy URL of the database.
     data : Path
         Data folder, created when there is none.
+    reserve_bytes : int
+        Space kept for deletions; see space.py.
 
     Raises
     ------
@@ -123,7 +146,14 @@ def open_store(url: str, data: Path) -> SqlStore:
         # First, so that no lock is held if it fails.
         (data / "pictures").mkdir(parents=True, exist_ok=True)
         share = enter(database, data, may_migrate=migrates_by_itself(database))
+        database.space = Space(_folders(database, data), reserve_bytes)
         return SqlStore(database, data, share)
+    except SetupError:
+        database.close()
+        raise
+    except RevisitError as error:
+        database.close()
+        raise SetupError(f"{error.detail}; see REVISIT_DATA and REVISIT_DATABASE") from error
     except OSError as error:
         database.close()
         raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
@@ -133,3 +163,9 @@ def open_store(url: str, data: Path) -> SqlStore:
     except BaseException:
         database.close()
         raise
+
+
+def _folders(database: Database, data: Path) -> list[Path]:
+    """The folders of the images and, when it is a file, of the database."""
+    file = database.engine.url.database
+    return [data, Path(file).resolve().parent] if dialect.is_file(database.engine) and file else [data]

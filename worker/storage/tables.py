@@ -8,7 +8,7 @@
                                     ├───── metadata_pairs
                                     └───── jobs
                                ── tombstones
-    vocabularies    calls      without references
+    vocabularies    calls    workers      without references
 
 Dependent rows are deleted with their row (ON DELETE CASCADE). The wide columns of a description have tables of their
 own, since each is read alone and rows with overflow pages are slow to scan.
@@ -79,12 +79,13 @@ VIEWS = sa.Table(
     sa.Column("state", sa.Text, nullable=False),  # pending, ready or failed, by the map's recipe
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
+    sa.Column("elapsed_us", sa.BigInteger, nullable=False, server_default="0"),  # see enrolment_order.py
     sa.UniqueConstraint("map_id", "sha256", name="views_once_per_map"),
     sa.Index("views_by_map", "map_id", "seq"),
     sa.Index("views_by_picture", "sha256"),
     sa.Index("views_by_place", "map_id", "place"),
     sa.Index("views_by_capture", "map_id", "captured_at"),
-    sa.Index("views_by_enrolment", "map_id", "enrolled_at"),
+    sa.Index("views_by_elapsed", "map_id", "elapsed_us"),
     sa.Index("views_by_metres", "map_id", "x", "y"),
     sa.Index("views_by_globe", "map_id", "globe_z", "globe_x", "globe_y"),
     sqlite_autoincrement=True,
@@ -191,6 +192,18 @@ VOCABULARIES = sa.Table(
     METADATA,
     sa.Column("digest", sa.Text, primary_key=True),
     sa.Column("tensors", sa.LargeBinary, nullable=False),  # safetensors
+)
+
+WORKERS = sa.Table(  # see workers.py
+    "workers",
+    METADATA,
+    sa.Column("name", sa.Text, primary_key=True),  # of one process, never used twice
+    sa.Column("kind", sa.Text, nullable=False),  # serve or worker
+    sa.Column("host", sa.Text, nullable=False),
+    sa.Column("pid", sa.Integer, nullable=False),
+    sa.Column("started_at", UtcDateTime, nullable=False),
+    sa.Column("seen_at", UtcDateTime, nullable=False),  # for people: hosts may differ in their clocks
+    sa.Column("beats", sa.BigInteger, nullable=False),  # counts the signs of life
 )
 
 CALLS = sa.Table(

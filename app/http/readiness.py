@@ -1,0 +1,132 @@
+"""Readiness: whether images can be enrolled and queries answered now, found out by trying.
+
+A check takes as long as its slowest part, an image through the encoder. It runs in a thread of its own, and only when
+somebody asks; whoever asks meanwhile gets the last result with its age.
+"""
+
+import asyncio
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from schemas import wire
+from schemas.errors import Busy, RevisitError
+from schemas.image import Image
+
+if TYPE_CHECKING:
+    from worker.runtime import Runtime
+
+FRESH_S = 2.0
+"""Seconds for which a result is given without another check: probes are cheap."""
+
+PATIENCE_S = 0.3
+"""Seconds that a caller waits for a check, before it gets the last result."""
+
+STALE_S = 15.0
+"""Seconds after which a check that has not ended makes the service not ready."""
+
+ENCODER_PATIENCE_S = 5.0
+"""Seconds in which the encoder has to answer the test image or another one."""
+
+TEST_IMAGE = Image(np.full((64, 64, 3), 127, np.uint8), "0" * 64)
+
+NO_WORKER = "no worker is alive to describe images; start one with `./revisit worker`"
+
+
+class ReadinessCheck:
+    """Checks the parts of a runtime.
+
+    Parameters
+    ----------
+    runtime : Runtime
+    """
+
+    def __init__(self, runtime: "Runtime") -> None:
+        self._runtime = runtime
+        self._thread = ThreadPoolExecutor(1, "revisit-readiness")
+        self._last: tuple[float, wire.Readiness] | None = None
+        self._running: Future[wire.Readiness] | None = None
+        self._began = 0.0
+
+    async def current(self) -> wire.Readiness:
+        """The result of a check that is at most `FRESH_S` old, or the last one with its age; within `PATIENCE_S`."""
+        if self._last is not None and time.monotonic() - self._last[0] < FRESH_S:
+            return self._aged(self._last)
+        if self._running is None or self._running.done():
+            self._began = time.monotonic()
+            self._running = self._thread.submit(self._check)
+        await asyncio.wait([asyncio.wrap_future(self._running)], timeout=PATIENCE_S)
+        lasted = time.monotonic() - self._began
+        if self._last is None or (lasted >= STALE_S and not self._running.done()):
+            checks = {} if self._last is None else self._last[1].checks
+            late = {"service": f"the check that began {lasted:.1f} s ago has not ended"}
+            return wire.Readiness(ready=False, checks=late | checks)
+        return self._aged(self._last)
+
+    def close(self) -> None:
+        """End the thread, without waiting for a check."""
+        self._thread.shutdown(wait=False)
+
+    @staticmethod
+    def _aged(last: tuple[float, wire.Readiness]) -> wire.Readiness:
+        made, readiness = last
+        return readiness.model_copy(update={"age_s": round(time.monotonic() - made, 1)})
+
+    def _check(self) -> wire.Readiness:
+        try:
+            readiness = self._look()
+        except Exception as error:
+            readiness = wire.Readiness(ready=False, checks={"service": f"the check failed ({type(error).__name__})"})
+        self._last = time.monotonic(), readiness
+        return readiness
+
+    def _look(self) -> wire.Readiness:
+        store = self._runtime.store
+        needed = {
+            "database": store.check(),
+            "disk": store.check_space(),
+            "encoder": self._encoder(),
+            "worker": self._worker(),
+        }
+        maps = self._maps() if needed["database"] == "ok" else {}
+        broken = {f"map {name}": found.state for name, found in maps.items() if found.state != "ok"}
+        ready = all(state == "ok" for state in needed.values())
+        return wire.Readiness(ready=ready, checks=needed | broken, maps=maps)
+
+    def _encoder(self) -> str:
+        scheduler = self._runtime.scheduler
+        if not scheduler.alive:
+            return "its thread has ended; restart the service"
+        before = scheduler.encoded
+        try:
+            scheduler.submit(TEST_IMAGE, lambda *_: None, urgent=True).result(ENCODER_PATIENCE_S)
+        except Busy:
+            return "ok"  # it works through as many queries as may wait
+        except TimeoutError:
+            if scheduler.encoded == before:
+                return f"it has encoded no image for {ENCODER_PATIENCE_S:.0f} s"
+        except Exception as error:
+            return f"it failed on a test image ({type(error).__name__}); the service's log has the reason"
+        return "ok"
+
+    def _worker(self) -> str:
+        runtime = self._runtime
+        if runtime.attendance.alive:
+            return "ok"
+        return NO_WORKER if runtime.loop is None else "its thread has ended; restart the service"
+
+    def _maps(self) -> dict[str, wire.MapReadiness]:
+        indexed = self._runtime.catalogue.revisions()
+        found = {}
+        for record in self._runtime.store.maps.all():
+            state = "ok"
+            try:
+                self._runtime.describers.of(record.description)
+            except RevisitError as error:
+                state = error.detail
+            found[record.name] = wire.MapReadiness(
+                state=state, revision=record.revision, indexed=indexed.get(record.name)
+            )
+        return found

@@ -1,0 +1,105 @@
+"""Views are excluded by the order and the time of their enrolment, whatever the clock of the machine does."""
+
+from datetime import timedelta
+from itertools import accumulate, pairwise
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from schemas.records import Filters, ViewAttributes
+from tests.storage.conftest import Open
+from tests.storage.databases import data_folder, sqlite_url
+from tests.storage.material import NOW, RECIPE, enroll, facts, image
+from worker.storage.enrolment_order import following_id
+from worker.storage.store import SqlStore, open_store
+
+SECONDS = st.integers(-(10**9), 10**9)
+
+
+def searched(store: SqlStore, seconds: float) -> list[str]:
+    """Ids of the views of the map that are not among those of the last seconds, in enrolment order."""
+    views, _ = store.views.list("campus", Filters(exclude_last=timedelta(seconds=seconds)), limit=1000)
+    return [view.id for view in views]
+
+
+def at(store: SqlStore, number: int, wall_s: float, steady_s: float | None = None, map_name: str = "campus") -> str:
+    """Enrol a view at a time of the machine's clock and a reading of the steady one; its id."""
+    body = image(f"{number}")
+    now = NOW + timedelta(seconds=wall_s)
+    return store.enrolment.submit(map_name, body, facts(body), ViewAttributes(), RECIPE, now, steady_s).view.id
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(jumps=st.lists(SECONDS, min_size=1, max_size=12), span=st.integers(0, 10**9))
+def test_time_is_what_passed_between_enrolments_and_a_jump_back_counts_nothing(jumps: list[int], span: int) -> None:
+    """Without a steady clock, as between two runs of the service."""
+    times = list(accumulate(jumps))
+    with data_folder() as folder:
+        store = open_store(sqlite_url(folder), folder)
+        ids = [at(store, number, time) for number, time in enumerate(times)]
+        passed = [max(0, later - earlier) for earlier, later in pairwise(times)]
+        wanted = [view for number, view in enumerate(ids) if sum(passed[number:]) > span]
+        assert searched(store, span) == wanted
+        assert ids == sorted(ids)
+        store.close()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    steps=st.lists(st.tuples(SECONDS, st.integers(0, 100)), min_size=2, max_size=12),
+    span=st.integers(0, 300),
+)
+def test_within_a_run_only_the_steady_clock_counts(steps: list[tuple[int, int]], span: int) -> None:
+    """A clock set forward by years excludes and admits the same views as one that is right."""
+    with data_folder() as folder:
+        store = open_store(sqlite_url(folder), folder)
+        steady = list(accumulate(step for _, step in steps))
+        ids = [at(store, number, wall, steady[number]) for number, (wall, _) in enumerate(steps)]
+        assert searched(store, span) == [
+            view for view, moment in zip(ids, steady, strict=True) if steady[-1] - moment > span
+        ]
+        assert ids == sorted(ids)
+        store.close()
+
+
+def test_enrolments_of_other_maps_and_deletions_do_not_stop_the_time(store: SqlStore) -> None:
+    old = at(store, 0, 0, 100.0)
+    other = at(store, 1, -5000, 120.0, "elsewhere")
+    store.removals.delete_view(other)
+    new = at(store, 2, 9000, 140.0)
+    assert searched(store, 39) == [old]
+    assert searched(store, 40) == []
+    assert searched(store, 0) == [old]
+    store.removals.delete_view(new)
+    assert searched(store, 0) == []
+
+
+def test_after_a_restart_the_time_goes_on_from_the_newest_view(reopen: Open) -> None:
+    first = at(reopen(), 0, 0, 1000.0)
+    again = reopen()  # its steady clock begins anew, the machine's clock went on by a minute
+    at(again, 1, 60, 5.0)
+    at(again, 2, -(10**6), 6.0)
+    assert searched(again, 60) == [first]
+    assert searched(again, 61) == []
+
+
+def test_pages_and_ids_keep_the_order_of_enrolment_when_the_clock_goes_back(store: SqlStore) -> None:
+    ids = [enroll(store, f"{number}", now=NOW - timedelta(days=number)).view.id for number in range(9)]
+    listed: list[str] = []
+    cursor = None
+    while True:
+        page, cursor = store.views.list("campus", Filters(), cursor=cursor, limit=2)
+        listed += [view.id for view in page]
+        if cursor is None:
+            break
+    assert listed == ids == sorted(ids)
+
+
+@given(st.integers(0, 2**48 - 2), st.integers(0, 2**74 - 1))
+def test_an_id_follows_any_other(milliseconds: int, rest: int) -> None:
+    from uuid6 import UUID
+
+    previous = str(UUID(int=(milliseconds << 80) | rest, version=7))
+    made = following_id(previous)
+    assert made > previous
+    assert UUID(made).version == 7

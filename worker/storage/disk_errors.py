@@ -1,0 +1,54 @@
+"""Errors of the disk, from files and from SQLite, as errors of revisit: it is full, or it cannot be written."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import sqlalchemy as sa
+
+from schemas.errors import DiskFull, RevisitError, StorageFailed
+from worker.storage import dialect
+
+_READ_ONLY, _IO_ERROR, _CANNOT_OPEN, _NO_PERMISSION = 8, 10, 14, 3
+_SQLITE = {
+    _READ_ONLY: "it is read-only",
+    _IO_ERROR: "the disk reports an error",
+    _CANNOT_OPEN: "its file cannot be opened",
+    _NO_PERMISSION: "its permissions forbid it",
+}
+_FILES = frozenset({errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENODEV, errno.ENXIO, errno.EMFILE})
+
+FULL = "the disk of the {} is full; free some space or delete views"
+FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
+
+
+def problem_of(error: BaseException, what: str) -> RevisitError | None:
+    """DiskFull or StorageFailed when the disk is at fault, else None.
+
+    Parameters
+    ----------
+    error : BaseException
+    what : str
+        ``database`` or ``images``, for the text.
+    """
+    if dialect.is_full(error):
+        return DiskFull(FULL.format(what))
+    if isinstance(error, sa.exc.DBAPIError):
+        code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF
+        return StorageFailed(FAILED.format(what, _SQLITE[code])) if code in _SQLITE else None
+    if isinstance(error, OSError) and error.errno in _FILES:
+        return StorageFailed(FAILED.format(what, os.strerror(error.errno)))
+    return None
+
+
+@contextmanager
+def translated(what: str) -> Iterator[None]:
+    """Raise errors of the disk inside the block as DiskFull or StorageFailed."""
+    try:
+        yield
+    except (OSError, sa.exc.DBAPIError) as error:
+        problem = problem_of(error, what)
+        if problem is None:
+            raise
+        raise problem from error
