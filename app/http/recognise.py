@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from app.http import presenters
-from app.http.waiter import settled
+from app.http.waiter import Waiter
 from schemas import wire
 from schemas.errors import RevisitError
 from schemas.records import Filters, ViewAttributes
@@ -36,8 +36,13 @@ class Recogniser:
     """
 
     def __init__(self, enroll: EnrollService, query: QueryService, settlements: Settlements, queries: int) -> None:
-        self._enroll, self._query, self._settlements = enroll, query, settlements
+        self._enroll, self._query = enroll, query
+        self._waiter = Waiter(settlements)
         self._threads = ThreadPoolExecutor(queries + SEARCHING, "revisit-query")
+
+    def drain(self) -> None:
+        """Let enrolments that wait for their description answer as with ``wait=false``, now and from now on."""
+        self._waiter.drain()
 
     async def enroll(
         self, images: Sequence[tuple[str | None, bytes]], map_name: str, attributes: ViewAttributes, wait: bool
@@ -72,7 +77,7 @@ class Recogniser:
         view = None
         if wait and accepted.submitted.job_id is not None:
             describing = time.perf_counter()
-            view = await settled(self._settlements, accepted.submitted.view.id, PATIENCE_S)
+            view = await self._waiter.settled(accepted.submitted.view.id, PATIENCE_S)
             waited_ms = (time.perf_counter() - describing) * 1000
             accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
         try:

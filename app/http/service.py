@@ -36,8 +36,11 @@ class Service:
     def of(cls, runtime: "Runtime") -> "Service":
         """The use-cases of a runtime."""
         services = runtime.services
+        recogniser = Recogniser(services.enroll, services.query, runtime.settlements, runtime.settings.queries)
+        lifecycle = Lifecycle(runtime)
+        lifecycle.on_drain(recogniser.drain)
         return cls(
-            Recogniser(services.enroll, services.query, runtime.settlements, runtime.settings.queries),
+            recogniser,
             Curator(
                 services.views,
                 services.renderings,
@@ -46,6 +49,6 @@ class Service:
                 services.calibration,
                 runtime.store.calls,
             ),
-            Lifecycle(runtime),
+            lifecycle,
             runtime.settings,
         )
