@@ -5,7 +5,8 @@
     RevisitError
     ├── BadBody            no-picture, malformed-body
     ├── BadImage           not-a-picture, undecodable-picture, picture-too-large, picture-too-small
-    ├── BodyTooLarge       body-too-large
+    ├── BodyTooLarge       body-too-large        UnexpectedBody unexpected-body
+    ├── RequestTimeout     request-timeout
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static
     ├── NotFound           not-found
@@ -73,6 +74,18 @@ class BodyTooLarge(RevisitError):
     """A request body larger than the limit."""
 
     code = "body-too-large"
+
+
+class UnexpectedBody(RevisitError):
+    """A body on a request that takes none."""
+
+    code = "unexpected-body"
+
+
+class RequestTimeout(RevisitError):
+    """A request that did not arrive in time."""
+
+    code = "request-timeout"
 
 
 class InvalidParameters(RevisitError):
@@ -152,7 +165,7 @@ class Busy(RevisitError):
 
 
 class Unavailable(Busy):
-    """The service cannot answer now: it is starting, stopping, overtaken by deletions, or has no worker."""
+    """The service cannot answer now: it starts, stops, is overtaken by deletions, has no worker or is crowded."""
 
     code = "unavailable"
 

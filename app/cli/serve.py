@@ -13,8 +13,6 @@ from app.cli import logs
 from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
 
 if TYPE_CHECKING:
-    import uvicorn
-
     from schemas.settings import Settings
     from worker.runtime import Runtime
 
@@ -122,23 +120,23 @@ def _listen(settings: "Settings") -> socket.socket:
 
 
 def _serve(settings: "Settings", listening: socket.socket) -> int:
-    import uvicorn
-
-    from app.http.application import create_app
+    from app.http.application import application
+    from app.http.server import Server, configured
+    from app.http.service import Service
     from worker.runtime import build
 
     runtime = build(settings)
-    config = uvicorn.Config(
-        create_app(runtime),
-        log_config=None,
-        access_log=False,  # app.http.middleware writes the access log
-        timeout_graceful_shutdown=GRACE_S,
-        lifespan="on",
-    )
+    service = Service.of(runtime)
     # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
-    server = _server(config, runtime, _address(settings.host, listening.getsockname()[1]))
+    url = _address(settings.host, listening.getsockname()[1])
+    server = Server(
+        configured(application(service), settings),
+        settings.grace_s,
+        drain=service.lifecycle.drain,
+        announce=lambda: announce(runtime, url),
+    )
     server.run(sockets=[listening])
     if not server.started:
         say("revisit: the service could not start; the reason is above")
@@ -150,19 +148,6 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
 def _address(host: str, port: int) -> str:
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"
-
-
-def _server(config: "uvicorn.Config", runtime: "Runtime", url: str) -> "uvicorn.Server":
-    """A uvicorn server that prints its address once it serves."""
-    import uvicorn
-
-    class Announcing(uvicorn.Server):
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets=sockets)
-            if self.started:
-                announce(runtime, url)
-
-    return Announcing(config)
 
 
 def announce(runtime: "Runtime", url: str) -> None:

@@ -79,9 +79,14 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     problems.install(app)
     # The middleware added last is outermost: RequestContext sees every answer, and no body is read before ReadinessGate
     # and BodyLimit let the request through.
-    app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
+    app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA), seconds=service.settings.body_s)
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     if tracer_provider is not None:
         app.add_middleware(Tracing, provider=tracer_provider, metrics=metrics)
-    app.add_middleware(RequestContext, metrics=metrics, slow_s=service.settings.slow_s)
+    app.add_middleware(
+        RequestContext,
+        metrics=metrics,
+        draining=lambda: service.lifecycle.draining,
+        slow_s=service.settings.slow_s,
+    )
     return app

@@ -2,6 +2,7 @@
 
 import asyncio
 import platform
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from functools import cache
@@ -35,6 +36,7 @@ class Lifecycle:
         self._check = ReadinessCheck(runtime)
         self._started = False
         self._draining = False
+        self._on_drain: list[Callable[[], None]] = []
         # A thread of its own: the probes must be answered while all other threads are busy.
         self._thread = ThreadPoolExecutor(1, "revisit-lifecycle")
         gather = StatisticsService(
@@ -59,9 +61,21 @@ class Lifecycle:
         await asyncio.to_thread(self._runtime.start)
         self._started = True
 
+    def on_drain(self, call: Callable[[], None]) -> None:
+        """Have `call` called, on the event loop, when the service begins to stop."""
+        self._on_drain.append(call)
+
+    def drain(self) -> None:
+        """Begin to stop: requests under way are finished, new ones are refused, and those that wait are woken."""
+        if self._draining:
+            return
+        self._draining = True
+        for call in self._on_drain:
+            call()
+
     async def stop(self) -> None:
         """Finish the work under way and stop the runtime."""
-        self._draining = True
+        self.drain()
         await asyncio.to_thread(self._runtime.stop)
         self._thread.shutdown()
         self._statistics.close()

@@ -1,5 +1,6 @@
-"""Middleware around every route: request id, access log, metrics, readiness, size of the body. ASGI, no buffering."""
+"""Middleware around every route: request id, access log, metrics, readiness, bounds of the body. ASGI, no buffering."""
 
+import asyncio
 import logging
 import re
 import secrets
@@ -8,14 +9,14 @@ from collections.abc import Callable
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import Request
-from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.limits import CROWDED, SLOWEST_BYTES_S
 from app.http.metrics import Metrics
 from app.http.notes import Notes, noting
-from app.http.problems import internal, problem_of
-from schemas.errors import BodyTooLarge, Unavailable
+from app.http.problems import internal
+from app.http.refusing import refuse
+from schemas.errors import BodyTooLarge, RequestTimeout, Unavailable
 from schemas.log_context import bound
 
 access = logging.getLogger("revisit.access")
@@ -28,15 +29,35 @@ ALWAYS_OPEN = frozenset({"/livez", "/readyz", "/metrics"})
 
 STARTING_RETRY_S = 2
 DRAINING_RETRY_S = 10
+CROWDED_RETRY_S = 2
+
+_OF_EVERY_ANSWER = {
+    # A browser must not interpret an enrolled image as a page, nor let other sites read or show it.
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    # Addresses hold ids, names of maps and positions.
+    "Referrer-Policy": "no-referrer",
+}
 
 
 class RequestContext:
-    """Outermost: gives each request an id, logs and counts its answer, and answers 500 to uncaught exceptions."""
+    """Outermost: gives each request an id, logs and counts its answer, and answers 500 to uncaught exceptions.
 
-    def __init__(self, app: ASGIApp, metrics: Metrics, slow_s: float = 5) -> None:
+    Parameters
+    ----------
+    app : ASGIApp
+    metrics : Metrics
+    draining : callable
+        Whether the service is stopping: then each connection ends with its answer.
+    slow_s : float
+        Requests that take longer are logged as warnings, seconds.
+    """
+
+    def __init__(self, app: ASGIApp, metrics: Metrics, draining: Callable[[], bool], slow_s: float = 5) -> None:
         self._app = app
         self._metrics = metrics
-        self._slow_s = slow_s  # requests that take longer are logged as warnings
+        self._draining = draining
+        self._slow_s = slow_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -48,11 +69,14 @@ class RequestContext:
         request_id = given if _SANE_ID.fullmatch(given) else secrets.token_hex(16)
         scope.setdefault("state", {})["request_id"] = request_id
         status = received = sent = 0
+        unread = has_body(scope)
 
-        async def receive_counted() -> Message:
-            nonlocal received
+        async def receive_watched() -> Message:
+            nonlocal received, unread
             message = await receive()
             received += len(message.get("body", b""))
+            if not message.get("more_body", False):
+                unread = False
             return message
 
         async def send_with_id(message: Message) -> None:
@@ -62,13 +86,27 @@ class RequestContext:
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-Id"] = request_id
-                # A browser must not interpret an enrolled image as a page.
-                headers["X-Content-Type-Options"] = "nosniff"
+                for name, value in _OF_EVERY_ANSWER.items():
+                    headers.setdefault(name, value)
+                if status >= 400:
+                    headers.setdefault("Cache-Control", "no-store")
+                if unread or self._draining():
+                    # With the rest of a body unread, or no service to come back to, no other request can follow.
+                    headers["Connection"] = "close"
             await send(message)
 
         with bound(request_id=request_id), noting() as notes, self._metrics.in_flight.track_inprogress():
             try:
-                await self._app(scope, receive_counted, send_with_id)
+                await self._app(scope, receive_watched, send_with_id)
+            except asyncio.CancelledError:
+                if status or not self._draining():
+                    raise
+                await refuse(
+                    Unavailable("the service stopped before this was done; it may be done or not", DRAINING_RETRY_S),
+                    scope,
+                    receive,
+                    send_with_id,
+                )
             except Exception as error:
                 response = internal(error, request_id)
                 if status == 0:
@@ -113,7 +151,7 @@ class RequestContext:
 
 
 class ReadinessGate:
-    """Answers 503 while the service starts or drains."""
+    """Answers 503 while the service starts or drains, or when too many connections are open."""
 
     def __init__(self, app: ASGIApp, state: Callable[[], tuple[bool, bool]]) -> None:
         self._app = app
@@ -126,19 +164,31 @@ class ReadinessGate:
             return
         started, draining = self._state()
         if draining:
-            await _refuse(Unavailable("the service is stopping", DRAINING_RETRY_S), scope, receive, send)
+            await refuse(Unavailable("the service is stopping", DRAINING_RETRY_S), scope, receive, send)
         elif not started:
-            await _refuse(Unavailable("the service is starting", STARTING_RETRY_S), scope, receive, send)
+            await refuse(Unavailable("the service is starting", STARTING_RETRY_S), scope, receive, send)
+        elif scope.get("state", {}).get(CROWDED):
+            await refuse(Unavailable("too many connections are open", CROWDED_RETRY_S), scope, receive, send)
         else:
             await self._app(scope, receive, send)
 
 
 class BodyLimit:
-    """Refuses bodies of more than `max_bytes`: by Content-Length before reading, else while reading."""
+    """Refuses bodies that are too large, by Content-Length before reading, else while reading; or that arrive too late.
 
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+    Parameters
+    ----------
+    app : ASGIApp
+    max_bytes : int
+        Bytes of the largest body.
+    seconds : float
+        Seconds in which a body has to arrive, and one more for each `SLOWEST_BYTES_S` bytes that have arrived.
+    """
+
+    def __init__(self, app: ASGIApp, max_bytes: int, seconds: float) -> None:
         self._app = app
         self._max_bytes = max_bytes
+        self._seconds = seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request whose body is counted while it is read."""
@@ -147,13 +197,25 @@ class BodyLimit:
             return
         announced = Headers(scope=scope).get("content-length", "")
         if announced.isdigit() and int(announced) > self._max_bytes:
-            await _refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
+            await refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
             return
         received = 0
+        complete = not has_body(scope)
+        begin = time.monotonic()
 
         async def receive_counted() -> Message:
-            nonlocal received
-            message = await receive()
+            nonlocal received, complete
+            if complete:  # what follows is the end of the connection, which may be waited for
+                return await receive()
+            allowed = self._seconds + received / SLOWEST_BYTES_S
+            try:
+                async with asyncio.timeout(max(0.0, begin + allowed - time.monotonic())):
+                    message = await receive()
+            except TimeoutError:
+                raise RequestTimeout(
+                    f"the body did not arrive within {allowed:.0f} s; {received:,} bytes of it did"
+                ) from None
+            complete = not message.get("more_body", False)
             if message["type"] == "http.request":
                 received += len(message.get("body", b""))
                 if received > self._max_bytes:
@@ -167,8 +229,7 @@ class BodyLimit:
         return BodyTooLarge(f"the body has {size} bytes; at most {self._max_bytes:,} are taken")
 
 
-async def _refuse(error: BodyTooLarge | Unavailable, scope: Scope, receive: Receive, send: Send) -> None:
-    response: Response = problem_of(error, Request(scope).state.request_id)
-    # The body is unread, so the connection cannot carry another request.
-    response.headers["Connection"] = "close"
-    await response(scope, receive, send)
+def has_body(scope: Scope) -> bool:
+    """Whether a request announces a body, which may turn out to be empty when it is chunked (RFC 9112, section 6)."""
+    headers = Headers(scope=scope)
+    return headers.get("content-length", "0").strip("0") != "" or "transfer-encoding" in headers

@@ -44,10 +44,12 @@ KINDS: Mapping[str, Kind] = {
     "no-picture": Kind(400, "No image was sent", "Send the image as the multipart part `image` or as the body."),
     "malformed-body": Kind(400, "The body cannot be parsed", "Let an HTTP library write the body, and send all of it."),
     "bad-request": Kind(400, "The request cannot be understood", "Compare it with /docs."),
+    "unexpected-body": Kind(400, "This request takes no body", "Leave the body out."),
     "unauthorized": Kind(401, "A key is needed", "Send a valid key."),
     "forbidden": Kind(403, "The key does not allow this", "Use a key with the needed scope and map."),
     "not-found": Kind(404, "There is no such thing", "Check the id or name; `GET /maps` and `GET /views` list them."),
     "method-not-allowed": Kind(405, "The address does not answer this method", "Use a method that `Allow` names."),
+    "request-timeout": Kind(408, "The request did not arrive in time", "Send it again, over a faster connection."),
     "conflict": Kind(
         409, "It contradicts the present state or work under way", "Wait for the other call, or follow `detail`."
     ),
@@ -68,6 +70,7 @@ KINDS: Mapping[str, Kind] = {
         422, "The Idempotency-Key belongs to another request", "Use a new key for every new request."
     ),
     "too-many-requests": Kind(429, "Too many requests are waiting", "Try again after `Retry-After` seconds."),
+    "headers-too-large": Kind(431, "The headers are too large", "Send fewer or shorter headers and parameters."),
     "internal": Kind(500, "The service failed", "Try again; report it with the request id, which the log has too."),
     "unavailable": Kind(
         503, "The service cannot do this now", "Follow `detail`; try again after `Retry-After` seconds."

@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 
 from app.http import presenters
-from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError
 from schemas.records import Filters, ViewAttributes
@@ -38,9 +37,13 @@ class Recogniser:
     def __init__(
         self, enroll: EnrollService, query: QueryService, settlements: Settlements, queries: int, wait_s: float
     ) -> None:
-        self._enroll, self._query, self._settlements = enroll, query, settlements
-        self._wait_s = wait_s
+        self._enroll, self._query = enroll, query
+        self._settlements, self._wait_s = settlements, wait_s
         self._threads = ThreadPoolExecutor(queries + SEARCHING, "revisit-query")
+
+    def drain(self) -> None:
+        """Let enrolments that wait for their description answer as with ``wait=false``, now and from now on."""
+        self._settlements.give_up()
 
     async def enroll(
         self, images: Sequence[tuple[str | None, bytes]], map_name: str, attributes: ViewAttributes, wait: bool

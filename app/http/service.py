@@ -36,14 +36,13 @@ class Service:
     def of(cls, runtime: "Runtime") -> "Service":
         """The use-cases of a runtime."""
         services = runtime.services
+        recogniser = Recogniser(
+            services.enroll, services.query, runtime.settlements, runtime.settings.queries, runtime.settings.wait
+        )
+        lifecycle = Lifecycle(runtime)
+        lifecycle.on_drain(recogniser.drain)
         return cls(
-            Recogniser(
-                services.enroll,
-                services.query,
-                runtime.settlements,
-                runtime.settings.queries,
-                runtime.settings.wait,
-            ),
+            recogniser,
             Curator(
                 services.views,
                 services.renderings,
@@ -52,6 +51,6 @@ class Service:
                 services.calibration,
                 runtime.store.calls,
             ),
-            Lifecycle(runtime),
+            lifecycle,
             runtime.settings,
         )

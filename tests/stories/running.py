@@ -81,6 +81,16 @@ class RunningService:
         self._close()
         return code
 
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal and return at once."""
+        self._process.send_signal(number)
+
+    def wait(self, seconds: float = 60) -> int:
+        """The exit code, once the process has ended by itself."""
+        code = self._process.wait(seconds)
+        self._close()
+        return code
+
     def _close(self) -> None:
         self._reader.join(5)
         assert self._process.stdout is not None

@@ -1,0 +1,256 @@
+"""One HTTP/1.1 connection: bounds on time and size, and refusals that reach clients which are still sending.
+
+uvicorn's protocol on h11, with what it lacks: a deadline for headers, problem details for what cannot be parsed, and a
+close that first throws away what the client still sends (RFC 9112, section 9.6). Closing a socket with unread data
+resets the connection, and a reset destroys the answer before the client has read it.
+"""
+
+import asyncio
+import contextlib
+import logging
+import re
+import secrets
+import sys
+from http import HTTPStatus
+from typing import Any, ClassVar
+from urllib.parse import unquote_to_bytes
+
+import h11
+from uvicorn.config import Config
+from uvicorn.protocols.http.flow_control import FlowControl
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from app.http.limits import CROWDED, IDLE_S, MOST_HEAD_BYTES, RESERVE, STALLED_S, ConnectionLimits
+from app.http.problems import problem
+
+logger = logging.getLogger("revisit.http")
+
+_ABSOLUTE = re.compile(rb"https?://[^/?#]*", re.IGNORECASE)
+_VERSIONS = (b"1.0", b"1.1")
+_TOO_LARGE = 431
+
+
+class _Connection(h11.Connection):
+    """h11's parser, stricter: what two servers could read in two ways is refused (RFC 9112, section 11.2)."""
+
+    def next_event(self) -> Any:
+        """The next event; raises h11.RemoteProtocolError for what is refused."""
+        event = super().next_event()
+        if not isinstance(event, h11.Request):
+            return event
+        size = len(event.target) + sum(len(name) + len(value) + 4 for name, value in event.headers)
+        if size > MOST_HEAD_BYTES:
+            raise h11.RemoteProtocolError(f"the headers have {size:,} bytes", error_status_hint=_TOO_LARGE)
+        if event.http_version not in _VERSIONS:
+            raise h11.RemoteProtocolError(f"HTTP/{event.http_version.decode()} is not spoken here")
+        names = [name for name, _ in event.headers]
+        if b"transfer-encoding" in names and (b"content-length" in names or event.http_version == b"1.0"):
+            raise h11.RemoteProtocolError("Transfer-Encoding cannot stand beside Content-Length, nor in HTTP/1.0")
+        return _in_origin_form(event)
+
+
+def _in_origin_form(request: h11.Request) -> h11.Request:
+    """The request with a path as its target; raises h11.RemoteProtocolError when it cannot be had."""
+    target = request.target
+    if absolute := _ABSOLUTE.match(target):  # RFC 9112, section 3.2.2: servers must accept it
+        rest = target[absolute.end() :]
+        target = rest if rest.startswith(b"/") else b"/" + rest
+    elif not target.startswith(b"/") and (request.method, target) != (b"OPTIONS", b"*"):
+        raise h11.RemoteProtocolError("the target of a request needs to begin with /")
+    path = unquote_to_bytes(target.partition(b"?")[0])
+    if any(byte < 0x20 or byte == 0x7F for byte in path):
+        raise h11.RemoteProtocolError("the path has control characters")
+    if target == request.target:
+        return request
+    return h11.Request(method=request.method, headers=request.headers, target=target, http_version=request.http_version)
+
+
+class _Transport(asyncio.Transport):
+    """A transport whose `close` asks the protocol, which may have to throw away a body first."""
+
+    def __init__(self, inner: asyncio.Transport, protocol: "BoundedProtocol") -> None:
+        super().__init__()
+        self._inner, self._protocol = inner, protocol
+
+    def close(self) -> None:
+        self._protocol.finish()
+
+    def is_closing(self) -> bool:
+        return self._protocol.finishing or self._inner.is_closing()
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self._inner.write(data)
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        return self._inner.get_extra_info(name, default)
+
+    def pause_reading(self) -> None:
+        self._inner.pause_reading()
+
+    def resume_reading(self) -> None:
+        self._inner.resume_reading()
+
+
+class BoundedProtocol(H11Protocol):
+    """uvicorn's HTTP/1.1 protocol with `limits`; use the subclass that `protocol_with` makes."""
+
+    limits: ClassVar[ConnectionLimits]
+
+    def __init__(
+        self,
+        config: Config,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        _loop: asyncio.AbstractEventLoop | None = None,
+    ) -> None:
+        super().__init__(config, server_state, app_state, _loop)
+        self.conn = _Connection(h11.SERVER, MOST_HEAD_BYTES)
+        self.finishing = False
+        self._inner: asyncio.Transport
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._heard = False  # bytes of a request that is not complete yet
+        self._discarded = 0
+        self._unsent = 0
+
+    # what asyncio calls
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Count the connection, and begin to wait for a request."""
+        super().connection_made(transport)
+        self._inner = transport
+        self.transport = _Transport(transport, self)
+        self.flow = FlowControl(self.transport)
+        if len(self.connections) > self.limits.connections + RESERVE:
+            transport.abort()
+            return
+        if len(self.connections) > self.limits.connections:
+            self.app_state = {**self.app_state, CROWDED: True}
+        self._after("head", self.limits.head_s, self._head_is_late)
+
+    def data_received(self, data: bytes) -> None:
+        """Parse bytes, or throw them away when the connection is finishing."""
+        if self.finishing:
+            self._discard(len(data))
+            return
+        answered = self.cycle
+        if answered is None or answered.response_complete:
+            self._heard = True
+            if "head" not in self._timers:
+                self._after("head", self.limits.head_s, self._head_is_late)
+        super().data_received(data)
+        if self.cycle is not answered:
+            self._heard = False
+            self._cancel("head")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop all timers."""
+        self.finishing = True
+        for name in list(self._timers):
+            self._cancel(name)
+        super().connection_lost(exc)
+
+    # what uvicorn calls
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what h11 refused; called while its exception is handled, whose text is better than `msg`."""
+        error = sys.exc_info()[1]
+        if getattr(error, "error_status_hint", 400) == _TOO_LARGE:
+            self._answer("headers-too-large", f"request line and headers have more than {MOST_HEAD_BYTES:,} bytes")
+        else:
+            self._answer("bad-request", str(error or msg))
+
+    def _unsupported_upgrade_warning(self) -> None:
+        """No warning: a client may ask for another protocol, and is answered in this one."""
+
+    def shutdown(self) -> None:
+        """Close an idle connection, and others once they have answered."""
+        if not self.finishing:
+            super().shutdown()
+
+    # time
+
+    def _after(self, name: str, seconds: float, call: Any) -> None:
+        self._cancel(name)
+        self._timers[name] = self.loop.call_later(seconds, call)
+
+    def _cancel(self, name: str) -> None:
+        if timer := self._timers.pop(name, None):
+            timer.cancel()
+
+    def _head_is_late(self) -> None:
+        if self.finishing or (self.cycle is not None and not self.cycle.response_complete):
+            return
+        if self._heard:
+            seconds = f"{self.limits.head_s:g}"
+            self._answer("request-timeout", f"request line and headers did not arrive within {seconds} s")
+        else:
+            self.finish()
+
+    # answers that no route gives
+
+    def _answer(self, code: str, detail: str) -> None:
+        """Send a problem, unless an answer has begun, and close the connection."""
+        if self.finishing:
+            return
+        request_id = secrets.token_hex(16)
+        begun = self.conn.our_state is not h11.IDLE and self.conn.our_state is not h11.SEND_RESPONSE
+        if self.cycle is not None and not self.cycle.response_complete:
+            # The route may wait for the rest of the body, which will not come.
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
+        logger.info("%s: %s", code, detail, extra={"event": code, "client": self.client, "request_id": request_id})
+        if begun:
+            self._inner.abort()
+            return
+        response = problem(code, detail, request_id, headers={"Connection": "close", "X-Request-Id": request_id})
+        status = HTTPStatus(response.status_code)
+        lines = [b"HTTP/1.1 %d %s" % (status, status.phrase.encode())]
+        lines += [name + b": " + value for name, value in (*self.server_state.default_headers, *response.raw_headers)]
+        self._inner.write(b"\r\n".join((*lines, b"", bytes(response.body))))
+        self._finish(unread=True)
+
+    # closing
+
+    def finish(self) -> None:
+        """Close the connection, after throwing away what the client still sends; it gets what was written."""
+        rest, _ = self.conn.trailing_data
+        self._finish(unread=bool(rest) or self.conn.their_state in (h11.SEND_BODY, h11.ERROR))
+
+    def _finish(self, *, unread: bool) -> None:
+        if self.finishing:
+            return
+        self.finishing = True
+        self._unset_keepalive_if_required()
+        self._cancel("head")
+        self._watch_writing()
+        if not unread or self._inner.is_closing():
+            self._inner.close()
+            return
+        # The client sees the end of the answer while it may go on sending.
+        with contextlib.suppress(OSError, RuntimeError):
+            self._inner.write_eof()
+        self._inner.resume_reading()
+        self._after("discard", self.limits.discard_s, self._inner.close)
+        self._after("silence", IDLE_S, self._inner.close)
+
+    def _discard(self, size: int) -> None:
+        self._discarded += size
+        if self._discarded > self.limits.discard_bytes:
+            self._inner.close()
+        elif not self._inner.is_closing():
+            self._after("silence", IDLE_S, self._inner.close)
+
+    def _watch_writing(self) -> None:
+        """Give up a client that does not read its answer: `close` alone waits for it without end."""
+        unsent = self._inner.get_write_buffer_size()
+        if unsent and unsent == self._unsent:
+            self._inner.abort()
+            return
+        self._unsent = unsent
+        self._after("write", STALLED_S, self._watch_writing)
+
+
+def protocol_with(limits: ConnectionLimits) -> type[BoundedProtocol]:
+    """The protocol class for these limits: uvicorn makes the instances itself."""
+    return type("LimitedProtocol", (BoundedProtocol,), {"limits": limits})

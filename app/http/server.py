@@ -1,0 +1,97 @@
+"""The uvicorn server: bounded connections, and a stop that answers every caller."""
+
+import asyncio
+import logging
+import os
+import signal
+import socket
+from collections.abc import Callable
+from types import FrameType
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from app.http.connection import protocol_with
+from app.http.limits import IDLE_S, ConnectionLimits
+from schemas.settings import Settings
+
+log = logging.getLogger("revisit")
+
+LAST_ANSWERS_S = 2.0
+"""Seconds for the answers of requests that were broken off to be sent."""
+
+STAY_S = 0.25
+"""Seconds that the port stays open once all is answered, for callers that are just connecting."""
+
+
+def configured(app: ASGIApp, settings: Settings) -> uvicorn.Config:
+    """uvicorn's configuration: HTTP/1.1 by h11, without WebSockets, within the limits of the settings."""
+    return uvicorn.Config(
+        app,
+        http=protocol_with(ConnectionLimits.of(settings)),
+        ws="none",
+        log_config=None,
+        access_log=False,  # app.http.middleware writes the access log
+        server_header=False,
+        timeout_keep_alive=round(IDLE_S),
+        timeout_graceful_shutdown=round(IDLE_S),  # for connections only; requests have `Server.grace_s`
+        lifespan="on",
+    )
+
+
+class Server(uvicorn.Server):
+    """uvicorn's server, which keeps listening while it drains.
+
+    Parameters
+    ----------
+    config : uvicorn.Config
+        From `configured`.
+    grace_s : float
+        Seconds that requests under way may take once a signal has come.
+    drain : callable
+        Called when the signal has come, before any request is broken off.
+    announce : callable
+        Called once the port is open.
+    """
+
+    def __init__(
+        self, config: uvicorn.Config, grace_s: float, drain: Callable[[], None], announce: Callable[[], None]
+    ) -> None:
+        super().__init__(config)
+        self._grace_s, self._drain, self._announce = grace_s, drain, announce
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start the application, open the port and say so."""
+        await super().startup(sockets=sockets)
+        if self.started:
+            self._announce()
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """On the first signal stop in order, on the second at once."""
+        self._captured_signals.append(sig)
+        self.force_exit = self.should_exit
+        self.should_exit = True
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Refuse what is new, finish what is under way, then close."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + self._grace_s
+        under_way = set(self.server_state.tasks)
+        self._drain()
+        log.info("stopping: %d requests are under way", len(under_way), extra={"event": "draining"})
+        while under_way and not self.force_exit and loop.time() < until:
+            _, under_way = await asyncio.wait(under_way, timeout=0.1)
+        if self.server_state.connections and not self.force_exit:
+            await asyncio.sleep(STAY_S)
+        if self.server_state.tasks:
+            # `app.http.middleware.RequestContext` answers 503 for them; uvicorn would send a text without a type.
+            late = set(self.server_state.tasks)
+            for task in late:
+                task.cancel()
+            await asyncio.wait(late, timeout=LAST_ANSWERS_S)
+        await super().shutdown(sockets)
+        if self.force_exit:
+            log.warning("stopped at once by a second %s", signal.Signals(self._captured_signals[-1]).name)
+            # Threads at work would delay a regular end; what was acknowledged is on disk.
+            logging.shutdown()
+            os._exit(1)

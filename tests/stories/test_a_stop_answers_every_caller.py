@@ -1,0 +1,128 @@
+"""SIGTERM under load: every caller gets an answer with a type, none a reset, and a second signal stops at once."""
+
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+
+from tests.sample_images import drawn, encoded
+from tests.stories.raw import answers, connect, read_all, read_one
+from tests.stories.running import RunningService
+
+JPEG = {"content-type": "image/jpeg"}
+NO_WORKER = {"REVISIT_INLINE_WORKER": "false"}
+
+
+def image(seed: int) -> bytes:
+    return encoded(drawn(96, 64, seed), "jpeg")
+
+
+def waiting_jobs(service: RunningService) -> int:
+    return len(httpx.get(f"{service.url}/jobs?state=waiting&limit=500").json()["jobs"])
+
+
+def check(answer: httpx.Response, *statuses: int) -> None:
+    """One of these statuses, or 503 as a whole problem."""
+    assert answer.status_code in (*statuses, 503), answer.text
+    if answer.status_code == 503:
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert answer.json()["type"] == "urn:revisit:problem:unavailable"
+        assert int(answer.headers["retry-after"]) > 0
+    assert answer.headers["connection"] == "close"
+
+
+def test_enrolments_that_wait_are_answered_at_once_and_kept(tmp_path: Path) -> None:
+    """Nobody describes: all wait. The stop wakes them, and what 202 acknowledged is there after it."""
+    callers = 100
+    with RunningService(tmp_path, **NO_WORKER) as service, ThreadPoolExecutor(callers) as threads:
+
+        def enroll(seed: int) -> httpx.Response:
+            return httpx.post(f"{service.url}/enroll", content=image(seed), headers=JPEG, timeout=60)
+
+        calls = [threads.submit(enroll, seed) for seed in range(callers)]
+        while waiting_jobs(service) < callers:
+            assert not any(call.done() for call in calls)
+        begin = time.monotonic()
+        service.signal(signal.SIGTERM)
+        for call in calls:
+            answer = call.result()
+            check(answer, 201, 202)
+            assert answer.status_code == 202
+            assert answer.headers["location"] == f"/jobs/{answer.json()['job']}"
+        assert time.monotonic() - begin < 10
+        assert service.wait() == 0
+
+    with RunningService(tmp_path, **NO_WORKER) as service:
+        assert waiting_jobs(service) == callers
+
+
+def test_queries_before_and_after_the_signal_are_answered(tmp_path: Path) -> None:
+    """Thirty queries are on their way; as many come while the service drains, on connections that it kept open."""
+    with ExitStack() as connections, RunningService(tmp_path) as service, ThreadPoolExecutor(30) as threads:
+        assert httpx.post(f"{service.url}/enroll", content=image(0), headers=JPEG).status_code == 201
+        # One request holds the drain open: its body is not complete.
+        held = connections.enter_context(connect(service))
+        body = image(0)
+        held.sendall(b"POST /query HTTP/1.1\r\nHost: a\r\nContent-Type: image/jpeg\r\n")
+        held.sendall(b"Content-Length: %d\r\n\r\n" % len(body) + body[:100])
+
+        def query(_: int) -> httpx.Response:
+            return httpx.post(f"{service.url}/query", content=body, headers=JPEG, timeout=60)
+
+        before = [threads.submit(query, n) for n in range(30)]
+        kept = [connections.enter_context(connect(service)) for _ in range(5)]
+        for connection in kept:
+            connection.sendall(b"GET /livez HTTP/1.1\r\nHost: a\r\n\r\n")
+            assert read_one(connection).status == 200
+        service.signal(signal.SIGTERM)
+        while httpx.get(f"{service.url}/readyz").json()["checks"] != {"service": "stopping"}:
+            pass
+        for connection in kept:
+            connection.sendall(b"GET /maps HTTP/1.1\r\nHost: a\r\n\r\n")
+            (answer,) = answers(read_all(connection))
+            assert (answer.status, answer.problem(), answer.headers["connection"]) == (503, "unavailable", "close")
+        after = [threads.submit(query, n) for n in range(30)]
+        for call in before:
+            assert call.result().status_code in (200, 503)
+        for call in after:
+            check(call.result())
+        assert httpx.get(f"{service.url}/livez").status_code == 200
+        held.sendall(body[100:])
+        (answer,) = answers(read_all(held))
+        assert answer.status == 200
+        assert service.wait() == 0
+
+
+def test_what_is_not_done_in_time_is_told_so(tmp_path: Path) -> None:
+    with RunningService(tmp_path, REVISIT_GRACE_S="1") as service:
+        with connect(service) as held:
+            held.sendall(b"POST /query HTTP/1.1\r\nHost: a\r\nContent-Type: image/jpeg\r\nContent-Length: 9\r\n\r\nx")
+            while not answered_readiness(service):
+                pass
+            service.signal(signal.SIGTERM)
+            (answer,) = answers(read_all(held))
+        assert (answer.status, answer.problem(), answer.headers["connection"]) == (503, "unavailable", "close")
+        assert service.wait() == 0
+
+
+def answered_readiness(service: RunningService) -> bool:
+    return httpx.get(f"{service.url}/readyz").status_code == 200
+
+
+def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
+    for second in (signal.SIGTERM, signal.SIGINT):
+        with RunningService(tmp_path, REVISIT_GRACE_S="60") as service, connect(service) as held:
+            held.sendall(b"POST /query HTTP/1.1\r\nHost: a\r\nContent-Length: 9\r\n\r\nx")
+            assert answered_readiness(service)
+            service.signal(signal.SIGTERM)
+            while httpx.get(f"{service.url}/readyz").status_code == 200:
+                pass
+            begin = time.monotonic()
+            service.signal(second)
+            assert service.wait(20) == 1
+            assert time.monotonic() - begin < 5
+            (answer,) = answers(read_all(held))
+            assert answer.problem() == "unavailable"
