@@ -43,6 +43,23 @@ def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_n
     assert store.views.get(view.id).state == "ready"
 
 
+def test_a_lease_that_was_given_while_the_clock_was_ahead_ends_when_it_is_set_right(store: SqlStore) -> None:
+    view = enroll(store, "gate").view
+    [dead] = store.jobs.claim("killed", 1, LEASE, NOW + timedelta(days=1))
+
+    [other] = store.jobs.claim("other", 1, LEASE, NOW)
+
+    assert (other.job_id, other.attempts) == (dead.job_id, 2)
+    finish(store, other)
+    assert store.views.get(view.id).state == "ready"
+    for attempt in (1, 2, 3):
+        enroll(store, "bomb")
+        [claim] = store.jobs.claim("worker", 1, LEASE, NOW + timedelta(days=4 - attempt))
+        assert claim.attempts == attempt
+    assert store.jobs.claim("worker", 1, LEASE, NOW) == []
+    assert store.jobs.count_waiting() == 0
+
+
 def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> None:
     view = enroll(store, "gate").view
     [claim] = store.jobs.claim("slow", 1, LEASE, NOW)

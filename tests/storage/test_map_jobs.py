@@ -112,6 +112,15 @@ def test_progress_renews_the_lease(store: SqlStore) -> None:
     assert store.jobs.claim_map_job("other", LEASE, LATER) is None
 
 
+def test_a_lease_of_a_map_job_that_was_given_while_the_clock_was_ahead_ends_when_it_is_set_right(
+    store: SqlStore,
+) -> None:
+    campus_of_two(store)
+    store.jobs.queue_vocabulary("campus", NOW)
+    assert store.jobs.claim_map_job("killed", LEASE, NOW + timedelta(days=1)) is not None
+    assert store.jobs.claim_map_job("other", LEASE, NOW) is not None
+
+
 def test_training_put_back_begins_again_and_counts_no_attempt(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.queue_vocabulary("campus", NOW)

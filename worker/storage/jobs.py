@@ -25,7 +25,11 @@ WORKER_DIED = (
 
 # Statements that every enrolment runs are built once: building one takes longer than running it.
 _DESCRIBES = JOBS.c.kind == "describe"
-_IS_LEFT = _DESCRIBES & (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
+_IS_LEFT = (
+    _DESCRIBES
+    & (JOBS.c.state == "running")
+    & ((JOBS.c.lease_until <= sa.bindparam("moment")) | (JOBS.c.lease_until > sa.bindparam("furthest")))
+)
 _ANY_WAITING = sa.select(JOBS.c.id).where(_DESCRIBES, JOBS.c.state == "waiting").limit(1)
 _LEFT = sa.select(JOBS.c.id, JOBS.c.attempts).where(_IS_LEFT)
 _OLDEST = (
@@ -45,6 +49,15 @@ _JOB_ENDS = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of"))
 _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 
 
+def furthest(now: datetime, lease: timedelta) -> datetime:
+    """The furthest end of a lease that can be true, with room for a worker of another setting.
+
+    A lease beyond it was given while the clock was ahead. Its worker may have died before the clock was set right, and
+    waiting for its end would then take as long as the clock was wrong.
+    """
+    return now + 2 * lease
+
+
 class Jobs(Part):
     """The queue of describe jobs."""
 
@@ -53,18 +66,19 @@ class Jobs(Part):
 
         Enrolments, whose callers may be waiting, go before the jobs of a recipe switch.
         """
+        ends = {"moment": now, "furthest": furthest(now, lease)}
         with self._database.reading() as connection:  # with no job to claim, no writer has to wait
             waits = connection.execute(_ANY_WAITING).first()
-            left = list(connection.execute(_LEFT, {"moment": now}))
+            left = list(connection.execute(_LEFT, ends))
         for row in left:
             if row.attempts >= ATTEMPTS:
-                self._bury(row.id, now)
+                self._bury(row.id, now, ends["furthest"])
         if waits is None and not left:
             return []
         with self._database.writing(in_turn=False) as connection:
             jobs = list(connection.execute(_OLDEST_WAITING, {"most": int(count)}))
             if left:
-                jobs += connection.execute(_OLDEST_LEFT, {"moment": now, "most": int(count)})
+                jobs += connection.execute(_OLDEST_LEFT, {**ends, "most": int(count)})
             jobs = sorted(jobs, key=lambda job: (job.background, job.number))[:count]
             return self._lease(connection, jobs, worker, now + lease)
 
@@ -82,12 +96,12 @@ class Jobs(Part):
             Claim(job.id, tokens[job.number], views[job.seq], recipes[job.recipe], job.attempts + 1) for job in jobs
         ]
 
-    def _bury(self, job_id: str, now: datetime) -> None:
+    def _bury(self, job_id: str, now: datetime, furthest: datetime) -> None:
         """Fail a job whose workers have all died."""
         with self._database.writing() as connection:
             job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
             # Its last worker may have finished late rather than died.
-            if job is not None and job.state == "running" and job.lease_until <= now:
+            if job is not None and job.state == "running" and not now < job.lease_until <= furthest:
                 self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:

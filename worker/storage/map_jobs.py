@@ -18,7 +18,7 @@ from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import switching
-from worker.storage.jobs import ATTEMPTS, Jobs
+from worker.storage.jobs import ATTEMPTS, Jobs, furthest
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import find_map, inserting, keep_recipe
 from worker.storage.switching import UNFINISHED
@@ -68,7 +68,8 @@ class MapJobs(Jobs):
     def claim_map_job(self, worker: str, lease: timedelta, now: datetime) -> MapClaim | None:
         """Claim the oldest job of a map that waits or whose lease has ended; a job at most three times."""
         waits = (JOBS.c.kind == "vocabulary") & (JOBS.c.recipe.is_(None))
-        left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
+        ended = (JOBS.c.lease_until <= now) | (JOBS.c.lease_until > furthest(now, lease))
+        left = (JOBS.c.state == "running") & ended
         mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
             if connection.execute(mine).first() is None:
