@@ -11,6 +11,9 @@ import numpy as np
 
 EARTH_RADIUS_M = 6_371_008.8
 EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
+CLOSE_S = 0.1
+"""No `exclude_last` is sent whose limit is that near to the age of a view: how time is kept would decide."""
+
 PLACES = ("gate", "yard", "Straße 7", "столовая", "回廊")
 FLOORS = (0, 1, 2)
 
@@ -146,7 +149,8 @@ def draw_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
     parameters: dict[str, str] = {}
     kept = []
     for one in drawn:
-        if not parameters.keys() & one.parameters.keys():
+        twice = parameters.keys() & one.parameters.keys() or {"after", "before"} <= (parameters | one.parameters).keys()
+        if not twice:
             parameters |= one.parameters
             kept.append(one)
 
@@ -189,7 +193,9 @@ def _one_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
         return _each({"exclude": ",".join(gone)}, lambda view: view.id not in gone)
     if kind == 6 and not of.untimely:
         seconds = round(float(chance.uniform(0.01, 20)), 3)
-        return Narrowed({"exclude_last": f"{seconds}s"}, lambda all_: _not_within(all_, timedelta(seconds=seconds)))
+        ages = [(views[-1].enrolled_at - view.enrolled_at).total_seconds() for view in views]
+        if all(abs(age - seconds) > CLOSE_S for age in ages):
+            return Narrowed({"exclude_last": f"{seconds}s"}, lambda all_: _not_within(all_, timedelta(seconds=seconds)))
     count = int(chance.integers(1, 12))
     return Narrowed({"exclude_last": str(count)}, lambda all_: list(all_[:-count]))
 

@@ -44,6 +44,7 @@ def settings(data: Path, **further: str) -> dict[str, str]:
         "REVISIT_ENCODER": "color",
         "REVISIT_PORT": "0",
         "REVISIT_THREADS": "1",
+        "REVISIT_LEASE_S": "2",  # what a killed process was describing is described again after so long
     } | further
 
 
