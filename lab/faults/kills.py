@@ -31,7 +31,7 @@ CALLERS = 3
 MOST_ACKNOWLEDGED = 15
 """Most acknowledged calls between two kills: moments that do not depend on how fast the machine is."""
 
-LEASE_S = "1"
+QUICK = {"REVISIT_LEASE_S": "1"}
 """What a killed process was describing is described again after so long; every check waits for it."""
 
 STUCK_S = 30.0
@@ -62,7 +62,7 @@ class Site:
         self.chance = np.random.default_rng(seed)
         self.callers = [Caller(number, seed) for number in range(1, CALLERS + 1)]
         apart = {"REVISIT_INLINE_WORKER": "false"} if kind == "worker" else {}
-        self.served = Served(data, counts, REVISIT_LEASE_S=LEASE_S, **apart)
+        self.served = Served(data, counts, settings={**QUICK, **apart})
         self.worker = self._hire()
         for name in (SHARED, *(caller.own for caller in self.callers)):
             self.served.call("PUT", f"/maps/{name}", 201, json={**LIGHT, "labels": LABELS[0], "dynamic": []})
@@ -71,7 +71,7 @@ class Site:
     def _hire(self) -> Running | None:
         if self.kind != "worker":
             return None
-        worker = Running("worker", settings(self.data, REVISIT_LEASE_S=LEASE_S))
+        worker = Running("worker", settings(self.data, QUICK))
         worker.await_ready()
         return worker
 
@@ -195,7 +195,7 @@ def _migrations(site: Site, kills: int) -> None:
         for _ in range(kills - FILLING):
             shutil.rmtree(site.data)
             shutil.copytree(old, site.data)
-            with Running("serve", settings(site.data, REVISIT_LEASE_S=LEASE_S)) as starting:
+            with Running("serve", settings(site.data, QUICK)) as starting:
                 time.sleep(float(site.chance.uniform(0, 0.25)))
                 starting.kill()
             site.counts["kills"] += 1

@@ -149,7 +149,7 @@ def draw_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
     parameters: dict[str, str] = {}
     kept = []
     for one in drawn:
-        twice = parameters.keys() & one.parameters.keys() or {"after", "before"} <= (parameters | one.parameters).keys()
+        twice = parameters.keys() & one.parameters.keys() or {"after", "before"} <= {*parameters, *one.parameters}
         if not twice:
             parameters |= one.parameters
             kept.append(one)
@@ -172,12 +172,16 @@ def _one_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
         floor = int(chance.choice(FLOORS))
         return _each({"metadata.floor": str(floor)}, lambda view: view.said.metadata.get("floor") == floor)
     if kind == 2:
-        x, y, radius = float(chance.integers(-20, 20)), float(chance.integers(-20, 20)), chance.integers(1, 20) + 0.5
+        x, y, radius = (
+            float(chance.integers(-20, 20)),
+            float(chance.integers(-20, 20)),
+            int(chance.integers(1, 20)) + 0.5,
+        )
         return _each({"near": f"{x},{y},{radius}"}, lambda view: _metres(view.said.position, x, y) <= radius)
     if kind == 3:
-        lat, lon, radius = round(float(chance.uniform(51, 51.01)), 7), 6.01, float(chance.uniform(50, 900))
-        geographic = {"near": f"{lat},{lon},{radius}", "frame": "geo"}
-        return _each(geographic, lambda view: _great_circle(view.said.position, lat, lon) <= radius)
+        lat, lon, reach = round(float(chance.uniform(51, 51.01)), 7), 6.01, float(chance.uniform(50, 900))
+        geographic = {"near": f"{lat},{lon},{reach}", "frame": "geo"}
+        return _each(geographic, lambda view: _great_circle(view.said.position, lat, lon) <= reach)
     if kind == 4:
         moment = EPOCH + timedelta(seconds=int(chance.integers(1000)))
         name = str(chance.choice(["after", "before"]))

@@ -37,7 +37,7 @@ class NotStarted(Exception):
     """A process ended before it was ready, or was not ready in time; the text has its output."""
 
 
-def settings(data: Path, **further: str) -> dict[str, str]:
+def settings(data: Path, further: Mapping[str, str] | None = None) -> dict[str, str]:
     """The ``REVISIT_*`` variables of a process that needs no weights; `further` ones win."""
     return {
         "REVISIT_DATA": str(data),
@@ -45,7 +45,8 @@ def settings(data: Path, **further: str) -> dict[str, str]:
         "REVISIT_PORT": "0",
         "REVISIT_THREADS": "1",
         "REVISIT_LEASE_S": "2",  # what a killed process was describing is described again after so long
-    } | further
+        **(further or {}),
+    }
 
 
 def _main(command: str, environment: Mapping[str, str], output: str, orders: Connection) -> None:
@@ -163,9 +164,9 @@ class Running:
         self.close()
 
 
-def serve(data: Path, *, warm: bool = True, **further: str) -> Running:
-    """A service that is ready; raises NotStarted."""
-    running = Running("serve", settings(data, **further), warm=warm)
+def serve(data: Path, further: Mapping[str, str] | None = None, *, warm: bool = True) -> Running:
+    """A service that is ready, with `further` settings; raises NotStarted."""
+    running = Running("serve", settings(data, further), warm=warm)
     try:
         running.await_ready()
     except BaseException:

@@ -2,6 +2,7 @@
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +26,21 @@ class Served:
         Gets the starts, and how long they took in ms.
     told : bool
         Whether the process obeys `lab.faults.injected`.
-    **settings : str
-        ``REVISIT_*`` variables.
+    settings : mapping of str to str, optional
+        Further ``REVISIT_*`` variables.
     """
 
-    def __init__(self, data: Path, counts: Counter[str], *, told: bool = False, **settings: str) -> None:
-        self.data, self._counts, self._told = data, counts, told
-        self._settings = settings | ({TOLD: "yes"} if told else {})
+    def __init__(
+        self, data: Path, counts: Counter[str], *, told: bool = False, settings: Mapping[str, str] | None = None
+    ) -> None:
+        self.data, self._counts = data, counts
+        self._settings = {**(settings or {}), **({TOLD: "yes"} if told else {})}
         self.clock_s = 0.0
         self.start()
 
     def start(self) -> None:
         """Start it; the clock of the process is as wrong as before."""
-        self.running: Running = serve(self.data, **self._settings)
+        self.running: Running = serve(self.data, self._settings)
         self._counts["starts"] += 1
         self.client = client(self.running.url)
         if self.clock_s:
