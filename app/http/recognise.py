@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from app.http import presenters
+from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError
 from schemas.records import Filters, ViewAttributes

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image as PilImage
 
 from schemas.records import Filters, Position, ViewAttributes
+from schemas.wire import rfc3339
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -254,3 +255,7 @@ def test_a_drawing_names_the_network_that_it_is_of(client: CheckedClient, view: 
 @pytest.mark.parametrize("path", ["thumbnail?size=8", "thumbnail?size=9999", "segmentation.png?overlay=2", "image?x=1"])
 def test_an_image_route_refuses_unknown_options(client: CheckedClient, view: str, path: str) -> None:
     assert client.get(f"/views/{view}/{path}").status_code == 422
+
+
+def test_a_time_of_long_ago_is_answered_as_it_was_sent() -> None:
+    assert rfc3339(datetime(208, 4, 22, 10, 50, tzinfo=UTC)) == "0208-04-22T10:50:00.000000Z"

@@ -1,0 +1,165 @@
+"""``python -m lab.faults.model``: a service and a plain model of it live through the same operations and must agree.
+
+A run is cut into episodes, each with a seed and an empty data folder of its own: a violation is replayed by the
+episode's seed and the number of the operation, in at most some seconds.
+"""
+
+import argparse
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lab.faults.comparing import compare_all
+from lab.faults.ledger import Violation
+from lab.faults.operations import MOST_VIEWS, Operations
+from lab.faults.run import Progress, Tally, data_folder, parser, seed_of
+from lab.faults.served import Served
+
+EPISODE = 1000
+"""Operations in one life of a data folder."""
+
+COMPARE_EVERY = 150
+"""Operations between two comparisons of everything."""
+
+WEIGHTS = {
+    "enroll": 20.0,
+    "enroll_unawaited": 7.0,
+    "enroll_several": 2.0,
+    "enroll_again": 5.0,
+    "enroll_with_key": 1.5,
+    "refused": 4.0,
+    "query_own": 11.0,
+    "query_filtered": 8.0,
+    "query_stranger": 1.0,
+    "patch": 12.0,
+    "delete": 9.0,
+    "delete_filtered": 2.0,
+    "delete_map": 0.4,
+    "put_map": 1.0,
+    "change_ranking": 1.0,
+    "switch_recipe": 0.4,
+    "list_pages": 6.0,
+    "list_jobs": 2.0,
+    "read": 6.0,
+    "restart": 0.15,
+    "kill": 0.3,
+    "kill_during": 0.7,
+    "set_clock": 0.3,
+}
+"""How often each operation is drawn, relative to the others."""
+
+
+class Failed(Exception):
+    """A violation in an episode, with what replays it."""
+
+
+def live(data: Path, seed: int, operations: int, counts: Counter[str], without: Sequence[str] = ()) -> None:
+    """One episode.
+
+    Parameters
+    ----------
+    data : Path
+        Empty.
+    seed : int
+        Of the episode.
+    operations : int
+    counts : Counter
+        Gets what was done.
+    without : sequence of str
+        Names of operations that are left out.
+
+    Raises
+    ------
+    Failed
+        With the number of the operation and the last ones before it.
+    """
+    chance = np.random.default_rng(seed)
+    names = [name for name in WEIGHTS if name not in without]
+    shares = np.array([WEIGHTS[name] for name in names])
+    served = Served(data, counts, told=True)
+    doing = Operations(served, chance, counts)
+    number = 0
+    try:
+        for number in range(1, operations + 1):
+            name = str(chance.choice(names, p=shares / shares.sum()))
+            if name.startswith("enroll") and sum(len(of.views) for of in doing.maps.values()) > 3 * MOST_VIEWS:
+                name = "delete_filtered"
+            operation: Callable[[], None] = getattr(doing, name)
+            operation()
+            counts[name] += 1
+            _look(doing)
+            if number % COMPARE_EVERY == 0 or number == operations:
+                compare_all(served, doing.maps, page=int(chance.integers(1, 60)))
+                counts["comparisons of everything"] += 1
+        served.stop()
+    except Exception as error:
+        what = str(error) if isinstance(error, Violation) else traceback.format_exc()
+        last = "\n".join(f"  {line}" for line in doing.log[-8:])
+        raise Failed(
+            f"operation {number}: {what}\nthe last operations:\n{last}\n"
+            f"replay: python -m lab.faults.model --episode-seed {seed} --operations {number}"
+        ) from error
+    finally:
+        served.close()
+
+
+def _look(doing: Operations) -> None:
+    """After every operation: one view is as acknowledged, one that was deleted is not there."""
+    known = doing.some_view()
+    if known is not None:
+        known.compare(doing.served.json(f"/views/{known.id}"))
+    if doing.deleted:
+        gone = doing.deleted[int(doing.chance.integers(len(doing.deleted)))]
+        doing.served.call("GET", f"/views/{gone}", 404)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run episodes; returns 1 after any violation."""
+    options = parser("A service and a plain model of it live through the same operations and must agree.")
+    options.add_argument("--operations", type=int, default=200_000, help="in all (default: 200000)")
+    options.add_argument("--episode-seed", type=int, help="replay one episode, with --operations of it")
+    options.add_argument("--without", nargs="*", default=[], choices=list(WEIGHTS), help="operations to leave out")
+    arguments = options.parse_args(argv)
+    if arguments.episode_seed is not None:
+        return _replay(arguments)
+    seed = seed_of(arguments)
+    tally = Tally.resume(arguments.checkpoint, "model", seed)
+    progress = Progress("model")
+    episodes = -(-arguments.operations // EPISODE)
+    for episode in range(tally.done, episodes):
+        began = time.monotonic()
+        count = min(EPISODE, arguments.operations - episode * EPISODE)
+        with data_folder(arguments.folder) as data:
+            try:
+                live(data, seed * 100_000 + episode, count, tally.counts, arguments.without)
+            except Failed as failed:
+                tally.violations.append(str(failed))
+                print(f"VIOLATION: {failed}", file=sys.stderr, flush=True)
+        tally.done = episode + 1
+        tally.seconds += time.monotonic() - began
+        tally.save(arguments.checkpoint)
+        progress.tell(tally.done * EPISODE, arguments.operations, tally.counts)
+        if len(tally.violations) >= 10:
+            break
+    return tally.finish()
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    tally = Tally("model", arguments.episode_seed)
+    began = time.monotonic()
+    with data_folder(arguments.folder) as data:
+        try:
+            live(data, arguments.episode_seed, min(EPISODE, arguments.operations), tally.counts, arguments.without)
+        except Failed as failed:
+            tally.violations.append(str(failed))
+    tally.seconds = time.monotonic() - began
+    return tally.finish()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

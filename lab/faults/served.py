@@ -1,0 +1,103 @@
+"""A data folder and the service on it, through restarts and kills; every answer is judged by its status."""
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from lab.faults.injected import set_clock
+from lab.faults.ledger import Violation, require
+from lab.faults.process import TOLD, Running, client, serve
+
+SETTLE_S = 60.0
+"""Seconds within which a few images must be described."""
+
+
+class Served:
+    """A service that can be restarted on the same data.
+
+    Parameters
+    ----------
+    data : Path
+    counts : Counter
+        Gets the starts, and how long they took in ms.
+    told : bool
+        Whether the process obeys `lab.faults.injected`.
+    settings : mapping of str to str, optional
+        Further ``REVISIT_*`` variables.
+    """
+
+    def __init__(
+        self, data: Path, counts: Counter[str], *, told: bool = False, settings: Mapping[str, str] | None = None
+    ) -> None:
+        self.data, self._counts = data, counts
+        self._settings = {**(settings or {}), **({TOLD: "yes"} if told else {})}
+        self.clock_s = 0.0
+        self.start()
+
+    def start(self) -> None:
+        """Start it; the clock of the process is as wrong as before."""
+        self.running: Running = serve(self.data, self._settings)
+        self._counts["starts"] += 1
+        self.client = client(self.running.url)
+        if self.clock_s:
+            self.set_clock(self.clock_s)
+
+    def set_clock(self, offset_s: float) -> None:
+        """Let its clock be wrong from now on."""
+        set_clock(self.running.orders, offset_s)
+        self.clock_s = offset_s
+
+    def stop(self) -> None:
+        """SIGTERM; raises Violation when it does not end well."""
+        self.client.close()
+        code = self.running.stop()
+        require(code == 0, f"the service ended with {code} after SIGTERM:\n{self.running.output[-3000:]}")
+        self.running.close()
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        self.running.kill()
+        self.client.close()
+        self.running.close()
+
+    def close(self) -> None:
+        """Kill it, whatever its state."""
+        self.client.close()
+        self.running.close()
+
+    def call(self, method: str, path: str, *expected: int, **sent: Any) -> httpx.Response:
+        """Call it; raises Violation when the status is not among the `expected` (200, if none is given)."""
+        answer = self.client.request(method, path, **sent)
+        if answer.status_code not in (expected or (200,)):
+            log = self.running.output[-3000:] if answer.status_code >= 500 else ""
+            raise Violation(f"{method} {path} answered {answer.status_code}: {answer.text[:600]}\n{log}")
+        require(answer.headers.get("x-request-id"), f"{method} {path}: no X-Request-Id")
+        return answer
+
+    def json(self, path: str, **parameters: str) -> Any:
+        """The JSON of a GET."""
+        return self.call("GET", path, params=parameters).json()
+
+    def await_job(self, job: str) -> str:
+        """Wait until a job has ended; returns its state, ``gone`` when it went with its view or map."""
+        until = time.monotonic() + SETTLE_S
+        while True:
+            answer = self.call("GET", f"/jobs/{job}", 200, 404)
+            if answer.status_code == 404:
+                return "gone"
+            state = str(answer.json()["state"])
+            if state not in ("waiting", "running"):
+                return state
+            require(time.monotonic() < until, f"job {job} is still {state} after {SETTLE_S:.0f} s")
+            time.sleep(0.003)
+
+    def settle(self) -> None:
+        """Wait until no view is pending."""
+        until = time.monotonic() + SETTLE_S
+        while pending := sum(facts["views"]["pending"] for facts in self.json("/maps")["maps"]):
+            require(time.monotonic() < until, f"{pending} views are still pending after {SETTLE_S:.0f} s")
+            time.sleep(0.005)
