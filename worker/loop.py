@@ -280,6 +280,8 @@ class Loop:
     def _give_up(self, claim: Claim, error: Exception) -> None:
         if isinstance(error, RevisitError):
             code, detail = error.code, error.detail
+            failed = {"event": "describe_failed", "problem": code}
+            log.warning("view %s could not be described: %s", claim.view.id, code, extra=failed)
         else:
             log.error("view %s could not be described", claim.view.id, exc_info=error)
             code, detail = (

@@ -9,6 +9,7 @@ import pytest
 from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import Busy, Unavailable
 from schemas.image import Image
+from schemas.log_context import bound, fields
 from schemas.records import Meaning
 from worker.description.scheduler import Scheduler
 
@@ -213,3 +214,27 @@ def test_images_to_be_drawn_get_the_segmenters_field_among_others_that_do_not() 
 
     assert [future.result(5).value for future in futures] == [(1, 1), (2, 2), (3, 1), (4, 1)]
     scheduler.stop()
+
+
+def test_a_line_of_any_thread_carries_the_request_that_caused_it() -> None:
+    seen: list[tuple[str, object]] = []
+    encoder = GatedEncoder()
+    scheduler = Scheduler(encoder, 1, 8)
+    scheduler.start()
+
+    def finish(shown: Image, _: PixelField, made: int) -> int:
+        seen.append(("finish", fields().get("request_id")))
+        return made
+
+    def parallel(shown: Image) -> int:
+        seen.append(("parallel", fields().get("request_id")))
+        return 1
+
+    futures = []
+    for name in ("r1", "r2"):
+        with bound(request_id=name):
+            futures.append(scheduler.submit(image(1), finish, urgent=name == "r1", parallel=parallel))
+    encoder.gate.release(2)
+    assert [future.result(10).value for future in futures] == [1, 1]
+    scheduler.stop()
+    assert set(seen) == {(stage, name) for stage in ("finish", "parallel") for name in ("r1", "r2")}

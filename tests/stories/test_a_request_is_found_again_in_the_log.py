@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -54,3 +55,29 @@ def test_only_what_is_slow_or_fails_is_logged_on_request(tmp_path: Path) -> None
     with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_LOG_LEVEL="warning") as service:
         assert httpx.get(f"{service.url}/maps", timeout=60).status_code == 200
     assert [line for line in lines(service) if line.get("event") == "request"] == []
+
+
+def test_what_the_worker_says_of_a_job_is_found_by_the_ids_that_the_request_has(tmp_path: Path) -> None:
+    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_INLINE_WORKER="false") as service:
+        httpx.post(
+            f"{service.url}/enroll?wait=false",
+            content=photo(),
+            headers=JPEG | {"x-request-id": "mine"},
+            timeout=60,
+        )
+    (access,) = [line for line in lines(service) if line.get("request_id") == "mine"]
+    for image in (tmp_path / "pictures").rglob("*"):
+        if image.is_file():
+            image.unlink()
+    with RunningService(tmp_path, REVISIT_LOG="json") as service:
+        view = f"{service.url}/views/{access['view_ids'][0]}"
+        for _ in range(200):
+            if httpx.get(view, timeout=60).json()["state"] == "failed":
+                break
+            threading.Event().wait(0.05)
+        assert httpx.get(view, timeout=60).json()["state"] == "failed"
+    told = [line for line in lines(service) if line["logger"] == "revisit.worker"]
+    assert told
+    assert {(line.get("job_id"), line.get("view_id")) for line in told} == {
+        (access["job_ids"][0], access["view_ids"][0])
+    }
