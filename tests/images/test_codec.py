@@ -16,6 +16,7 @@ from PIL import Image as PilImage
 from schemas.errors import BadImage, BodyTooLarge, RevisitError
 from tests.sample_images import PNG_MAGIC, drawn, encoded, png_chunk
 from worker.images.codec import Limits, decode, facts, probe, shrink, thumbnail
+from worker.images.jpeg import START_OF_SCAN, Structure
 
 LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
 
@@ -178,8 +179,74 @@ def test_a_jpeg_truncated_anywhere_is_refused_even_with_a_whole_thumbnail_inside
     inner = encoded(drawn(160, 120), "jpeg")
     data = encoded(drawn(320, 240), "jpeg", exif=b"Exif\x00\x00" + inner[:60_000], **options)
     assert decode(data, LIMITS).width == 320
-    for cut in [*range(4, len(data) - 2, len(data) // 60), len(data) - 1]:
+    for cut in [*range(4, len(data) - 4, len(data) // 60), len(data) - 4]:
         assert refusal(data[:cut]).code == "undecodable-picture", cut
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}, {"restart_marker_rows": 1}])
+@pytest.mark.parametrize("missing", [1, 2])
+def test_a_jpeg_without_its_end_marker_is_taken_as_cameras_send_it(options: dict[str, Any], missing: int) -> None:
+    data = encoded(drawn(320, 240), "jpeg", **options)
+    image = decode(data[:-missing], LIMITS)
+    assert np.array_equal(image.pixels, decode(data, LIMITS).pixels)
+    assert thumbnail(data[:-missing], 40)
+
+
+def test_a_progressive_jpeg_cut_between_two_scans_is_refused() -> None:
+    data = encoded(drawn(320, 240), "jpeg", progressive=True)
+    structure = Structure.read(data)
+    assert structure is not None
+    scans = [segment for segment in structure.segments if segment.marker == START_OF_SCAN]
+    assert len(scans) > 5
+    for scan in scans[:-1]:
+        assert refusal(data[: scan.end]).code == "undecodable-picture"
+
+
+@pytest.mark.parametrize("padding", [b"\x00", b"\x00" * 40, b"\x00" * 5000])
+@pytest.mark.parametrize("end", [b"\xff\xd9", b""])
+def test_zeros_with_which_a_camera_pads_its_scan_are_no_damage(padding: bytes, end: bytes) -> None:
+    data = encoded(drawn(160, 120), "jpeg")
+    assert np.array_equal(decode(data[:-2] + padding + end, LIMITS).pixels, decode(data, LIMITS).pixels)
+
+
+def test_what_a_damaged_scan_leaves_over_is_refused() -> None:
+    data = encoded(drawn(160, 120), "jpeg")
+    assert "extraneous" in refusal(data[:-2] + bytes(range(1, 60)) + data[-2:]).detail
+
+
+def test_flipped_bits_that_a_jpeg_decoder_warns_of_are_refused() -> None:
+    """Most flips give another valid image; none of those that libjpeg warns of may pass."""
+    chance = np.random.default_rng(5)
+    noise = chance.integers(-30, 30, (120, 160, 3))
+    data = encoded(np.clip(drawn(160, 120) + noise, 0, 255).astype(np.uint8), "jpeg", progressive=True)
+    scan = data.index(b"\xff\xda") + 14
+    refused = 0
+    for at in chance.integers(scan, len(data) - 2, 100):
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << int(chance.integers(8))
+        try:
+            decode(bytes(damaged), LIMITS)
+        except BadImage as error:
+            assert error.code == "undecodable-picture"
+            refused += 1
+    assert refused >= 15
+
+
+def test_a_cmyk_jpeg_is_looked_over_as_well() -> None:
+    out = io.BytesIO()
+    mode("CMYK", drawn(160, 120)).save(out, "JPEG", quality=95)
+    data = out.getvalue()
+    assert decode(data[:-2], LIMITS).width == 160
+    assert refusal(data[: len(data) // 2] + b"\xff\xd9").code == "undecodable-picture"
+
+
+def test_a_jpeg_of_very_many_scans_is_refused_before_they_are_decoded() -> None:
+    data = encoded(drawn(320, 240), "jpeg", progressive=True)
+    structure = Structure.read(data)
+    assert structure is not None
+    last = structure.segments[-1]
+    bomb = data[: last.end] + data[last.start : last.end] * 200 + b"\xff\xd9"
+    assert "scans; at most" in refusal(bomb).detail
 
 
 def test_a_jpeg_with_a_second_image_or_rubbish_behind_it_is_taken() -> None:
@@ -258,6 +325,29 @@ def test_an_animated_webp_is_refused() -> None:
     out = io.BytesIO()
     frames[0].save(out, "WEBP", save_all=True, append_images=frames[1:])
     assert refusal(out.getvalue()).code == "not-a-picture"
+
+
+def apng(frames: int, default_image: bool = False) -> bytes:
+    images = [PilImage.fromarray(drawn(64, 48, seed)) for seed in range(frames + default_image)]
+    out = io.BytesIO()
+    images[0].save(out, "PNG", save_all=True, append_images=images[1:], default_image=default_image)
+    return out.getvalue()
+
+
+def test_an_animated_png_is_refused_as_an_animated_webp_is() -> None:
+    for data in (apng(2), apng(3), apng(1, default_image=True), apng(2, default_image=True)):
+        error = refusal(data)
+        assert error.code == "not-a-picture"
+        assert "animated PNG" in error.detail
+
+
+def test_a_png_whose_single_frame_is_its_default_image_is_a_still_image() -> None:
+    still = encoded(drawn(64, 48), "png")
+    begin = still.index(b"IDAT") - 4
+    control = png_chunk(b"acTL", struct.pack(">II", 1, 0))
+    control += png_chunk(b"fcTL", struct.pack(">IIIIIHHBB", 0, 64, 48, 0, 0, 1, 10, 0, 0))
+    one_frame = still[:begin] + control + still[begin:]
+    assert np.array_equal(decode(one_frame, LIMITS).pixels, drawn(64, 48))
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (31, 32), (32, 31), (1000, 5)])
