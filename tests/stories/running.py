@@ -22,11 +22,13 @@ class RunningService:
     ----------
     data : Path
         Its data folder.
+    ready : bool
+        Whether to wait until it is ready, not only until it listens.
     environment : str
         Further ``REVISIT_*`` variables.
     """
 
-    def __init__(self, data: Path, **environment: str) -> None:
+    def __init__(self, data: Path, ready: bool = True, /, **environment: str) -> None:
         self.data = data
         settings = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_PORT": "0", "REVISIT_THREADS": "1"}
         clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
@@ -46,7 +48,8 @@ class RunningService:
         if not self._address.wait(START_S) or not self.url:
             self.kill()
             raise AssertionError("the service did not start:\n" + "".join(self.output))
-        self._await_readiness()
+        if ready:
+            self._await_readiness()
 
     def _read(self) -> None:
         assert self._process.stdout is not None

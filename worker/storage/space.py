@@ -35,11 +35,13 @@ class Space:
     def __init__(self, folders: Sequence[Path], reserve_bytes: int) -> None:
         self._folders = list({os.stat(folder).st_dev: folder for folder in reversed(folders)}.values())
         self._reserve = reserve_bytes
+        self._refused = 0  # size of the largest image for which there was no room, until there is
 
     def admit(self, size: int) -> None:
         """Raise DiskFull unless an image of `size` bytes may be enrolled and described."""
         for folder in self._folders:
             if self._reserve and self._available(folder) < 2 * self._reserve + size:
+                self._refused = max(self._refused, size)
                 raise DiskFull(self._full(folder))
 
     def require(self) -> None:
@@ -53,8 +55,9 @@ class Space:
         for folder in self._folders:
             if os.statvfs(folder).f_flag & os.ST_RDONLY:
                 return f"the disk of {folder} is read-only; queries work, nothing can be stored until that changes"
-            if self._reserve and self._available(folder) < 2 * self._reserve:
+            if self._reserve and self._available(folder) < 2 * self._reserve + self._refused:
                 return self._full(folder)
+        self._refused = 0
         return None
 
     def give_up(self) -> bool:

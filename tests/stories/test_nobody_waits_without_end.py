@@ -1,0 +1,170 @@
+"""Whoever waits is answered: without a worker, behind a long queue, when a worker is killed, when the service stops."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.http.application import create_app
+from schemas.description import Description
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.sample_images import photo
+from tests.stories.running import ROOT, RunningService
+from worker.description.describer import Describer
+from worker.runtime import build
+
+JPEG = {"content-type": "image/jpeg"}
+WAIT_S = 1.0
+
+
+@contextmanager
+def worker(data: Path) -> Iterator["subprocess.Popen[str]"]:
+    """`revisit worker` on a data folder."""
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
+    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1", "REVISIT_LEASE_S": "2"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app.cli", "worker"], cwd=ROOT, env=clean | ours, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        assert "describes" in process.stdout.readline()
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def until(client: httpx.Client, ready: bool, seconds: float = 20) -> Any:
+    """The readiness once it is so."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        readiness = client.get("/readyz").json()
+        if readiness["ready"] is ready:
+            return readiness
+        time.sleep(0.05)
+    raise AssertionError(f"still {readiness}")
+
+
+def test_without_a_worker_callers_are_told_and_a_killed_one_is_noticed_within_seconds(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    with (
+        RunningService(data, False, REVISIT_INLINE_WORKER="false", REVISIT_LEASE_S="2") as service,
+        httpx.Client(base_url=service.url, timeout=40) as client,
+    ):
+        assert "revisit worker" in until(client, False)["checks"]["worker"]
+        refused = client.post("/enroll", content=photo(1), headers=JPEG)
+        assert (refused.status_code, refused.json()["type"]) == (503, "urn:revisit:problem:unavailable")
+        assert "worker" in refused.json()["detail"]
+        assert int(refused.headers["retry-after"]) > 0
+        assert client.get("/views").json()["views"] == [], "a refused image left something behind"
+
+        kept = client.post("/enroll?wait=false", content=photo(2), headers=JPEG)
+        assert kept.status_code == 202
+        with worker(data) as process:
+            until(client, True)
+            assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 201
+            assert client.get(f"/jobs/{kept.json()['job']}").json()["state"] == "done"
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            killed = time.monotonic()
+            until(client, False)
+            assert time.monotonic() - killed < 5
+        assert client.post("/enroll", content=photo(3), headers=JPEG).status_code == 503
+
+
+def test_a_killed_service_finds_its_own_claims_again_at_once(tmp_path: Path) -> None:
+    """Its jobs were claimed by a process that is gone: nobody waits for a lease to end."""
+    data = tmp_path / "data"
+    with RunningService(data, REVISIT_LEASE_S="600") as service, httpx.Client(base_url=service.url) as client:
+        jobs = [
+            client.post("/enroll?wait=false", content=photo(seed), headers=JPEG).json()["job"] for seed in range(30)
+        ]
+        service.kill()
+    with RunningService(data, REVISIT_LEASE_S="600") as service, httpx.Client(base_url=service.url) as client:
+        deadline = time.monotonic() + 20
+        left = set(jobs)
+        while left and time.monotonic() < deadline:
+            left = {job for job in left if client.get(f"/jobs/{job}").json()["state"] != "done"}
+        assert not left
+
+
+@pytest.fixture
+def stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[CheckedClient, Any, threading.Event]]:
+    """A service whose describing takes until it is let go."""
+    go = threading.Event()
+    describe = Describer.describe
+
+    def slow(self: Describer, *rest: Any) -> Description:
+        go.wait(30)
+        return describe(self, *rest)
+
+    monkeypatch.setattr(Describer, "describe", slow)
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, wait=WAIT_S))
+    with CheckedClient(create_app(runtime)) as client:
+        yield client, runtime, go
+        go.set()
+
+
+def test_waiting_ends_with_202_and_the_job_after_the_bound(stuck: tuple[CheckedClient, Any, threading.Event]) -> None:
+    client, _, go = stuck
+    began = time.monotonic()
+    several = [("image", (f"{seed}.jpg", photo(seed), "image/jpeg")) for seed in range(3)]
+    answer = client.post("/enroll", files=several)
+    assert answer.status_code == 202
+    assert time.monotonic() - began < 2 * WAIT_S, "the images of one request share one bound"
+    views = answer.json()["views"]
+    assert all(one["job"] for one in views)
+    assert client.post("/enroll", content=photo(9), headers=JPEG).headers["location"].startswith("/jobs/")
+    go.set()
+    for one in views:
+        while client.get(f"/jobs/{one['job']}").json()["state"] != "done":
+            time.sleep(0.02)
+
+
+def test_behind_a_queue_that_is_longer_than_the_bound_nobody_waits(
+    stuck: tuple[CheckedClient, Any, threading.Event],
+) -> None:
+    client, _, _ = stuck
+    for seed in range(6):  # at 0.2 s an image, as long as none was measured
+        client.post("/enroll?wait=false", content=photo(seed), headers=JPEG)
+    began = time.monotonic()
+    assert client.post("/enroll", content=photo(7), headers=JPEG).status_code == 202
+    assert time.monotonic() - began < WAIT_S
+
+
+def test_callers_who_wait_are_answered_when_waiting_is_given_up(
+    stuck: tuple[CheckedClient, Any, threading.Event],
+) -> None:
+    client, runtime, _ = stuck
+    waiting = threading.Event()
+    look = runtime.settlements.look
+
+    def looked(view: str) -> Any:
+        waiting.set()
+        return look(view)
+
+    runtime.settlements.look = looked
+    answers = []
+    caller = threading.Thread(
+        target=lambda: answers.append(client.post("/enroll", content=photo(1), headers=JPEG).status_code)
+    )
+    caller.start()
+    assert waiting.wait(10)
+    began = time.monotonic()
+    runtime.settlements.give_up()
+    caller.join()
+    assert time.monotonic() - began < WAIT_S / 2
+    assert answers == [202]
+    assert client.post("/enroll", content=photo(2), headers=JPEG).status_code == 202

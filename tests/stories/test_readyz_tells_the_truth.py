@@ -1,0 +1,101 @@
+"""`/readyz` tries what it says: the encoder with an image, the worker, the disk, the index of each map."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.http.application import create_app
+from schemas.errors import SetupError
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.sample_images import photo
+from worker.description.describers import Describers
+from worker.encoders.color import ColorEncoder
+from worker.runtime import build
+
+JPEG = {"content-type": "image/jpeg"}
+ANSWER_S = 0.5
+
+
+@pytest.fixture
+def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[CheckedClient]:
+    """A service whose every probe makes a check of its own."""
+    monkeypatch.setattr("app.http.readiness.FRESH_S", 0.0)
+    monkeypatch.setattr("app.http.readiness.ENCODER_PATIENCE_S", 1.0)
+    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1)))) as client:
+        yield client
+
+
+def until(client: CheckedClient, ready: bool) -> Any:
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        began = time.monotonic()
+        answer = client.get("/readyz")
+        assert time.monotonic() - began < ANSWER_S
+        assert answer.status_code == (200 if answer.json()["ready"] else 503)
+        if answer.json()["ready"] is ready:
+            return answer.json()
+        time.sleep(0.02)
+    raise AssertionError(f"still {answer.json()}")
+
+
+def test_each_map_is_named_with_the_revision_of_its_index(client: CheckedClient) -> None:
+    assert client.post("/enroll?map=quay", content=photo(1), headers=JPEG).status_code == 201
+    before = until(client, True)["maps"]["quay"]
+    assert (before["state"], before["indexed"] in (None, before["revision"])) == ("ok", True)
+    assert client.post("/query?map=quay", content=photo(1), headers=JPEG).status_code == 200
+    assert client.post("/enroll?map=quay", content=photo(2), headers=JPEG).status_code == 201
+    after = until(client, True)["maps"]["quay"]
+    assert after["revision"] > before["revision"]
+    assert after["indexed"] is not None
+
+
+def test_an_encoder_that_hangs_is_found_out_within_half_a_second_for_every_probe(
+    client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until(client, True)
+    go = threading.Event()
+    encode = ColorEncoder.encode
+    monkeypatch.setattr(ColorEncoder, "encode", lambda self, images: (go.wait(30), encode(self, images))[1])
+    assert "no image" in until(client, False)["checks"]["encoder"]
+    go.set()
+    assert until(client, True)["checks"]["encoder"] == "ok"
+
+
+def test_an_encoder_that_fails_is_found_out_although_nobody_queries(
+    client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until(client, True)
+
+    def fail(*_: object) -> Any:
+        raise RuntimeError("out of memory")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(ColorEncoder, "encode", fail)
+        assert "RuntimeError" in until(client, False)["checks"]["encoder"]
+    until(client, True)
+
+
+def test_a_map_that_cannot_be_served_is_named_and_the_others_are_served(
+    client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("good", "broken"):
+        client.post(f"/enroll?map={name}", content=photo(1), headers=JPEG)
+    client.put("/maps/broken2", json={"preset": "paper"})
+    found = Describers.of
+
+    def of(self: Describers, recipe: Any) -> Any:
+        if recipe.parameters.channels.keys() == {"semantic"} or "paper" in str(recipe.id):
+            raise SetupError("its vocabulary is lost")
+        return found(self, recipe)
+
+    monkeypatch.setattr(Describers, "of", of)
+    readiness = until(client, True)
+    assert readiness["maps"]["broken2"]["state"] == "its vocabulary is lost"
+    assert readiness["checks"]["map broken2"] == "its vocabulary is lost"
+    assert readiness["maps"]["good"]["state"] == "ok"
+    assert client.post("/query?map=good", content=photo(1), headers=JPEG).status_code == 200
