@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from schemas.errors import Damaged, RevisitError
 from schemas.recipe import DescriptionRecipe
 from worker.storage import checksums, clock, packing, switching
-from worker.storage.rows import description_facts, find_recipe, has_whole_attributes
+from worker.storage.rows import VIEW_STATES, description_facts, find_recipe, has_whole_attributes
 from worker.storage.tables import APPEARANCES, CELLS, DESCRIPTIONS, KEYPOINTS, MAPS, TOMBSTONES, VECTORS, VIEWS
 
 log = logging.getLogger("revisit.storage")
@@ -24,8 +24,8 @@ log = logging.getLogger("revisit.storage")
 CODE = Damaged.code
 
 ATTRIBUTES = (
-    "its stored attributes do not fit their checksum and are not shown; PATCH /views/{id} with its place, position, "
-    "time and metadata, or enrol the image again with them"
+    "its stored attributes do not fit their checksum and are not shown; enrol its image again with its place, "
+    "position, time and metadata (GET /views/{id}/image has it)"
 )
 DESCRIPTION = "its {what} did not fit the checksum; it is described again from its image"
 
@@ -49,7 +49,7 @@ class Quarantine:
     def views(self, seqs: Iterable[int]) -> None:
         """Set aside views with damaged attributes."""
         which = list(seqs)
-        self._do(lambda connection: set_aside_views(connection, which), which)
+        self._do(lambda connection: set_aside_views(connection, which, datetime.now(UTC)), which)
 
     def _do(self, change: Any, which: Iterable[int]) -> None:
         which = list(which)
@@ -88,12 +88,34 @@ def set_aside_descriptions(
     return told
 
 
-def set_aside_views(connection: sa.Connection, seqs: Iterable[int]) -> list[str]:
-    """Mark views with damaged attributes failed and take them out of the index; returns what to tell."""
+def mend_state(connection: sa.Connection, seq: int, now: datetime) -> str:
+    """Set the state of a view by what there is of it; returns what was done."""
+    view = connection.execute(_owner(seq)).one()
+    of = DESCRIPTIONS.c.seq == seq, DESCRIPTIONS.c.recipe == view.recipe
+    if connection.execute(sa.select(DESCRIPTIONS.c.seq).where(*of)).first() is not None:
+        state, done = "ready", "its state was set right"
+    else:
+        state, done = "pending", "it is queued to be described again"
+        if switching.unfinished_job(connection, seq, view.recipe) is None:
+            switching.queue(connection, view.map_id, [seq], view.recipe, now, background=True)
+    values = {"state": state, "failure_code": None, "failure_detail": None}
+    connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == seq).values(**values))
+    return done
+
+
+def set_aside_views(connection: sa.Connection, seqs: Iterable[int], now: datetime) -> list[str]:
+    """Mark views with damaged attributes failed and take them out of the index; returns what to tell.
+
+    A view of which only the state is damaged gets it back.
+    """
     told = []
     for seq in seqs:
         row = connection.execute(sa.select(VIEWS).where(VIEWS.c.seq == seq)).one_or_none()
-        if row is None or (row.state == "failed" and row.failure_code == CODE) or has_whole_attributes(row):
+        if row is None or (row.state == "failed" and row.failure_code == CODE):
+            continue
+        if has_whole_attributes(row):
+            if row.state not in VIEW_STATES:
+                told.append(f"view {row.id}: its state {row.state!r} is none; {mend_state(connection, seq, now)}")
             continue
         view = connection.execute(_owner(seq)).one_or_none()
         if view is None:

@@ -1,10 +1,13 @@
 """Differences between SQLite and PostgreSQL, except column types."""
 
 import errno
+import sqlite3
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import sqlalchemy as sa
-from sqlalchemy.pool import QueuePool
+from sqlalchemy.pool import NullPool, QueuePool
 
 from schemas.errors import SetupError
 
@@ -76,6 +79,21 @@ def _sqlite(url: sa.URL) -> sa.Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def make_reader(url: str) -> sa.Engine:
+    """An engine that cannot write, for examinations: a SQLite file is opened read only and left as it is."""
+    parsed = sa.make_url(url)
+    if parsed.get_backend_name() != "sqlite" or parsed.database is None:
+        return make_engine(url)
+    address = f"file:{quote(str(Path(parsed.database).absolute()))}?mode=ro"
+
+    def connect() -> sqlite3.Connection:
+        connection = sqlite3.connect(address, uri=True, timeout=BUSY_S, check_same_thread=False)
+        connection.text_factory = _text
+        return connection
+
+    return sa.create_engine("sqlite://", creator=connect, poolclass=NullPool)
 
 
 def _text(stored: bytes) -> str:

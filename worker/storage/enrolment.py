@@ -130,7 +130,13 @@ class Enrolment(Part):
         now: datetime,
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
-            columns = {**view._mapping, "map_id": row.id, **_fact_columns(facts), **attribute_columns(attributes)}
+            columns = {
+                **view._mapping,
+                "map_id": row.id,
+                "enrolled_at": now,
+                **_fact_columns(facts),
+                **attribute_columns(attributes),
+            }
             changed = {name: columns[name] for name in checksums.COVERED[VIEWS.name]}
             changed |= {"state": "failed", "checksum": checksums.of_row(VIEWS, columns)}
             connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))

@@ -63,11 +63,12 @@ class Maps(Part):
     def counts(self, name: str) -> MapCounts:
         """Size of a map; raises NotFound."""
         axes = COORDINATES[:-1]  # a box has no heading
+        sound = sa.func.coalesce(VIEWS.c.failure_code, "") != Damaged.code
         totals = sa.select(
             *(sa.func.count(sa.case((VIEWS.c.state == state, 1))).label(state) for state in STATES),
             sa.func.coalesce(sa.func.sum(VIEWS.c.byte_count), 0).label("picture_bytes"),
-            *(sa.func.min(VIEWS.c[axis]).label(f"lowest_{axis}") for axis in axes),
-            *(sa.func.max(VIEWS.c[axis]).label(f"highest_{axis}") for axis in axes),
+            *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in axes),
+            *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in axes),
         )
         # A query of its own: an index answers it without reading views.
         distinct = sa.select(sa.func.count(sa.distinct(VIEWS.c.place)))

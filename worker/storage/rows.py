@@ -21,6 +21,8 @@ log = logging.getLogger("revisit.storage")
 
 VIEW_STATES = ("pending", "ready", "failed")
 
+FORMATS = ("png", "jpeg", "webp", "bmp", "tiff")
+
 COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
 
 # Statements that every enrolment runs are built once: building one takes longer than running it.
@@ -141,7 +143,9 @@ def view_record(row: sa.Row[Any]) -> ViewRecord:
         return _damaged_record(row)
     description, state = None, row.state
     failure = None if row.failure_code is None else (row.failure_code, row.failure_detail)
-    if row.recipe is not None and row.state == "ready":
+    if row.state not in VIEW_STATES:
+        state, failure = "failed", (Damaged.code, "its stored state is damaged")
+    elif row.recipe is not None and row.state == "ready":
         if not has_whole_facts(row):
             state, failure = "failed", (Damaged.code, "its description is damaged")
         else:
@@ -163,7 +167,7 @@ def view_record(row: sa.Row[Any]) -> ViewRecord:
 
 def has_whole_attributes(row: sa.Row[Any]) -> bool:
     """Whether the attributes and the facts of a view fit their checksum; of a row that has all columns of `views`."""
-    return row.state in VIEW_STATES and checksums.is_whole(VIEWS, row, row._mapping[VIEWS.c.checksum])
+    return checksums.is_whole(VIEWS, row, row._mapping[VIEWS.c.checksum])
 
 
 def has_whole_facts(row: sa.Row[Any]) -> bool:
@@ -184,6 +188,7 @@ def description_facts(row: sa.Row[Any]) -> list[tuple[str, Any]]:
 def _damaged_record(row: sa.Row[Any]) -> ViewRecord:
     """A view with damaged attributes: none of them is shown, since any may be wrong."""
     sizes = [size if isinstance(size, int) and size > 0 else 1 for size in (row.width, row.height, row.byte_count)]
+    kind = row.format if row.format in FORMATS else FORMATS[0]
     detail = row.failure_detail if row.failure_code == Damaged.code else "its stored attributes are damaged"
     return ViewRecord(
         id=row.id,
@@ -191,7 +196,7 @@ def _damaged_record(row: sa.Row[Any]) -> ViewRecord:
         map=row.map,
         attributes=ViewAttributes(),
         enrolled_at=row.enrolled_at,
-        image=ImageFacts(sizes[0], sizes[1], sizes[2], str(row.format), str(row.sha256)),
+        image=ImageFacts(sizes[0], sizes[1], sizes[2], kind, str(row.sha256)),
         state="failed",
         failure=(Damaged.code, str(detail)),
         description=None,

@@ -2,19 +2,20 @@
 
 import builtins
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import sqlalchemy as sa
 
 from schemas.errors import Damaged
 from schemas.records import Filters, ViewAttributes, ViewRecord
-from worker.storage import checksums, clock, switching
+from worker.storage import checksums, clock
+from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
 from worker.storage.rows import (
+    VIEW_STATES,
     attribute_columns,
     attributes_of,
     batches,
@@ -26,7 +27,7 @@ from worker.storage.rows import (
     view_rows,
     views_of,
 )
-from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
+from worker.storage.tables import COMPARISONS, VIEWS
 
 
 class Views(Part):
@@ -83,42 +84,30 @@ class Views(Part):
         """Views from their rows; damaged ones are failed, in the database too."""
         records = [view_record(row) for row in rows]
         damaged = [row for row, record in zip(rows, records, strict=True) if record.state != row.state]
-        for recipe in {row.recipe for row in damaged if has_whole_attributes(row)}:
-            found = {row.seq: "facts" for row in damaged if has_whole_attributes(row) and row.recipe == recipe}
-            self._quarantine.descriptions(found, recipe)
-        self._quarantine.views(row.seq for row in damaged if not has_whole_attributes(row))
+        described = [row for row in damaged if has_whole_attributes(row) and row.state in VIEW_STATES]
+        for recipe in {row.recipe for row in described}:
+            self._quarantine.descriptions({row.seq: "facts" for row in described if row.recipe == recipe}, recipe)
+        self._quarantine.views(row.seq for row in damaged if row not in described)
         return records
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
-        """Replace a view's attributes by `change` of them, in one transaction; raises NotFound.
+        """Replace a view's attributes by `change` of them, in one transaction; raises NotFound, Damaged.
 
         When `change` raises, the view stays as it was.
         """
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
-            whole = has_whole_attributes(before)
-            attributes = change(attributes_of(before) if whole else ViewAttributes())
+            if not has_whole_attributes(before):
+                raise Damaged(ATTRIBUTES.format(id=view_id))
+            attributes = change(attributes_of(before))
             columns = attribute_columns(attributes)
-            if not whole:
-                self._mend(connection, before, columns)
-            if not whole or any(value != getattr(before, column) for column, value in columns.items()):
+            if any(value != getattr(before, column) for column, value in columns.items()):
                 sealed = {**columns, "checksum": checksums.of_row(VIEWS, {**before._mapping, **columns})}
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**sealed))
                 keep_pairs(connection, before.seq, attributes)
                 connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
                 clock.tick(connection, before.map_id)
             return view_record(find_view(connection, view_id))
-
-    def _mend(self, connection: sa.Connection, before: sa.Row[Any], columns: dict[str, Any]) -> None:
-        """Describe a view again whose damaged attributes are given anew; raises Damaged when that is not all."""
-        self._images.read(str(before.sha256))  # which row and file must agree on
-        row = connection.execute(sa.select(MAPS).where(MAPS.c.id == before.map_id)).one()
-        connection.execute(sa.delete(DESCRIPTIONS).where(DESCRIPTIONS.c.seq == before.seq))
-        pending = {"state": "pending", "failure_code": None, "failure_detail": None}
-        connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**pending))
-        for recipe in {row.recipe, row.next_recipe} - {None}:
-            if switching.unfinished_job(connection, before.seq, recipe) is None:
-                switching.queue(connection, row.id, [before.seq], recipe, datetime.now(UTC), background=True)
 
     def image(self, view_id: str) -> bytes:
         """The enrolled bytes.
