@@ -118,6 +118,7 @@ class Flips:
         try:
             done, left = repair(url, data)
             again = list(examine(url, data))
+            trial.left = [str(finding)[:200] for finding in again[:3]]
             trial.repaired = (
                 "said what is left"
                 if again

@@ -81,8 +81,15 @@ def _sqlite(url: sa.URL) -> sa.Engine:
     return engine
 
 
-def make_reader(url: str) -> sa.Engine:
-    """An engine that cannot write, for examinations: a SQLite file is opened read only and left as it is."""
+def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
+    """An engine that cannot write, for examinations: a SQLite file is opened read only and left as it is.
+
+    Parameters
+    ----------
+    url : str
+    damaged : bool
+        Read as much as possible: past a definition that is damaged, and of a file that was cut off.
+    """
     parsed = sa.make_url(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database is None:
         return make_engine(url)
@@ -91,6 +98,8 @@ def make_reader(url: str) -> sa.Engine:
     def connect() -> sqlite3.Connection:
         connection = sqlite3.connect(address, uri=True, timeout=BUSY_S, check_same_thread=False)
         connection.text_factory = _text
+        if damaged:
+            connection.execute("PRAGMA writable_schema=ON").close()
         return connection
 
     return sa.create_engine("sqlite://", creator=connect, poolclass=NullPool)

@@ -136,10 +136,14 @@ def structure_findings(engine: sa.Engine) -> Iterator[Finding]:
             lines = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA integrity_check({MOST_LINES})")]
             broken = list(connection.exec_driver_sql("PRAGMA foreign_key_check")) if lines == ["ok"] else []
     except (sa.exc.SQLAlchemyError, sqlite3.Error, UnicodeError) as error:
-        yield Finding("database", f"is damaged ({getattr(error, 'orig', error)})", f"stop the service, then {REPAIR}")
+        yield Finding(
+            "database",
+            f"is damaged ({getattr(error, 'orig', error)})",
+            f"stop the service, then {REPAIR}; if that cannot, {BACKUP}",
+        )
         return
     for line in lines if lines != ["ok"] else []:
-        yield Finding("database", " ".join(line.split()), f"stop the service, then {REPAIR}")
+        yield Finding("database", " ".join(line.split()), f"stop the service, then {REPAIR}; if that cannot, {BACKUP}")
     for table, rowid, parent, _ in broken:
         yield Finding(
             f"row {rowid} of {table}",

@@ -8,7 +8,7 @@ themselves, or set aside, and views without a description are queued to be descr
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -94,6 +94,8 @@ def _mend_file(url: str, data: Path, done: list[str]) -> bool:
     except OSError as error:
         done.append(f"{path}: cannot be read ({error.strerror}); nothing was done")
         return False
+    if lost and blocked is None:
+        _take_over_log(url)
     if blocked is None and not _is_malformed(url):
         return lost
     if blocked is None and _reindexed(url):
@@ -102,10 +104,23 @@ def _mend_file(url: str, data: Path, done: list[str]) -> bool:
     if path.stat().st_size == 0:
         return lost
     if (told := _salvage(url, path)) is None:
-        done.append(f"{path}: no row can be read any more; move it away and restore a backup")
+        done.append(
+            f"{path}: no row can be read any more; restore a backup, or move the file away and enrol pictures/ again"
+        )
         return lost
     done.append(told)
     return True
+
+
+def _take_over_log(url: str) -> None:
+    """Write what can be read of the log to the database, and begin a new log."""
+    with suppress(RevisitError, sa.exc.SQLAlchemyError, sqlite3.Error):
+        database = Database(url)
+        try:
+            with database.engine.connect() as connection:
+                connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        finally:
+            database.close()
 
 
 def _is_malformed(url: str) -> bool:
@@ -170,9 +185,8 @@ def _copy(old: Path, new: Path) -> dict[str, int]:
     counts: dict[str, int] = {}
     try:
         migrating.create(target)
-        source = dialect.make_reader(f"sqlite:///{old}")
+        source = dialect.make_reader(f"sqlite:///{old}", damaged=True)
         with source.connect() as reading, closing(sqlite3.connect(new)) as writing:
-            reading.exec_driver_sql("PRAGMA writable_schema=ON")  # read on past definitions that are damaged
             writing.execute("PRAGMA foreign_keys=OFF")
             writing.execute("DELETE FROM clock")
             for table in METADATA.sorted_tables:
