@@ -11,11 +11,12 @@ import json
 import logging
 import random
 import shutil
+import sqlite3
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -27,6 +28,9 @@ from worker.storage.examining import examine
 from worker.storage.repairing import repair
 
 KINDS = ("database", "log", "image")
+SETTLED = 0.5
+"""Share of the trials on a folder of a service that was stopped: without a log, which hides pages of the database."""
+
 CUT = 0.3
 """Share of the trials that cut a file off instead of flipping a byte."""
 
@@ -92,14 +96,21 @@ class Flips:
         self._folder, self._seed = folder, seed
         self._base = folder / "base"
         self._views: dict[str, Known] = make(self._base, folder / "made")
+        self._settled = folder / "settled"
+        shutil.copytree(self._base, self._settled)
+        with closing(sqlite3.connect(self._settled / "revisit.db")) as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._content = content(self._base)
+        if content(self._settled) != self._content:
+            raise AssertionError("the two folders must hold the same")
 
     def run(self, number: int) -> Trial:
         """Run one trial."""
         draw = random.Random(f"{self._seed} {number}")
         data = self._folder / "trial"
         shutil.rmtree(data, ignore_errors=True)
-        shutil.copytree(self._base, data)
+        settled = draw.random() < SETTLED
+        shutil.copytree(self._settled if settled else self._base, data)
         trial = Trial(number, _damage(data, draw))
         try:
             trial.unchanged = content(data) == self._content
@@ -202,7 +213,8 @@ class _Tracebacks(logging.Handler):
 
 def _damage(data: Path, draw: random.Random) -> str:
     """Damage one file; returns what was done."""
-    kind = draw.choice(KINDS)
+    there = {path.name for path in files(data)}
+    kind = draw.choice([kind for kind in KINDS if kind != "log" or "revisit.db-wal" in there])
     ends = {"database": "revisit.db", "log": "revisit.db-wal"}
     path = draw.choice([p for p in files(data) if ends.get(kind, p.name) == p.name and (kind in ends) != _is_image(p)])
     body = bytearray(path.read_bytes())

@@ -44,6 +44,8 @@ class Database:
             if dialect.is_damaged(error):
                 raise Damaged(DAMAGED.format(error.orig)) from error
             raise
+        except UnicodeDecodeError as error:  # a message of SQLite's that quotes a damaged definition
+            raise Damaged(DAMAGED.format("its definitions cannot be read")) from error
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[sa.Connection]:

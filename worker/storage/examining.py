@@ -17,6 +17,8 @@ from worker.storage import dialect, migrating, wal
 BACKUP = "restore a backup, or enrol again what is missing"
 REPAIR = "./revisit doctor --repair"
 
+STOP = f"stop the service, then {REPAIR}; if that cannot, {BACKUP}"
+
 MOST_LINES = 20
 """Lines of SQLite's own check that are reported."""
 
@@ -84,7 +86,7 @@ def examine(url: str, data: Path, *, running: bool = False) -> Iterator[Finding]
                 if not tables:
                     owners = {}
                     yield from row_findings(engine, owners)
-        except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError) as error:
+        except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
             yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
             owners = None
         finally:
@@ -143,7 +145,7 @@ def structure_findings(engine: sa.Engine) -> Iterator[Finding]:
         )
         return
     for line in lines if lines != ["ok"] else []:
-        yield Finding("database", " ".join(line.split()), f"stop the service, then {REPAIR}; if that cannot, {BACKUP}")
+        yield Finding("database", " ".join(line.split()), STOP)
     for table, rowid, parent, _ in broken:
         yield Finding(
             f"row {rowid} of {table}",

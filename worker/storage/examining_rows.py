@@ -83,7 +83,7 @@ def scan(connection: sa.Connection, table: sa.TableClause) -> Iterator[Any]:
                 seen.add(number)
                 yield row
             return
-        except (sa.exc.DatabaseError, sqlite3.Error) as error:
+        except (sa.exc.DatabaseError, sqlite3.Error, UnicodeError) as error:
             if order == "rowid":
                 yield Finding(
                     f"table {table.name}", f"cannot be read in full ({getattr(error, 'orig', error)})", REPAIR

@@ -30,6 +30,10 @@ HEAD = b"SQLite format 3\0" + bytes([0x20, 0x00, 2, 2, 0, 64, 32, 32])
 """First bytes of every database of revisit: pages of 8192 bytes, write-ahead log."""
 
 RESCUED = "rescued"
+"""Folder for images whose views may be lost."""
+
+UNREADABLE = (RevisitError, sa.exc.SQLAlchemyError, sqlite3.Error, UnicodeError)
+"""What reading a damaged database raises; a message that quotes damaged text cannot be decoded itself."""
 
 
 @contextmanager
@@ -104,9 +108,7 @@ def _mend_file(url: str, data: Path, done: list[str]) -> bool:
     if path.stat().st_size == 0:
         return lost
     if (told := _salvage(url, path)) is None:
-        done.append(
-            f"{path}: no row can be read any more; restore a backup, or move the file away and enrol pictures/ again"
-        )
+        done.append(f"{path}: no row can be read any more; restore a backup, or move it away and enrol pictures/ again")
         return lost
     done.append(told)
     return True
@@ -114,7 +116,7 @@ def _mend_file(url: str, data: Path, done: list[str]) -> bool:
 
 def _take_over_log(url: str) -> None:
     """Write what can be read of the log to the database, and begin a new log."""
-    with suppress(RevisitError, sa.exc.SQLAlchemyError, sqlite3.Error):
+    with suppress(*UNREADABLE):
         database = Database(url)
         try:
             with database.engine.connect() as connection:
@@ -130,7 +132,7 @@ def _is_malformed(url: str) -> bool:
             names = set(sa.inspect(connection).get_table_names())
         found = any(finding.where == "database" for finding in structure_findings(engine))
         return found or (bool(names) and not METADATA.tables.keys() <= names)
-    except (sa.exc.SQLAlchemyError, sqlite3.Error, UnicodeError):
+    except UNREADABLE:
         return True
     finally:
         engine.dispose()
@@ -145,7 +147,7 @@ def _reindexed(url: str) -> bool:
                 connection.exec_driver_sql("REINDEX")
         finally:
             database.close()
-    except (RevisitError, sa.exc.SQLAlchemyError, sqlite3.Error):
+    except UNREADABLE:
         return False
     return not _is_malformed(url)
 
@@ -166,7 +168,7 @@ def _salvage(url: str, path: Path) -> str | None:
                 file.write(HEAD)
         try:
             counts = _copy(old, new)
-        except (RevisitError, sa.exc.SQLAlchemyError, sqlite3.Error, UnicodeError):
+        except UNREADABLE:
             counts = {}
         if counts.get("maps"):
             break
@@ -238,7 +240,7 @@ def _mend_findings(url: str, data: Path, findings: list[Finding], done: list[str
             try:
                 with database.writing() as connection:
                     told = finding.mend(connection)
-            except (RevisitError, sa.exc.SQLAlchemyError, sqlite3.Error, OSError, ValueError) as error:
+            except (*UNREADABLE, OSError, ValueError) as error:
                 done.append(f"{finding.where}: {finding.what}; could not be mended ({error})")
             else:
                 line = f"{finding.where}: {finding.what}; {told}"
