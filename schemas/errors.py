@@ -15,6 +15,7 @@
     ├── Unauthorized       unauthorized          Forbidden   forbidden
     ├── Busy               too-many-requests     Unavailable, StorageFailed  unavailable
     ├── DiskFull           disk-full
+    ├── Damaged            damaged               (also the failure code of a view whose stored data is damaged)
     ├── LeaseLost          lease-lost            (in workers; never sent to a client)
     ├── DescriptorMismatch descriptor-mismatch   (descriptors do not fit the vocabulary)
     └── SetupError         setup                 (the service cannot start as it is configured)
@@ -181,6 +182,12 @@ class StorageFailed(Unavailable):
 
     def __init__(self, detail: str) -> None:
         super().__init__(detail, 5)
+
+
+class Damaged(RevisitError):
+    """What is stored is not what was stored: a file or a row does not fit its checksum, or cannot be read."""
+
+    code = "damaged"
 
 
 class LeaseLost(RevisitError):

@@ -72,6 +72,11 @@ KINDS: Mapping[str, Kind] = {
     "too-many-requests": Kind(429, "Too many requests are waiting", "Try again after `Retry-After` seconds."),
     "headers-too-large": Kind(431, "The headers are too large", "Send fewer or shorter headers and parameters."),
     "internal": Kind(500, "The service failed", "Try again; report it with the request id, which the log has too."),
+    "damaged": Kind(
+        500,
+        "Stored data is damaged",
+        "Enrol the image again, or have `./revisit doctor --repair` run; do not retry.",
+    ),
     "unavailable": Kind(
         503, "The service cannot do this now", "Follow `detail`; try again after `Retry-After` seconds."
     ),

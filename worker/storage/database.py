@@ -8,9 +8,9 @@ from typing import TypeVar
 
 import sqlalchemy as sa
 
-from schemas.errors import DiskFull
-from worker.storage import dialect
-from worker.storage.disk_errors import problem_of, translated
+from schemas.errors import Damaged, DiskFull
+from worker.storage import dialect, sealing
+from worker.storage.disk_errors import DAMAGED, problem_of, translated
 from worker.storage.space import Space
 
 T = TypeVar("T")
@@ -36,16 +36,20 @@ class Database:
 
     def __init__(self, url: str) -> None:
         self.engine = dialect.make_engine(url)
+        sealing.follow(self.engine)
         self.space: Space | None = None
         self.trouble: str | None = None  # why the last transaction that wrote could not be stored
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A transaction whose reads all see the same snapshot; raises StorageFailed when the disk fails."""
-        with translated("database"), self.engine.connect() as connection:
-            connection = dialect.for_reading(connection)
-            with connection.begin():
-                yield connection
+        """A transaction whose reads all see the same snapshot; raises StorageFailed or Damaged when its file fails."""
+        try:
+            with translated("database"), self.engine.connect() as connection:
+                connection = dialect.for_reading(connection)
+                with connection.begin():
+                    yield connection
+        except UnicodeDecodeError as error:  # a message of SQLite's that quotes a damaged definition
+            raise Damaged(DAMAGED.format("its definitions cannot be read")) from error
 
     @contextmanager
     def writing(self, *, in_turn: bool = True, frees: bool = False) -> Iterator[sa.Connection]:
@@ -60,7 +64,7 @@ class Database:
 
         Raises
         ------
-        DiskFull, StorageFailed
+        DiskFull, StorageFailed, Damaged
         """
         if self.space is not None and not frees:
             self.space.require()
@@ -70,7 +74,9 @@ class Database:
                 with connection.begin():
                     if in_turn:
                         dialect.take_turn(connection)
+                    sealing.begin(connection)
                     yield connection
+                    sealing.seal(connection)
             self.trouble = None
         except (OSError, sa.exc.DBAPIError) as error:
             problem = problem_of(error, "database")

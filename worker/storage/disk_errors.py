@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import sqlalchemy as sa
 
-from schemas.errors import DiskFull, RevisitError, StorageFailed
+from schemas.errors import Damaged, DiskFull, RevisitError, StorageFailed
 from worker.storage import dialect
 
 _READ_ONLY, _IO_ERROR, _CANNOT_OPEN, _NO_PERMISSION = 8, 10, 14, 3
@@ -20,11 +20,15 @@ _SQLITE = {
 _FILES = frozenset({errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENODEV, errno.ENXIO, errno.EMFILE})
 
 FULL = "the disk of the {} is full; free some space or delete views"
+DAMAGED = (
+    "the file of the database is damaged ({}): whoever runs the service should stop it, then run "
+    "`./revisit doctor --repair` or restore a backup"
+)
 FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
 
 
 def problem_of(error: BaseException, what: str) -> RevisitError | None:
-    """DiskFull or StorageFailed when the disk is at fault, else None.
+    """DiskFull, StorageFailed or Damaged when the disk or the file is at fault, else None.
 
     Parameters
     ----------
@@ -35,6 +39,8 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
     if dialect.is_full(error):
         return DiskFull(FULL.format(what))
     if isinstance(error, sa.exc.DBAPIError):
+        if dialect.is_damaged(error):
+            return Damaged(DAMAGED.format(error.orig))
         code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF
         return StorageFailed(FAILED.format(what, _SQLITE[code])) if code in _SQLITE else None
     if isinstance(error, OSError) and error.errno in _FILES:
@@ -44,7 +50,7 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
 
 @contextmanager
 def translated(what: str) -> Iterator[None]:
-    """Raise errors of the disk inside the block as DiskFull or StorageFailed."""
+    """Raise errors of the disk inside the block as DiskFull, StorageFailed or Damaged."""
     try:
         yield
     except (OSError, sa.exc.DBAPIError) as error:

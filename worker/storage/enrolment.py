@@ -10,7 +10,7 @@ from schemas.errors import Conflict, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes
-from worker.storage import switching
+from worker.storage import checksums, switching
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
@@ -24,6 +24,7 @@ from worker.storage.rows import (
     attributes_of,
     find_map,
     find_view,
+    has_whole_attributes,
     inserting,
     view_record,
     view_rows,
@@ -55,6 +56,16 @@ def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) 
     pairs = [{"pair": pair, "seq": seq} for pair in metadata_pairs(attributes.metadata)]
     if pairs:
         connection.execute(sa.insert(METADATA_PAIRS), pairs)
+
+
+def _fact_columns(facts: ImageFacts) -> dict[str, Any]:
+    return {
+        "sha256": facts.sha256,
+        "width": int(facts.width),
+        "height": int(facts.height),
+        "byte_count": int(facts.byte_count),
+        "format": facts.format,
+    }
 
 
 @cache
@@ -105,7 +116,7 @@ class Enrolment(Part):
             view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
                 return self._enrol(connection, row, facts, attributes, now, steady_s)
-            return self._enrol_again(connection, row, view, attributes, now)
+            return self._enrol_again(connection, row, view, facts, attributes, now)
 
     def _enrol(
         self,
@@ -117,21 +128,16 @@ class Enrolment(Part):
         steady_s: float | None,
     ) -> Submitted:
         view_id, elapsed_us = self._order.following(connection, now, steady_s)
+        columns = {
+            "id": view_id,
+            "map_id": row.id,
+            "enrolled_at": now,
+            "elapsed_us": elapsed_us,
+            **_fact_columns(facts),
+            **attribute_columns(attributes),
+        }
         connection.execute(
-            inserting(VIEWS),
-            {
-                "id": view_id,
-                "map_id": row.id,
-                "enrolled_at": now,
-                "elapsed_us": elapsed_us,
-                "sha256": facts.sha256,
-                "width": int(facts.width),
-                "height": int(facts.height),
-                "byte_count": int(facts.byte_count),
-                "format": facts.format,
-                "state": "pending",
-                **attribute_columns(attributes),
-            },
+            inserting(VIEWS), {**columns, "state": "pending", "checksum": checksums.of_row(VIEWS, columns)}
         )
         view = view_record(find_view(connection, view_id))
         self._order.note(view.seq, elapsed_us, steady_s)
@@ -140,8 +146,27 @@ class Enrolment(Part):
         return Submitted(view, job, created=True, revision=row.revision)
 
     def _enrol_again(
-        self, connection: sa.Connection, row: sa.Row[Any], view: sa.Row[Any], attributes: ViewAttributes, now: datetime
+        self,
+        connection: sa.Connection,
+        row: sa.Row[Any],
+        view: sa.Row[Any],
+        facts: ImageFacts,
+        attributes: ViewAttributes,
+        now: datetime,
     ) -> Submitted:
+        if not has_whole_attributes(view):  # what is sent now is what there is
+            columns = {
+                **view._mapping,
+                "map_id": row.id,
+                "enrolled_at": now,
+                **_fact_columns(facts),
+                **attribute_columns(attributes),
+            }
+            changed = {name: columns[name] for name in checksums.COVERED[VIEWS.name]}
+            changed |= {"state": "failed", "checksum": checksums.of_row(VIEWS, columns)}
+            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
+            keep_pairs(connection, view.seq, attributes)
+            view = find_view(connection, view.id)
         differing = contradictions(attributes_of(view), attributes)
         if differing:
             raise Conflict(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from schemas.errors import DiskFull, RevisitError, SetupError, StorageFailed
+from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from schemas.statistics import StoreStatistics
 from worker.storage import dialect, statistics
 from worker.storage.calls import Calls, Vocabularies
@@ -158,6 +158,13 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
     except OSError as error:
         database.close()
         raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
+    except Damaged as error:
+        database.close()
+        reason = getattr(error.__cause__, "orig", error.__cause__)
+        raise SetupError(
+            f"the database cannot be used: {reason}; see REVISIT_DATABASE; if it was whole once, `./revisit doctor "
+            "--repair` saves what can be read, and a backup has the rest"
+        ) from error
     except sa.exc.DBAPIError as error:
         database.close()
         raise SetupError(f"the database cannot be used: {error.orig}; see REVISIT_DATABASE") from error

@@ -10,7 +10,7 @@ from alembic import op
 
 from worker.storage.columns import UtcDateTime
 
-revision = "0007"
+revision = "0006"
 down_revision = "0005"
 
 _VIEWS = sa.table(
