@@ -152,12 +152,6 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
     except SetupError:
         database.close()
         raise
-    except RevisitError as error:
-        database.close()
-        raise SetupError(f"{error.detail}; see REVISIT_DATA and REVISIT_DATABASE") from error
-    except OSError as error:
-        database.close()
-        raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
     except Damaged as error:
         database.close()
         reason = getattr(error.__cause__, "orig", error.__cause__)
@@ -165,6 +159,12 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
             f"the database cannot be used: {reason}; see REVISIT_DATABASE; if it was whole once, `./revisit doctor "
             "--repair` saves what can be read, and a backup has the rest"
         ) from error
+    except RevisitError as error:
+        database.close()
+        raise SetupError(f"{error.detail}; see REVISIT_DATA and REVISIT_DATABASE") from error
+    except OSError as error:
+        database.close()
+        raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
     except sa.exc.DBAPIError as error:
         database.close()
         raise SetupError(f"the database cannot be used: {error.orig}; see REVISIT_DATABASE") from error
