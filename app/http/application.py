@@ -8,6 +8,8 @@ from fastapi import FastAPI
 
 from app.http import problems
 from app.http.dependencies import once_each
+from app.http.keys import KeyGate
+from app.http.limits import RateLimit
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
@@ -63,9 +65,11 @@ def application(service: Service) -> FastAPI:
         app.include_router(group.router, dependencies=[once_each])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
-    # The middleware added last is outermost: RequestContext sees every answer, and no body is read before ReadinessGate
-    # and BodyLimit let the request through.
+    # The middleware added last is outermost: RequestContext sees every answer, and no body is read before
+    # ReadinessGate, KeyGate, RateLimit and BodyLimit let the request through.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA))
+    app.add_middleware(RateLimit, settings=service.settings)
+    app.add_middleware(KeyGate, keys=service.keys)
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     app.add_middleware(RequestContext, metrics=metrics)
     return app

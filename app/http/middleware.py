@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.metrics import Metrics
 from app.http.problems import internal, problem_of
-from schemas.errors import BodyTooLarge, Unavailable
+from schemas.errors import BodyTooLarge, RevisitError, Unavailable
 
 access = logging.getLogger("revisit.access")
 
@@ -87,6 +87,7 @@ class RequestContext:
                 "status": status,
                 "ms": round(seconds * 1000, 2),
                 "request_id": request_id,
+                "key": getattr(scope["state"].get("access"), "key", None),
             },
         )
 
@@ -105,9 +106,9 @@ class ReadinessGate:
             return
         started, draining = self._state()
         if draining:
-            await _refuse(Unavailable("the service is stopping", DRAINING_RETRY_S), scope, receive, send)
+            await refuse(Unavailable("the service is stopping", DRAINING_RETRY_S), scope, receive, send)
         elif not started:
-            await _refuse(Unavailable("the service is starting", STARTING_RETRY_S), scope, receive, send)
+            await refuse(Unavailable("the service is starting", STARTING_RETRY_S), scope, receive, send)
         else:
             await self._app(scope, receive, send)
 
@@ -126,7 +127,7 @@ class BodyLimit:
             return
         announced = Headers(scope=scope).get("content-length", "")
         if announced.isdigit() and int(announced) > self._max_bytes:
-            await _refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
+            await refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
             return
         received = 0
 
@@ -146,7 +147,8 @@ class BodyLimit:
         return BodyTooLarge(f"the body has {size} bytes; at most {self._max_bytes:,} are taken")
 
 
-async def _refuse(error: BodyTooLarge | Unavailable, scope: Scope, receive: Receive, send: Send) -> None:
+async def refuse(error: RevisitError, scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer an error before the body is read."""
     response: Response = problem_of(error, Request(scope).state.request_id)
     # The body is unread, so the connection cannot carry another request.
     response.headers["Connection"] = "close"

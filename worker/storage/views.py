@@ -1,6 +1,6 @@
 """Views: shown, listed, changed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import sqlalchemy as sa
 
@@ -17,6 +17,7 @@ from worker.storage.rows import (
     batches,
     find_map,
     find_view,
+    maps_named,
     view_record,
     view_rows,
     views_of,
@@ -50,8 +51,9 @@ class Views(Part):
         newest_first: bool = False,
         cursor: str | None = None,
         limit: int = 50,
+        among: Collection[str] | None = None,
     ) -> "tuple[list[ViewRecord], str | None]":
-        """A page of views in enrolment order (or reverse), and the cursor of the next.
+        """A page of views in enrolment order (or reverse), and the cursor of the next; `among`: of these maps alone.
 
         Raises
         ------
@@ -64,6 +66,8 @@ class Views(Part):
             page = page.where(VIEWS.c.seq < last if newest_first else VIEWS.c.seq > last)
         if state is not None:
             page = page.where(VIEWS.c.state == state)
+        if among is not None:
+            page = page.where(VIEWS.c.map_id.in_(maps_named(among)))
         with self._database.reading() as connection:
             map_id = None
             if name is not None:
