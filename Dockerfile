@@ -26,9 +26,9 @@ COPY deploy/in-container /usr/local/bin/revisit
 # Compiled once here, since the service's user cannot write beside the program.
 RUN .venv/bin/python -m compileall -q schemas worker app client && .venv/bin/python -m pip uninstall -q -y pip
 
-# A container is reached from outside, so it listens everywhere and says so in its log; publish the port to whom you
-# trust, or put a proxy with keys in front (deploy/nginx.conf).
-ENV REVISIT_DATA=/data REVISIT_HOST=0.0.0.0 REVISIT_PORT=8000 REVISIT_OPEN=true REVISIT_LOG=json PYTHONUNBUFFERED=1
+# A container is reached from outside, so it listens everywhere and makes an admin key at its first start, which it prints
+# once (`docker logs`). REVISIT_OPEN=1 says that none is wanted. TLS is a proxy's (deploy/nginx.conf).
+ENV REVISIT_DATA=/data REVISIT_HOST=0.0.0.0 REVISIT_PORT=8000 REVISIT_FIRST_KEY=true REVISIT_LOG=json PYTHONUNBUFFERED=1
 USER revisit
 VOLUME /data
 EXPOSE 8000

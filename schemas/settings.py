@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from schemas.errors import SetupError
@@ -24,6 +24,9 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
     port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
     open: bool = Field(False, description="Allow an address other than loopback although anybody may then call.")
+    first_key: bool = Field(
+        False, description="Make an admin key and print it once where others may reach a service without keys."
+    )
     encoder: Literal["compact", "color", "lseg"] = Field("compact", description="Encoder that describes images.")
     weights: Path | None = Field(None, description="Weights file of the encoder `lseg`.")
     bpe: Path | None = Field(None, description="CLIP's byte-pair vocabulary, for the encoder `lseg`.")
@@ -46,11 +49,18 @@ class Settings(BaseSettings):
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
     queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
     explanations: int = Field(200, ge=0, description="Latest explained queries that are kept for drawing.")
+    limit_requests: int = Field(0, ge=0, description="Requests a minute of each key, or address without keys; 0: any.")
+    limit_images: int = Field(0, ge=0, description="Images a minute of each key, or address without keys; 0: any.")
+    limit_mb: float = Field(0, ge=0, description="10^6 bytes a minute of each key, or address without keys; 0: any.")
+    limit_all_requests: int = Field(0, ge=0, description="Requests a minute of all callers together; 0: any.")
+    limit_all_images: int = Field(0, ge=0, description="Images a minute of all callers together; 0: any.")
+    limit_all_mb: float = Field(0, ge=0, description="10^6 bytes a minute of all callers together; 0: any.")
     log: Literal["text", "json"] = Field("text", description="Format of log lines.")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level of log lines.")
     slow_s: float = Field(5, gt=0, description="Seconds after which a request is logged as slow.")
     traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
+    key: SecretStr | None = Field(None, description="Key that the command line sends; a service does not read it.")
 
     @property
     def database_url(self) -> str:

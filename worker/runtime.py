@@ -29,6 +29,7 @@ from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.jobs import JobService
+from worker.service.keys import KeyService
 from worker.service.maps import MapService
 from worker.service.query import QueryService
 from worker.service.renderings import RenderingService
@@ -55,6 +56,7 @@ class Services:
     maps: MapService
     jobs: JobService
     calibration: CalibrationService
+    keys: KeyService
 
 
 @dataclass(frozen=True)
@@ -342,6 +344,7 @@ def _services(
             wake=_nothing if loop is None else loop.wake_all,
         ),
         jobs=JobService(store.jobs),
+        keys=KeyService(store.keys),
         calibration=CalibrationService(
             maps=store.maps,
             views=store.views,

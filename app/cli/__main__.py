@@ -8,8 +8,20 @@ from collections.abc import Sequence
 from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
 
 GROUPS = (
-    "serve", "demo", "enroll", "query", "browse", "recipes", "calibrate", "health", "care", "doctor", "study", "weights"
-)  # fmt: skip
+    "serve",
+    "demo",
+    "enroll",
+    "query",
+    "browse",
+    "recipes",
+    "calibrate",
+    "health",
+    "keys",
+    "care",
+    "doctor",
+    "study",
+    "weights",
+)
 """Modules with commands. Slow imports happen when a command runs, so that `--help` answers at once."""
 
 EPILOG = """\

@@ -41,7 +41,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
 
     from app.cli.console import wrong_use
 
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete:
             if arguments.name is None:
                 wrong_use("--delete needs the name of a map")
@@ -85,7 +85,7 @@ def run_views(arguments: argparse.Namespace) -> int:
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.delete or any(drawn.values())):
         wrong_use("--delete, --image, --segmentation and --graph need the id of a view")
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete:
             receipt = revisit.delete(arguments.id)
             if arguments.json:
@@ -143,7 +143,7 @@ def run_places(arguments: argparse.Namespace) -> int:
 
     from app.cli.query import position_text
 
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         places = list(revisit.places(arguments.map))
     if arguments.json:
         show_json([place.model_dump(mode="json") for place in places])

@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if (arguments.labels is None) != arguments.forget:
         wrong_use("give either a CSV file of labelled images or --forget")
     if arguments.forget:
-        with Revisit(arguments.url) as revisit:
+        with Revisit(arguments.url, key=arguments.key) as revisit:
             decision = revisit.forget_calibration(arguments.map).decision
         if arguments.json:
             show_json(decision.model_dump(mode="json"))
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
             show(f"the map {arguments.map} decides by the shipped calibration")
         return DONE
     rows = read(arguments.labels)
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         within = max(arguments.within, float(revisit.map(arguments.map).ranking["same_place_m"]))
         _refuse_unknown_places(revisit, arguments.map, rows)
         observed, used = [], dict[str, Any]()

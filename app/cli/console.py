@@ -121,4 +121,5 @@ Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 def speaks(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of all commands that call a running service."""
     parser.add_argument("--url", help="address of the service (default: REVISIT_URL, or http://127.0.0.1:8000)")
+    parser.add_argument("--key", help="key of the service; REVISIT_KEY is better, since others can list arguments")
     parser.add_argument("--json", action="store_true", help="answer as JSON, for machines")

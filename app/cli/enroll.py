@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.place and arguments.place_from_folder:
         wrong_use("--place and --place-from-folder contradict each other")
     work = _described(arguments)
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         summary = _enrolled(revisit, work, arguments.parallel)
     if arguments.json:
         show_json(asdict(summary))

@@ -25,7 +25,7 @@ def run_healthcheck(arguments: argparse.Namespace) -> int:
     from revisit_client import Revisit
 
     url = arguments.url or os.environ.get("REVISIT_URL") or f"http://127.0.0.1:{os.environ.get('REVISIT_PORT', '8000')}"
-    with Revisit(url, timeout=5, patience=0) as revisit:
+    with Revisit(url, key=arguments.key, timeout=5, patience=0) as revisit:
         readiness = revisit.readyz()
     if arguments.json:
         show_json(readiness.model_dump(mode="json"))
@@ -49,7 +49,7 @@ def run_version(arguments: argparse.Namespace) -> int:
         return DONE
     from revisit_client import Revisit
 
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         facts = revisit.version().model_dump(mode="json")
     if arguments.json:
         show_json(facts)
@@ -63,6 +63,6 @@ def run_openapi(arguments: argparse.Namespace) -> int:
     """Print the OpenAPI document."""
     from revisit_client import Revisit
 
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         show_json(revisit.openapi())
     return DONE

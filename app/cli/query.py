@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Query; returns 0 whether the place is known or not."""
     from revisit_client import Revisit
 
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         answer = revisit.query(
             arguments.image,
             map=arguments.map,

@@ -45,7 +45,7 @@ def run_vocabulary(arguments: argparse.Namespace) -> int:
     """Train a vocabulary."""
     from revisit_client import Revisit
 
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         return _finished(revisit, revisit.train_vocabulary(arguments.map), arguments)
 
 
@@ -57,7 +57,7 @@ def run_recipe(arguments: argparse.Namespace) -> int:
     ranking = _object("--ranking", arguments.ranking)
     labels, dynamic = _labels(arguments.labels), _labels(arguments.dynamic)
     describes = not (arguments.preset is None and labels is None and dynamic is None and parameters is None)
-    with Revisit(arguments.url) as revisit:
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         if describes:
             job = revisit.switch_recipe(
                 arguments.map,

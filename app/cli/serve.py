@@ -6,6 +6,7 @@ import logging
 import signal
 import socket
 import threading
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
 if TYPE_CHECKING:
     from schemas.settings import Settings
     from worker.runtime import Runtime
+    from worker.service.keys import KeyService
 
 log = logging.getLogger("revisit")
 
@@ -82,15 +84,45 @@ def run_serve(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_open(settings: "Settings") -> None:
-    """Raise Failure unless the host is a loopback address or `open` is set."""
-    if _is_loopback(settings.host) or settings.open:
+    """Raise Failure unless the host is a loopback address, there is a key, one will be made, or `open` is set."""
+    if _is_loopback(settings.host) or settings.open or settings.first_key or _has_keys(settings):
         return
     raise Failure(
-        f"{settings.host} can be reached by others, and there are no keys yet: anybody could read, enrol and delete.\n"
-        "Listen on 127.0.0.1, put a proxy with authentication in front (deploy/nginx.conf), or say --open if the\n"
-        "network is yours.",
+        f"{settings.host} can be reached by others, and there is no key: anybody could read, enrol and delete.\n"
+        "Make one with `./revisit keys create NAME --scope admin`, listen on 127.0.0.1, or say --open if the network\n"
+        "is yours.",
         2,
     )
+
+
+def _has_keys(settings: "Settings") -> bool:
+    if settings.database is None and not (settings.data / "revisit.db").exists():
+        return False
+    from worker.storage.store import open_store
+
+    store = open_store(settings.database_url, settings.data)
+    try:
+        return bool(store.keys.all())
+    finally:
+        store.close()
+
+
+def make_first_key(keys: "KeyService", settings: "Settings") -> None:
+    """Make and print an admin key where others reach a service without keys and `first_key` is set.
+
+    It is kept before it is printed: one that was printed works. One that could not be printed is forgotten again; after
+    a kill between the two, `./revisit keys create` in the container makes another.
+    """
+    if _is_loopback(settings.host) or settings.open or not settings.first_key or keys.all():
+        return
+    from worker.service.keys import FIRST
+
+    record, key = keys.create(FIRST, "admin", datetime.now(UTC))
+    try:
+        show(f"revisit made an admin key, shown this once: {key}")
+    except BaseException:
+        keys.remove(record.id)
+        raise
 
 
 def _is_loopback(host: str) -> bool:
@@ -126,6 +158,7 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
     from worker.runtime import build
 
     runtime = build(settings)
+    make_first_key(runtime.services.keys, settings)
     service = Service.of(runtime)
     # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -164,7 +197,12 @@ def announce(runtime: "Runtime", url: str) -> None:
     show(f"  enrolled  {views} views in {len(maps)} maps{waiting}")
     show(f"  console   {url}/      documentation {url}/docs")
     show(f"  try       curl -F image=@photo.jpg {url}/enroll")
-    if not _is_loopback(settings.host):
+    keys = runtime.services.keys.all()
+    if keys:
+        show(
+            f"  keys      {sum(key.state(datetime.now(UTC)) == 'valid' for key in keys)} in force; every call needs one"
+        )
+    elif not _is_loopback(settings.host):
         log.warning(
             "OPEN: listening on %s without keys; whoever can reach this port may read, enrol and delete",
             settings.host,

@@ -13,7 +13,15 @@ from pathlib import Path
 from app.cli.console import Failure
 
 _URL = re.compile(r"revisit serves at (http://\S+)")
-_OURS = ("REVISIT_HOST", "REVISIT_PORT", "REVISIT_OPEN", "REVISIT_DATABASE", "REVISIT_URL", "REVISIT_LOG")
+_OURS = (
+    "REVISIT_HOST",
+    "REVISIT_PORT",
+    "REVISIT_OPEN",
+    "REVISIT_DATABASE",
+    "REVISIT_URL",
+    "REVISIT_LOG",
+    "REVISIT_KEY",
+)
 ROOT = Path(__file__).resolve().parents[2]
 STARTING_S = 180
 STOPPING_S = 30

@@ -9,9 +9,11 @@ from fastapi import FastAPI
 
 from app.http import problems
 from app.http.dependencies import once_each
+from app.http.keys import KeyGate
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
+from app.http.rate_limits import RateLimit
 from app.http.routes import enroll, health, images, jobs, maps, places, query, views
 from app.http.service import Service
 from app.http.tracing import Tracing, make_provider
@@ -77,9 +79,11 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         app.include_router(group.router, dependencies=[once_each])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
-    # The middleware added last is outermost: RequestContext sees every answer, and no body is read before ReadinessGate
-    # and BodyLimit let the request through.
+    # The middleware added last is outermost: RequestContext sees every answer, and no body is read before
+    # ReadinessGate, KeyGate, RateLimit and BodyLimit let the request through.
     app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA), seconds=service.settings.body_s)
+    app.add_middleware(RateLimit, settings=service.settings)
+    app.add_middleware(KeyGate, keys=service.keys)
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     if tracer_provider is not None:
         app.add_middleware(Tracing, provider=tracer_provider, metrics=metrics)

@@ -1,7 +1,7 @@
 """Use-cases for views, images, maps and jobs: each runs in a thread, and its result becomes an answer."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from functools import partial
 from typing import Any, Protocol
@@ -84,9 +84,12 @@ class Curator:
         newest_first: bool,
         cursor: str | None,
         limit: int,
+        among: Collection[str] | None = None,
     ) -> wire.Views:
-        """A page of views."""
-        page = partial(self._views.page, state=state, newest_first=newest_first, cursor=cursor, limit=limit)
+        """A page of views; `among`: of these maps alone."""
+        page = partial(
+            self._views.page, state=state, newest_first=newest_first, cursor=cursor, limit=limit, among=among
+        )
         views, following = await asyncio.to_thread(page, map_name, filters)
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
 
@@ -102,9 +105,11 @@ class Curator:
         """Remove the views of a map that pass the filters."""
         return presenters.removal(await asyncio.to_thread(self._views.delete_matching, map_name, filters))
 
-    async def places(self, map_name: str | None, cursor: str | None, limit: int) -> wire.Places:
-        """A page of places."""
-        rows, following = await asyncio.to_thread(self._views.places, map_name, cursor, limit)
+    async def places(
+        self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
+    ) -> wire.Places:
+        """A page of places; `among`: of these maps alone."""
+        rows, following = await asyncio.to_thread(self._views.places, map_name, cursor, limit, among)
         return wire.Places(places=[presenters.place(row) for row in rows], next=following)
 
     # images
@@ -137,6 +142,10 @@ class Curator:
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
         """A PNG of what decided about a match."""
         return await asyncio.to_thread(self._renderings.explanation, query_id, view_id)
+
+    async def map_of_query(self, query_id: str) -> str:
+        """The map of an explained query; raises NotFound."""
+        return self._renderings.map_of_query(query_id)
 
     # maps
 
@@ -197,10 +206,17 @@ class Curator:
         return presenters.job(await asyncio.to_thread(self._jobs.get, job_id))
 
     async def jobs(
-        self, map_name: str | None, *, kind: JobKind | None, state: JobState | None, cursor: str | None, limit: int
+        self,
+        map_name: str | None,
+        *,
+        kind: JobKind | None,
+        state: JobState | None,
+        cursor: str | None,
+        limit: int,
+        among: Collection[str] | None = None,
     ) -> wire.Jobs:
-        """A page of jobs, newest first."""
-        page = partial(self._jobs.page, kind=kind, state=state, cursor=cursor, limit=limit)
+        """A page of jobs, newest first; `among`: of these maps alone."""
+        page = partial(self._jobs.page, kind=kind, state=state, cursor=cursor, limit=limit, among=among)
         records, following = await asyncio.to_thread(page, map_name)
         return wire.Jobs(jobs=[presenters.job(record) for record in records], next=following)
 

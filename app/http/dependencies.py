@@ -1,16 +1,20 @@
 """Dependencies of the routes: the use-cases, the metrics, checked path and query parameters."""
 
+from collections.abc import Awaitable
 from typing import Annotated
 
 from fastapi import Depends, Path, Query, Request
 
 from app.http.curate import Curator
+from app.http.keys import Accesses
 from app.http.lifecycle import Lifecycle
 from app.http.metrics import Metrics
 from app.http.parameters import NoParameters
 from app.http.recognise import Recogniser
 from app.http.validation import OnceEach
 from app.http.values import MAP_NAME
+from schemas.errors import NotFound
+from schemas.keys import Access
 
 
 async def _recogniser(request: Request) -> Recogniser:
@@ -40,9 +44,52 @@ Measures = Annotated[Metrics, Depends(_metrics)]
 
 
 MapName = Annotated[str, Path(alias="map", pattern=MAP_NAME, description="Name of the map.")]
-ViewId = Annotated[str, Path(description="Id of the view.")]
-JobId = Annotated[str, Path(description="Id of the job.")]
-QueryId = Annotated[str, Path(description="Id of the query, from its answer.")]
+
+
+async def _within(access: Access, kind: str, name: str, map_name: Awaitable[str]) -> str:
+    """The id, for a caller that may use the map of what it names; to others it does not exist.
+
+    The same answer whatever is the reason, so that nobody learns which ids there are in the maps of others.
+    """
+    try:
+        allowed = access.may_use(await map_name)
+    except NotFound:
+        allowed = False
+    if not allowed:
+        raise NotFound(kind, name)
+    return name
+
+
+async def _view_id(
+    view_id: Annotated[str, Path(description="Id of the view.")], access: Accesses, curator: Curates
+) -> str:
+    async def map_name() -> str:
+        return (await curator.view(view_id)).map
+
+    return view_id if access.maps is None else await _within(access, "view", view_id, map_name())
+
+
+async def _job_id(
+    job_id: Annotated[str, Path(description="Id of the job.")], access: Accesses, curator: Curates
+) -> str:
+    async def map_name() -> str:
+        return (await curator.job(job_id)).map
+
+    return job_id if access.maps is None else await _within(access, "job", job_id, map_name())
+
+
+async def _query_id(
+    query_id: Annotated[str, Path(description="Id of the query, from its answer.")], access: Accesses, curator: Curates
+) -> str:
+    if access.maps is None:
+        return query_id
+    return await _within(access, "explained query", query_id, curator.map_of_query(query_id))
+
+
+ViewId = Annotated[str, Depends(_view_id)]
+JobId = Annotated[str, Depends(_job_id)]
+QueryId = Annotated[str, Depends(_query_id)]
+"""Ids in paths; of views, jobs and queries of maps that the caller may use."""
 
 
 async def _once_each(_: Annotated[OnceEach, Query()]) -> None: ...

@@ -143,6 +143,7 @@ class RequestContext:
                 "request_bytes": received,
                 "response_bytes": sent,
                 "request_id": scope["state"]["request_id"],
+                "key": getattr(scope["state"].get("access"), "key", None),
                 **({"slow": True} if slow else {}),
                 **({"problem": notes.problems[0]} if notes.problems else {}),
                 **notes.fields,

@@ -9,6 +9,7 @@ from pydantic import BaseModel
 from app.http import problems
 from app.http.examples import PROBLEM_DETAILS
 from app.http.parameters import METADATA_FILTER
+from app.http.scopes import OPEN_PATHS, ROUTES
 from app.http.validation import Parameters
 from schemas.requests import PatchMap, PostCalibration, PutMap
 from schemas.wire import Problem
@@ -18,12 +19,20 @@ Json = dict[str, Any]
 _REF = "#/components/schemas/"
 _IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
 _EVERYWHERE = ("invalid-parameter", "internal")
+_SCHEMES = {
+    "bearer": {"type": "http", "scheme": "bearer", "description": "A key from `./revisit keys create`."},
+    "header": {"type": "apiKey", "in": "header", "name": "X-Api-Key", "description": "The same key."},
+}
 
 DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later query with a photo.
 
 Send images as the multipart part `image`, or as the raw body with their content type; parameters are multipart
 parts or query parameters, by the same names. Unknown parameters are errors. Every error is `application/problem+json`.
-Every answer carries `X-Request-Id`."""
+Every answer carries `X-Request-Id`.
+
+A service that has keys asks for one on every route but `/livez`, `/readyz` and `/version`: as
+`Authorization: Bearer KEY` or `X-Api-Key: KEY`. The roles of a route's security are the scope that its key needs:
+read, write or admin, each with those before it."""
 
 
 def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
@@ -36,8 +45,13 @@ def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
     always_open : bool
         The route answers while the service starts and stops.
     """
+    return _answers(*codes, *_EVERYWHERE, *(() if always_open else ("unavailable",)))
+
+
+def _answers(*codes: str) -> dict[int | str, Json]:
+    """The `responses` for problems."""
     by_status: dict[int | str, Json] = {}
-    for code in dict.fromkeys((*codes, *_EVERYWHERE, *(() if always_open else ("unavailable",)))):
+    for code in dict.fromkeys(codes):
         kind = problems.KINDS[code]
         entry = by_status.setdefault(
             kind.status,
@@ -48,6 +62,8 @@ def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
         )
         entry["description"] = ". ".join(filter(None, (entry["description"], f"`{code}`: {kind.title}")))
         entry["content"][problems.MEDIA_TYPE]["examples"][code] = {"value": _example(code)}
+        if kind.status == 401:
+            entry["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}, "required": True}}
         if kind.status in (429, 503):
             entry["headers"] = {
                 "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "required": True}
@@ -166,7 +182,11 @@ def document(app: FastAPI) -> Json:
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
         for model in (Problem, PutMap, PatchMap, PostCalibration):
             schemas.update(_definitions(model))
-        for operation in (one for methods in whole["paths"].values() for one in methods.values()):
+        whole["components"]["securitySchemes"] = _SCHEMES
+        for method, path, operation in (
+            (method, path, one) for path, methods in whole["paths"].items() for method, one in methods.items()
+        ):
+            _secure(operation, method.upper(), path)
             if "parameters" in operation:
                 operation["parameters"] = [_described(parameter) for parameter in operation["parameters"]]
         # FastAPI's own validation errors are never sent.
@@ -174,6 +194,19 @@ def document(app: FastAPI) -> Json:
         schemas.pop("ValidationError", None)
         app.openapi_schema = whole
     return app.openapi_schema
+
+
+def _secure(operation: Json, method: str, path: str) -> None:
+    """Say which key a route asks for, and what it answers without; ``{}``: none, of a service without keys."""
+    if path in OPEN_PATHS:
+        operation["security"] = []
+        return
+    scope = ROUTES.get((method, path), "admin")
+    operation["security"] = [{"bearer": [scope]}, {"header": [scope]}, {}]
+    responses = operation["responses"]
+    for code in ("unauthorized", "forbidden", "too-many-requests"):
+        ((status, answer),) = _answers(code).items()
+        responses.setdefault(str(status), answer)
 
 
 def _definitions(model: type[BaseModel]) -> Json:

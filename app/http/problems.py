@@ -12,7 +12,16 @@ from starlette.requests import ClientDisconnect
 
 from app.http.notes import note_problem
 from app.http.validation import in_words
-from schemas.errors import BadBody, Busy, InvalidParameters, NotFound, ParameterError, RevisitError, SetupError
+from schemas.errors import (
+    BadBody,
+    Busy,
+    InvalidParameters,
+    NotFound,
+    ParameterError,
+    RevisitError,
+    SetupError,
+    Unauthorized,
+)
 from schemas.wire import Problem, ProblemParameter
 
 logger = logging.getLogger("revisit.http")
@@ -69,7 +78,7 @@ KINDS: Mapping[str, Kind] = {
     "idempotency-key-reused": Kind(
         422, "The Idempotency-Key belongs to another request", "Use a new key for every new request."
     ),
-    "too-many-requests": Kind(429, "Too many requests are waiting", "Try again after `Retry-After` seconds."),
+    "too-many-requests": Kind(429, "Too many requests", "Try again after `Retry-After` seconds."),
     "headers-too-large": Kind(431, "The headers are too large", "Send fewer or shorter headers and parameters."),
     "internal": Kind(500, "The service failed", "Try again; report it with the request id, which the log has too."),
     "damaged": Kind(
@@ -130,6 +139,8 @@ def problem_of(error: RevisitError, request_id: str) -> Response:
     if code == "internal":
         return internal(error, request_id)
     headers = {"Retry-After": str(error.retry_after_s)} if isinstance(error, Busy) else None
+    if isinstance(error, Unauthorized):
+        headers = {"WWW-Authenticate": 'Bearer realm="revisit"'}  # RFC 9110, 11.6.1
     errors = error.errors if isinstance(error, InvalidParameters) else ()
     return problem(code, error.detail, request_id, errors=errors, headers=headers)
 

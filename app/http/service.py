@@ -1,9 +1,10 @@
 """What the routes share: the use-cases of one runtime."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from app.http.curate import Curator
+from app.http.keys import Keys, NoKeys
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
 from schemas.settings import Settings
@@ -25,12 +26,15 @@ class Service:
     lifecycle : Lifecycle
         Starts and stops the runtime, and reports its state.
     settings : Settings
+    keys : Keys
+        Who may call.
     """
 
     recogniser: Recogniser
     curator: Curator
     lifecycle: Lifecycle
     settings: Settings
+    keys: Keys = field(default_factory=NoKeys)
 
     @classmethod
     def of(cls, runtime: "Runtime") -> "Service":
@@ -53,4 +57,5 @@ class Service:
             ),
             lifecycle,
             runtime.settings,
+            services.keys,
         )

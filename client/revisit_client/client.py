@@ -32,6 +32,8 @@ class Revisit:
     ----------
     url : str or None
         Address of the service; None takes ``REVISIT_URL``, or `DEFAULT_URL`.
+    key : str or None
+        Key of the service; None takes ``REVISIT_KEY``, or sends none.
     timeout : float
         Seconds to wait for one answer.
     patience : float
@@ -54,6 +56,7 @@ class Revisit:
         self,
         url: str | None = None,
         *,
+        key: str | None = None,
         timeout: float = 60.0,
         patience: float = 60.0,
         transport: httpx.BaseTransport | None = None,
@@ -63,7 +66,13 @@ class Revisit:
         self.url = (url or os.environ.get("REVISIT_URL") or DEFAULT_URL).rstrip("/")
         self._sleep, self._clock = sleep, clock
         self._connection = Connection(
-            self.url, timeout=timeout, patience=patience, transport=transport, sleep=sleep, clock=clock
+            self.url,
+            key=key or os.environ.get("REVISIT_KEY"),
+            timeout=timeout,
+            patience=patience,
+            transport=transport,
+            sleep=sleep,
+            clock=clock,
         )
 
     def __enter__(self) -> Self:

@@ -23,6 +23,8 @@ class Connection:
     ----------
     url : str
         Address of the service, without a slash at its end.
+    key : str or None
+        Sent with every request; None sends none.
     timeout : float
         Seconds to wait for one answer.
     patience : float
@@ -37,6 +39,7 @@ class Connection:
         self,
         url: str,
         *,
+        key: str | None = None,
         timeout: float,
         patience: float,
         transport: httpx.BaseTransport | None,
@@ -49,7 +52,7 @@ class Connection:
             base_url=url,
             timeout=httpx.Timeout(timeout, connect=min(5.0, timeout)),
             transport=transport,
-            headers={"user-agent": USER_AGENT},
+            headers={"user-agent": USER_AGENT} | _bearing(key),
         )
 
     def close(self) -> None:
@@ -111,3 +114,11 @@ class Connection:
                 raise trouble
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)
+
+
+def _bearing(key: str | None) -> dict[str, str]:
+    """The header that carries a key (RFC 6750, 2.1); raises ValueError, without repeating it, for what is none."""
+    key = (key or "").strip()  # a file's last line break comes along with $(cat FILE)
+    if not all("!" <= letter <= "~" for letter in key):
+        raise ValueError("the key has letters that no key has; take it as `./revisit keys create` printed it")
+    return {"authorization": f"Bearer {key}"} if key else {}

@@ -19,6 +19,7 @@ class FakeService:
     url: str
     replies: dict[str, Reply | Callable[[bytes], Reply]] = field(default_factory=dict)
     requests: list[tuple[str, bytes]] = field(default_factory=list)
+    keys: list[str | None] = field(default_factory=list)
 
 
 @contextmanager
@@ -26,6 +27,7 @@ def fake_service() -> Iterator[FakeService]:
     class Handler(BaseHTTPRequestHandler):
         def answer(self) -> None:
             body = self.rfile.read(int(self.headers.get("content-length") or 0))
+            service.keys.append(self.headers.get("authorization"))
             service.requests.append((f"{self.command} {self.path}", body))
             reply = service.replies.get(f"{self.command} {self.path.partition('?')[0]}")
             status, content = reply(body) if callable(reply) else reply or (404, {})

@@ -4,7 +4,7 @@ It keeps views in dictionaries, checks images with the real codec, and fails on 
 """
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, cast
@@ -15,6 +15,7 @@ from uuid6 import uuid7
 from app.http.application import application
 from app.http.curate import Curator
 from app.http.examples import MATCH, QUERY_ANSWER, VIEW
+from app.http.keys import Keys, NoKeys
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
 from app.http.service import Service
@@ -162,9 +163,12 @@ class FakeRecogniser:
         self._may_fail("view")
         return self._view(view_id).view()
 
-    async def views(self, map_name: str | None, filters: Filters, **how: Any) -> wire.Views:
+    async def views(
+        self, map_name: str | None, filters: Filters, *, among: Collection[str] | None = None, **how: Any
+    ) -> wire.Views:
         self.given = {"map": map_name, "filters": filters, **how}
-        return wire.Views(views=[k.view() for k in self.kept.values() if map_name in (None, k.map)], next=None)
+        kept = [k for k in self.kept.values() if map_name in (None, k.map) and (among is None or k.map in among)]
+        return wire.Views(views=[k.view() for k in kept], next=None)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         kept = self._view(view_id)
@@ -202,6 +206,9 @@ class FakeRecogniser:
         return b"graph" + b" with legend" * legend
 
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
+        raise NotFound("explained query", query_id)
+
+    async def map_of_query(self, query_id: str) -> str:
         raise NotFound("explained query", query_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:
@@ -248,10 +255,11 @@ class FakeRecogniser:
         await self.map(name)
         return wire.Deleted(views=0, images=0, revision=None)
 
-    async def places(self, map_name: str | None, cursor: str | None, limit: int) -> wire.Places:
-        return wire.Places(
-            places=[wire.Place(map="default", place="hall", views=2, position=None, last_enrolled_at=NOW)], next=None
-        )
+    async def places(
+        self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
+    ) -> wire.Places:
+        hall = wire.Place(map="default", place="hall", views=2, position=None, last_enrolled_at=NOW)
+        return wire.Places(places=[hall] if among is None or hall.map in among else [], next=None)
 
     def _job(self, job_id: str) -> wire.Job:
         return wire.Job(
@@ -337,9 +345,9 @@ class FakeRecogniser:
     async def stop(self) -> None:
         self.events.append("stop")
 
-    async def jobs(self, map_name: str | None, **how: Any) -> wire.Jobs:
+    async def jobs(self, map_name: str | None, *, among: Collection[str] | None = None, **how: Any) -> wire.Jobs:
         self.given = {"map": map_name, **how}
-        return wire.Jobs(jobs=[self._job("j1")], next=None)
+        return wire.Jobs(jobs=[self._job("j1")] if among is None or "default" in among else [], next=None)
 
     async def change_ranking(self, name: str, changes: dict[str, Any]) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"ranking": {"id": "changed", **changes}})
@@ -351,9 +359,10 @@ class FakeRuntime:
 
     recogniser: FakeRecogniser = field(default_factory=FakeRecogniser)
     settings: Settings = field(default_factory=lambda: Settings(max_body_mb=2, max_megapixels=1))
+    keys: Keys = field(default_factory=NoKeys)
 
     def app(self, tracer_provider: Any = None) -> FastAPI:
         """The application of this runtime."""
         fake = self.recogniser
-        service = Service(cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake), self.settings)
-        return application(service, tracer_provider)
+        use_cases = cast(Recogniser, fake), cast(Curator, fake), cast(Lifecycle, fake)
+        return application(Service(*use_cases, self.settings, self.keys), tracer_provider)

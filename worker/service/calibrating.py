@@ -225,12 +225,14 @@ class CalibrationService:
                 errors.append(ParameterError(f"queries.{i}.place", detail))
             try:
                 view = self._views.get(query.view)
-            except NotFound as error:
-                errors.append(ParameterError(f"queries.{i}.view", error.detail))
+                found = view.map == record.name
+            except NotFound:
+                found = False
+            if not found:  # the same for a view of another map, which the caller may not know of
+                detail = f"there is no view {query.view!r} in the map {record.name!r}"
+                errors.append(ParameterError(f"queries.{i}.view", detail))
                 continue
-            if view.map != record.name:
-                errors.append(ParameterError(f"queries.{i}.view", f"is a view of the map {view.map!r}"))
-            elif view.state != "ready":
+            if view.state != "ready":
                 errors.append(ParameterError(f"queries.{i}.view", f"is {view.state}; only described views can query"))
             views.append(view)
         if errors:

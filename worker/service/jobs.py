@@ -1,5 +1,6 @@
 """Jobs: shown, listed, cancelled."""
 
+from collections.abc import Collection
 from datetime import UTC, datetime
 
 from schemas.records import JobKind, JobRecord, JobState
@@ -23,10 +24,20 @@ class JobService:
         return self._jobs.get(job_id)
 
     def page(
-        self, map_name: str | None, *, kind: JobKind | None, state: JobState | None, cursor: str | None, limit: int
+        self,
+        map_name: str | None,
+        *,
+        kind: JobKind | None,
+        state: JobState | None,
+        cursor: str | None,
+        limit: int,
+        among: Collection[str] | None = None,
     ) -> tuple[list[JobRecord], str | None]:
-        """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map."""
-        return self._jobs.list(map_name, kind=kind, state=state, cursor=cursor, limit=limit)
+        """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map.
+
+        `among`: of these maps alone.
+        """
+        return self._jobs.list(map_name, kind=kind, state=state, cursor=cursor, limit=limit, among=among)
 
     def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job; raises NotFound, or Conflict when it can no longer be cancelled."""

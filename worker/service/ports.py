@@ -1,7 +1,7 @@
 """Ports of the use-cases to the store; each declares only the methods that the use-cases call."""
 
 import builtins
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import Protocol
 
@@ -99,8 +99,12 @@ class Views(Protocol):
         newest_first: bool = False,
         cursor: str | None = None,
         limit: int = 50,
+        among: Collection[str] | None = None,
     ) -> tuple[builtins.list[ViewRecord], str | None]:
-        """A page of views in enrolment order, and the cursor of the next; raises InvalidParameters for a bad cursor."""
+        """A page of views in enrolment order, and the cursor of the next; raises InvalidParameters for a bad cursor.
+
+        `among`: of these maps alone.
+        """
         ...
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
@@ -136,7 +140,7 @@ class Listings(Protocol):
         ...
 
     def places(
-        self, name: str | None, cursor: str | None, limit: int
+        self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
     ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
         """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next."""
         ...
@@ -181,6 +185,7 @@ class Jobs(Protocol):
         state: JobState | None = None,
         cursor: str | None = None,
         limit: int = 50,
+        among: Collection[str] | None = None,
     ) -> tuple[builtins.list[JobRecord], str | None]:
         """A page of jobs, newest first, and the cursor of the next."""
         ...

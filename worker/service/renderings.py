@@ -122,6 +122,10 @@ class RenderingService:
         """The network whose labels a segmentation shows. A context graph is always that of the encoder."""
         return "segmenter" if self._scheduler.segments else "encoder"
 
+    def map_of_query(self, query_id: str) -> str:
+        """The map of an explained query; raises NotFound."""
+        return self._explanations.get(query_id).view(None).view.map
+
     def explanation(self, query_id: str, view_id: str | None) -> bytes:
         """What decided about a match, and why a rival lost, as PNG; raises NotFound."""
         explained = self._explanations.get(query_id)

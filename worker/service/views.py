@@ -1,6 +1,6 @@
 """Views: shown, listed, changed, deleted; and their places."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -41,10 +41,11 @@ class ViewService:
         newest_first: bool,
         cursor: str | None,
         limit: int,
+        among: Collection[str] | None = None,
     ) -> tuple[list[LabelledView], str | None]:
-        """A page of views in enrolment order (or reverse), and the cursor of the next."""
+        """A page of views in enrolment order (or reverse), and the cursor of the next; `among`: of these maps alone."""
         records, following = self._views.list(
-            map_name, filters, state=state, newest_first=newest_first, cursor=cursor, limit=limit
+            map_name, filters, state=state, newest_first=newest_first, cursor=cursor, limit=limit, among=among
         )
         labels = {name: self._maps.get(name).description.labels for name in {record.map for record in records}}
         return [LabelledView(record, labels[record.map]) for record in records], following
@@ -62,10 +63,10 @@ class ViewService:
         return self._removals.delete_views(map_name, filters)
 
     def places(
-        self, map_name: str | None, cursor: str | None, limit: int
+        self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
     ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
         """A page of (map, place, views, mean position, last enrolment), and the cursor of the next."""
-        return self._listings.places(map_name, cursor, limit)
+        return self._listings.places(map_name, cursor, limit, among)
 
     def _labelled(self, record: ViewRecord) -> LabelledView:
         return LabelledView(record, self._maps.get(record.map).description.labels)

@@ -1,7 +1,7 @@
 """Selections of views for a search, and places."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from datetime import datetime
 from typing import Any
 
@@ -13,7 +13,7 @@ from schemas.records import Filters, Position, Selection, Sequence64
 from worker.storage.filtering import allowing, excluding
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
-from worker.storage.rows import find_map
+from worker.storage.rows import find_map, maps_named
 from worker.storage.tables import MAPS, VIEWS
 
 BY_PLACE = "places"
@@ -38,9 +38,12 @@ class Listings(Part):
         return Selection(only, np.unique(np.concatenate([_ascending(()), *never])))
 
     def places(
-        self, name: str | None, cursor: str | None, limit: int
+        self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
     ) -> tuple[list[tuple[str, str, int, Position, datetime]], str | None]:
-        """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next."""
+        """A page of (map, place, views, mean position, last enrolment) by map and place, and the cursor of the next.
+
+        `among`: of these maps alone.
+        """
         means = [sa.func.avg(VIEWS.c[column]).label(column) for column in MEANS]
         page = (
             sa.select(
@@ -57,6 +60,8 @@ class Listings(Part):
             .order_by(MAPS.c.name, VIEWS.c.place)
             .limit(limit + 1)
         )
+        if among is not None:
+            page = page.where(VIEWS.c.map_id.in_(maps_named(among)))
         if cursor is not None:
             last_map, last_place = read_cursor(BY_PLACE, cursor, str, str)
             later = sa.and_(MAPS.c.name == last_map, VIEWS.c.place > last_place)

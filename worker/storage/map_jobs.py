@@ -6,7 +6,7 @@ first claimed by a worker, which trains the vocabulary, and then runs like one o
 
 import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime, timedelta
 from functools import cache
 from typing import Any, get_args
@@ -20,7 +20,7 @@ from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, switching
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
-from worker.storage.rows import find_map, inserting, keep_recipe, log
+from worker.storage.rows import find_map, inserting, keep_recipe, log, maps_named
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -140,12 +140,18 @@ class MapJobs(Jobs):
         state: JobState | None = None,
         cursor: str | None = None,
         limit: int = 50,
+        among: Collection[str] | None = None,
     ) -> "tuple[list[JobRecord], str | None]":
-        """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map."""
+        """A page of jobs, newest first, and the cursor of the next; raises NotFound for an unknown map.
+
+        `among`: of these maps alone.
+        """
         page = _job_rows().order_by(JOBS.c.number.desc()).limit(limit + 1)
         if cursor is not None:
             [last] = read_cursor("jobs", cursor, int)
             page = page.where(JOBS.c.number < last)
+        if among is not None:
+            page = page.where(JOBS.c.map_id.in_(maps_named(among)))
         if kind is not None:
             page = page.where(JOBS.c.kind == kind)
         if state is not None:

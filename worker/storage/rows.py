@@ -3,7 +3,7 @@
 import json
 import logging
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import cache, lru_cache
 from typing import Any
 
@@ -60,6 +60,11 @@ def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
     if row is None:
         raise NotFound("map", name)
     return row
+
+
+def maps_named(names: Collection[str]) -> sa.Select[Any]:
+    """Selects the numbers of the maps with these names."""
+    return sa.select(MAPS.c.id).where(MAPS.c.name.in_(names))
 
 
 def keep_recipe(connection: sa.Connection, recipe: DescriptionRecipe) -> str:

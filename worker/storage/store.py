@@ -16,6 +16,7 @@ from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
 from worker.storage.image_files import Images
+from worker.storage.keys import Keys
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
 from worker.storage.maps import Maps
@@ -61,6 +62,7 @@ class SqlStore:
         self.comparisons = Comparisons(database, images)
         self.vocabularies = Vocabularies(database, images)
         self.calls = Calls(database, images)
+        self.keys = Keys(database, images)
         self.pruning = Pruning(database, images)
 
     def _owned(self, digests: list[str]) -> set[str]:

@@ -8,7 +8,7 @@
                                     ├───── metadata_pairs
                                     └───── jobs
                                ── tombstones
-    vocabularies    calls    workers      without references
+    vocabularies    calls    keys    workers      without references
 
 Dependent rows are deleted with their row (ON DELETE CASCADE). The wide columns of a description have tables of their
 own, since each is read alone and rows with overflow pages are slow to scan.
@@ -247,4 +247,21 @@ CALLS = sa.Table(
     _seal(),
     _unsealed("calls", "key"),
     sa.Index("calls_by_age", "begun_at"),
+)
+
+KEYS = sa.Table(
+    "keys",
+    METADATA,
+    sa.Column("id", sa.Text, primary_key=True),
+    sa.Column("name", sa.Text, nullable=False),
+    sa.Column("digest", sa.LargeBinary, nullable=False),  # SHA-256
+    sa.Column("scope", sa.Text, nullable=False),
+    sa.Column("maps", sa.Text),  # JSON; NULL: all
+    sa.Column("requests_per_minute", sa.Integer),  # NULL: as the settings say, like the next two
+    sa.Column("images_per_minute", sa.Integer),
+    sa.Column("mb_per_minute", sa.Double),
+    sa.Column("created_at", UtcDateTime, nullable=False),
+    sa.Column("expires_at", UtcDateTime),
+    sa.Column("revoked_at", UtcDateTime),  # kept, so that revoking the last key does not open the service
+    sa.Column("last_used_at", UtcDateTime),
 )

@@ -1,7 +1,7 @@
 """Views: shown, listed, changed."""
 
 import builtins
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -23,6 +23,7 @@ from worker.storage.rows import (
     find_view,
     has_whole_attributes,
     log,
+    maps_named,
     view_record,
     view_rows,
     views_of,
@@ -57,8 +58,9 @@ class Views(Part):
         newest_first: bool = False,
         cursor: str | None = None,
         limit: int = 50,
+        among: Collection[str] | None = None,
     ) -> "tuple[list[ViewRecord], str | None]":
-        """A page of views in enrolment order (or reverse), and the cursor of the next.
+        """A page of views in enrolment order (or reverse), and the cursor of the next; `among`: of these maps alone.
 
         Raises
         ------
@@ -71,6 +73,8 @@ class Views(Part):
             page = page.where(VIEWS.c.seq < last if newest_first else VIEWS.c.seq > last)
         if state is not None:
             page = page.where(VIEWS.c.state == state)
+        if among is not None:
+            page = page.where(VIEWS.c.map_id.in_(maps_named(among)))
         with self._database.reading() as connection:
             map_id = None
             if name is not None:

@@ -10,10 +10,12 @@ from app.http.body import Sent, take
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import ENROLLED
 from app.http.idempotency import HEADER, fingerprint, key_of, once
+from app.http.keys import Accesses, check_map
 from app.http.notes import note, note_problem
 from app.http.openapi import refusals, takes_images
 from app.http.parameters import EnrollParameters
 from app.http.problems import KINDS, URN, code_of
+from app.http.rate_limits import charge_images
 from app.http.validation import read
 from schemas.errors import Busy, InvalidParameters, RevisitError
 from schemas.wire import Enrolled, EnrolledMany, EnrolmentError, ProblemParameter
@@ -61,10 +63,14 @@ _ANY = Enrolled | EnrolledMany
         ),
     },
 )
-async def enroll(request: Request, recogniser: Recognises, curator: Curates, metrics: Measures) -> Response:
+async def enroll(
+    request: Request, recogniser: Recognises, curator: Curates, metrics: Measures, access: Accesses
+) -> Response:
     """Enrol one or several images in a map."""
     sent = await take(request)
+    charge_images(request, len(sent.images))
     params = read(EnrollParameters, sent.parameters, sent.errors)
+    check_map(access, params.map)
 
     async def work() -> Response:
         outcomes = await recogniser.enroll(sent.images, params.map, params.attributes(), params.wait)
@@ -81,7 +87,9 @@ async def enroll(request: Request, recogniser: Recognises, curator: Curates, met
     if key is None:
         return await work()
     print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.images], sent.parameters)
-    return await once(curator, request, key, print_, work)
+    # Of each caller by itself: nobody can be answered, or refused, for another's Idempotency-Key.
+    own = key if access.key_id is None else f"{key} of {access.key_id}"
+    return await once(curator, request, own, print_, work)
 
 
 def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:

@@ -11,14 +11,19 @@ from fastapi.responses import HTMLResponse, JSONResponse, Response
 from app.console import pages
 from app.http.curate import Curator
 from app.http.dependencies import Curates, Lifecycles, Measures, no_parameters
+from app.http.keys import Accesses
 from app.http.lifecycle import Lifecycle
 from app.http.metrics import MEDIA_TYPE
 from app.http.middleware import STARTING_RETRY_S
 from app.http.openapi import answers_bytes, document, refusals
+from app.http.routes.maps import allowed
 from schemas.errors import RevisitError
+from schemas.keys import Access
 from schemas.wire import Maps, Readiness, Version
 
 router = APIRouter(tags=["service"], dependencies=[no_parameters])
+
+_OF_MAP = "map "
 
 PATIENCE_S = 0.4
 """Seconds to wait for a check; `/readyz` answers within half a second."""
@@ -35,7 +40,7 @@ async def livez() -> Response:
     response_model=Readiness,
     responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}, **refusals(always_open=True)},
 )
-async def readyz(lifecycle: Lifecycles) -> Response:
+async def readyz(lifecycle: Lifecycles, access: Accesses) -> Response:
     """Whether the service can enrol and answer queries now; `checks` says what cannot and why."""
     if lifecycle.draining or not lifecycle.started:
         state = "stopping" if lifecycle.draining else "starting"
@@ -45,6 +50,7 @@ async def readyz(lifecycle: Lifecycles) -> Response:
             readiness = await asyncio.wait_for(lifecycle.readiness(), PATIENCE_S)
         except TimeoutError:
             readiness = Readiness(ready=False, checks={"service": f"no answer within {PATIENCE_S * 1000:.0f} ms"})
+    readiness = _shown(readiness, access)
     headers = {} if readiness.ready else {"Retry-After": str(STARTING_RETRY_S)}
     return JSONResponse(readiness.model_dump(mode="json"), 200 if readiness.ready else 503, headers)
 
@@ -78,9 +84,23 @@ async def docs(request: Request) -> Response:
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
-async def console(request: Request, lifecycle: Lifecycles, curator: Curates) -> Response:
+async def console(request: Request, lifecycle: Lifecycles, curator: Curates, access: Accesses) -> Response:
     """The console: the maps, and links to everything else."""
-    return _page(pages.console(request.app.version, await _maps(lifecycle, curator)))
+    maps = await _maps(lifecycle, curator)
+    return _page(pages.console(request.app.version, None if maps is None else allowed(maps, access)))
+
+
+def _shown(readiness: Readiness, access: Access) -> Readiness:
+    """The checks without the names of maps that the caller may not use."""
+    known = {
+        name: state
+        for name, state in readiness.checks.items()
+        if not name.startswith(_OF_MAP) or access.may_use(name.removeprefix(_OF_MAP))
+    }
+    hidden = len(readiness.checks) - len(known)
+    if hidden:
+        known["maps"] = f"{hidden} cannot be served; with a key for them this says which and why"
+    return readiness.model_copy(update={"checks": known})
 
 
 async def _maps(lifecycle: Lifecycle, curator: Curator) -> Maps | None:

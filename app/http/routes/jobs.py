@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from app.http.dependencies import Curates, JobId, no_parameters
+from app.http.keys import Accesses, check_map
 from app.http.openapi import refusals
 from app.http.parameters import ListJobs
 from schemas.wire import Job, Jobs
@@ -13,10 +14,16 @@ router = APIRouter(tags=["jobs"])
 
 
 @router.get("/jobs", response_model=Jobs, responses=refusals("not-found"))
-async def list_jobs(params: Annotated[ListJobs, Query()], curator: Curates) -> Jobs:
+async def list_jobs(params: Annotated[ListJobs, Query()], curator: Curates, access: Accesses) -> Jobs:
     """A page of jobs, newest first."""
+    check_map(access, params.map)
     return await curator.jobs(
-        params.map, kind=params.kind, state=params.state, cursor=params.cursor, limit=params.limit
+        params.map,
+        kind=params.kind,
+        state=params.state,
+        cursor=params.cursor,
+        limit=params.limit,
+        among=access.maps,
     )
 
 

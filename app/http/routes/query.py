@@ -6,8 +6,10 @@ from fastapi.responses import Response
 from app.http.body import IMAGE_PART, take
 from app.http.dependencies import Measures, Recognises
 from app.http.examples import QUERY_ANSWER
+from app.http.keys import Accesses, check_map
 from app.http.openapi import refusals, takes_images
 from app.http.parameters import QueryParameters
+from app.http.rate_limits import charge_images
 from app.http.validation import read
 from schemas.errors import ParameterError
 from schemas.wire import QueryAnswer
@@ -35,13 +37,15 @@ router = APIRouter(tags=["enrol and query"])
         ),
     },
 )
-async def query(request: Request, recogniser: Recognises, metrics: Measures) -> Response:
+async def query(request: Request, recogniser: Recognises, metrics: Measures, access: Accesses) -> Response:
     """Which views of a map show the place of this image?"""
     sent = await take(request)
+    charge_images(request, len(sent.images))
     errors = list(sent.errors)
     if len(sent.images) > 1:
         errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} images; a query takes one"))
     params = read(QueryParameters, sent.parameters, errors)
+    check_map(access, params.map)
     answer = await recogniser.query(
         sent.images[0][1],
         params.map,

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query, Request
 from app.http.body import json_object
 from app.http.dependencies import Curates, ViewId, no_parameters
 from app.http.examples import PATCH, VIEW
+from app.http.keys import Accesses, check_map
 from app.http.merge_patch import merge
 from app.http.openapi import refusals, takes_json
 from app.http.parameters import AttributesDocument, DeleteViews, ListViews
@@ -39,8 +40,9 @@ _FIELDS = ("place", "position", "captured_at", "metadata")
 
 
 @router.get("/views", response_model=Views, responses=refusals("not-found"))
-async def list_views(params: Annotated[ListViews, Query()], curator: Curates) -> Views:
+async def list_views(params: Annotated[ListViews, Query()], curator: Curates, access: Accesses) -> Views:
     """A page of views, in the order of enrolment."""
+    check_map(access, params.map)
     return await curator.views(
         params.map,
         params.filters(),
@@ -48,12 +50,14 @@ async def list_views(params: Annotated[ListViews, Query()], curator: Curates) ->
         newest_first=params.sort.startswith("-"),
         cursor=params.cursor,
         limit=params.limit,
+        among=access.maps,
     )
 
 
 @router.delete("/views", response_model=Deleted, responses=refusals("not-found", "conflict"))
-async def delete_views(params: Annotated[DeleteViews, Query()], curator: Curates) -> Deleted:
+async def delete_views(params: Annotated[DeleteViews, Query()], curator: Curates, access: Accesses) -> Deleted:
     """Delete the views of a map that pass the filters, or all of them with `all=true`."""
+    check_map(access, params.map)
     return await curator.delete_views(params.map, params.filters())
 
 

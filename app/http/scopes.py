@@ -1,0 +1,89 @@
+"""The scope that each route asks of a key."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from starlette.routing import compile_path
+
+from schemas.keys import Scope
+
+OPEN_PATHS = frozenset({"/livez", "/readyz", "/version"})
+"""Paths that need no key."""
+
+OF_ALL_MAPS = frozenset({"/metrics"})
+"""Paths whose answers name every map: a key for some maps is not enough."""
+
+READ: tuple[tuple[str, str], ...] = (
+    ("POST", "/query"),
+    ("GET", "/views"),
+    ("GET", "/views/{view_id}"),
+    ("GET", "/views/{view_id}/image"),
+    ("GET", "/views/{view_id}/thumbnail"),
+    ("GET", "/views/{view_id}/segmentation.png"),
+    ("GET", "/views/{view_id}/graph.png"),
+    ("GET", "/queries/{query_id}/explanation.png"),
+    ("GET", "/maps"),
+    ("GET", "/maps/{map}"),
+    ("GET", "/places"),
+    ("GET", "/jobs"),
+    ("GET", "/jobs/{job_id}"),
+    ("GET", "/metrics"),
+    ("GET", "/docs"),
+    ("GET", "/openapi.json"),
+    ("GET", "/"),
+)
+WRITE: tuple[tuple[str, str], ...] = (
+    ("POST", "/enroll"),
+    ("PATCH", "/views/{view_id}"),
+    ("DELETE", "/views/{view_id}"),
+    ("DELETE", "/views"),
+)
+ADMIN: tuple[tuple[str, str], ...] = (
+    ("PUT", "/maps/{map}"),
+    ("PATCH", "/maps/{map}"),
+    ("DELETE", "/maps/{map}"),
+    ("POST", "/maps/{map}/recipe"),
+    ("POST", "/maps/{map}/vocabulary"),
+    ("POST", "/maps/{map}/calibration"),
+    ("DELETE", "/maps/{map}/calibration"),
+    ("DELETE", "/jobs/{job_id}"),
+)
+
+ROUTES: Mapping[tuple[str, str], Scope] = {
+    **dict.fromkeys(READ, "read"),
+    **dict.fromkeys(WRITE, "write"),
+    **dict.fromkeys(ADMIN, "admin"),
+}
+"""Method and path to scope. HEAD counts as GET. A test holds the routes of the application against this table."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What a request asks of its key.
+
+    Parameters
+    ----------
+    scope : Scope
+    map_name : str or None
+        The map that the path names.
+    all_maps : bool
+        Whether a key for some maps is not enough.
+    """
+
+    scope: Scope
+    map_name: str | None = None
+    all_maps: bool = False
+
+
+# By Starlette's own expressions: a path must not mean one route here and another one there.
+_COMPILED = [(method, path, compile_path(path)[0], scope) for (method, path), scope in ROUTES.items()]
+
+
+def demand(method: str, path: str) -> Demand:
+    """What a request asks of its key; of a route that is in no table, the most."""
+    method = "GET" if method == "HEAD" else method
+    for of, template, pattern, scope in _COMPILED:
+        if of == method and (match := pattern.match(path)):
+            return Demand(scope, match.groupdict().get("map"), template in OF_ALL_MAPS)
+    # An unknown address is answered 404 to whoever may read; a method that may change something is refused first.
+    return Demand("read" if method in ("GET", "OPTIONS") else "admin")
