@@ -17,13 +17,13 @@ Json = dict[str, Any]
 
 _REF = "#/components/schemas/"
 _IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
-_EVERYWHERE = ("invalid-parameter", "internal")
+_EVERYWHERE = ("bad-request", "request-timeout", "invalid-parameter", "headers-too-large", "internal")
 
 DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later query with a photo.
 
 Send images as the multipart part `image`, or as the raw body with their content type; parameters are multipart
-parts or query parameters, by the same names. Unknown parameters are errors. Every error is `application/problem+json`.
-Every answer carries `X-Request-Id`."""
+parts or query parameters, by the same names. Unknown and repeated parameters are errors, and so is a body where none
+is taken. Every error is `application/problem+json`. Every answer carries `X-Request-Id`."""
 
 
 def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
@@ -38,21 +38,26 @@ def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
     """
     by_status: dict[int | str, Json] = {}
     for code in dict.fromkeys((*codes, *_EVERYWHERE, *(() if always_open else ("unavailable",)))):
-        kind = problems.KINDS[code]
-        entry = by_status.setdefault(
-            kind.status,
-            {
-                "description": "",
-                "content": {problems.MEDIA_TYPE: {"schema": {"$ref": _REF + "Problem"}, "examples": {}}},
-            },
-        )
-        entry["description"] = ". ".join(filter(None, (entry["description"], f"`{code}`: {kind.title}")))
-        entry["content"][problems.MEDIA_TYPE]["examples"][code] = {"value": _example(code)}
-        if kind.status in (429, 503):
-            entry["headers"] = {
-                "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "required": True}
-            }
+        _add_refusal(by_status, code)
     return by_status
+
+
+def _add_refusal(by_status: dict[Any, Json], code: str, key: type[int] | type[str] = int) -> None:
+    """Add a problem to the `responses` of a route; `key`: type of the statuses in them."""
+    kind = problems.KINDS[code]
+    entry = by_status.setdefault(
+        key(kind.status),
+        {
+            "description": "",
+            "content": {problems.MEDIA_TYPE: {"schema": {"$ref": _REF + "Problem"}, "examples": {}}},
+        },
+    )
+    entry["description"] = ". ".join(filter(None, (entry["description"], f"`{code}`: {kind.title}")))
+    entry["content"][problems.MEDIA_TYPE]["examples"][code] = {"value": _example(code)}
+    if kind.status in (429, 503):
+        entry["headers"] = {
+            "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "required": True}
+        }
 
 
 def _example(code: str) -> Json:
@@ -167,6 +172,8 @@ def document(app: FastAPI) -> Json:
         for model in (Problem, PutMap, PatchMap, PostCalibration):
             schemas.update(_definitions(model))
         for operation in (one for methods in whole["paths"].values() for one in methods.values()):
+            if "requestBody" not in operation:
+                _add_refusal(operation["responses"], "unexpected-body", str)
             if "parameters" in operation:
                 operation["parameters"] = [_described(parameter) for parameter in operation["parameters"]]
         # FastAPI's own validation errors are never sent.
