@@ -145,7 +145,7 @@ def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, An
     """Check the running service: readiness, and whether enrolled images find themselves; appends to `findings`."""
     from revisit_client import ClientError, Revisit, Unreachable
 
-    with Revisit(arguments.url, patience=10) as revisit:
+    with Revisit(arguments.url, key=arguments.key, patience=10) as revisit:
         try:
             readiness = revisit.readyz()
         except Unreachable:

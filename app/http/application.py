@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from fastapi import FastAPI
 
 from app.http import problems
-from app.http.dependencies import once_each
+from app.http.dependencies import documented_body, once_each
 from app.http.keys import KeyGate
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
@@ -68,6 +68,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         # FastAPI's pages load scripts from other hosts; `app.console.pages` has pages of our own.
         docs_url=None,
         redoc_url=None,
+        openapi_url=None,  # `app.http.routes.health` answers it, and refuses parameters
         redirect_slashes=False,
     )
     app.state.service = service
@@ -76,7 +77,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     for group in (enroll, query):
         app.include_router(group.router)
     for group in (views, images, maps, places, jobs, health):
-        app.include_router(group.router, dependencies=[once_each])
+        app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
     # The middleware added last is outermost: RequestContext sees every answer, and no body is read before

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.datastructures import Headers
 from starlette.requests import Request
+from starlette.types import Scope
 
 from app.http.values import strict_json
-from schemas.errors import BadBody, BadImage, BodyTooLarge, InvalidParameters, ParameterError
+from schemas.errors import BadBody, BadImage, BodyTooLarge, InvalidParameters, ParameterError, UnexpectedBody
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
@@ -46,6 +48,27 @@ class Sent:
     images: Sequence[tuple[str | None, bytes]]
     parameters: Sequence[tuple[str, str]]
     errors: Sequence[ParameterError] = ()
+
+
+def has_body(scope: Scope) -> bool:
+    """Whether a request announces a body, which may turn out to be empty when it is chunked (RFC 9112, section 6)."""
+    headers = Headers(scope=scope)
+    return headers.get("content-length", "0").strip("0") != "" or "transfer-encoding" in headers
+
+
+async def refuse_body(request: Request) -> None:
+    """Raise UnexpectedBody when a request has a body that is not empty; reads it no further than its first bytes."""
+    if not has_body(request.scope):
+        return
+    size = request.headers.get("content-length")
+    if size is None:
+        async for chunk in request.stream():
+            if chunk:
+                break
+        else:
+            return
+    sent = f"one of {int(size):,} bytes" if size else "one"
+    raise UnexpectedBody(f"{request.method} {request.url.path} takes no body, and {sent} was sent")
 
 
 async def take(request: Request) -> Sent:

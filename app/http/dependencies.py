@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Query, Request
 
+from app.http.body import refuse_body
 from app.http.curate import Curator
 from app.http.keys import Accesses
 from app.http.lifecycle import Lifecycle
@@ -97,6 +98,14 @@ async def _once_each(_: Annotated[OnceEach, Query()]) -> None: ...
 
 async def _no_parameters(_: Annotated[NoParameters, Query()]) -> None: ...
 
+
+async def _documented_body(request: Request) -> None:
+    if "requestBody" not in (request.scope["route"].openapi_extra or {}):
+        await refuse_body(request)
+
+
+documented_body = Depends(_documented_body)
+"""For all routes: a body is an error where the OpenAPI document has none, instead of being ignored."""
 
 once_each = Depends(_once_each)
 """For routes whose parameters FastAPI reads: a repeated parameter is an error."""

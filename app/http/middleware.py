@@ -11,6 +11,7 @@ from typing import Any
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.body import has_body
 from app.http.limits import CROWDED, SLOWEST_BYTES_S
 from app.http.metrics import Metrics
 from app.http.notes import Notes, noting
@@ -32,8 +33,10 @@ DRAINING_RETRY_S = 10
 CROWDED_RETRY_S = 2
 
 _OF_EVERY_ANSWER = {
-    # A browser must not interpret an enrolled image as a page, nor let other sites read or show it.
+    # A browser must not interpret an enrolled image as a page, nor let other sites read or show it. Pages for people
+    # set a policy of their own.
     "X-Content-Type-Options": "nosniff",
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'; sandbox",
     "Cross-Origin-Resource-Policy": "same-origin",
     # Addresses hold ids, names of maps and positions.
     "Referrer-Policy": "no-referrer",
@@ -228,9 +231,3 @@ class BodyLimit:
 
     def _too_large(self, size: str) -> BodyTooLarge:
         return BodyTooLarge(f"the body has {size} bytes; at most {self._max_bytes:,} are taken")
-
-
-def has_body(scope: Scope) -> bool:
-    """Whether a request announces a body, which may turn out to be empty when it is chunked (RFC 9112, section 6)."""
-    headers = Headers(scope=scope)
-    return headers.get("content-length", "0").strip("0") != "" or "transfer-encoding" in headers

@@ -18,7 +18,7 @@ Json = dict[str, Any]
 
 _REF = "#/components/schemas/"
 _IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
-_EVERYWHERE = ("invalid-parameter", "internal")
+_EVERYWHERE = ("bad-request", "request-timeout", "invalid-parameter", "headers-too-large", "internal")
 _SCHEMES = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A key from `./revisit keys create`."},
     "header": {"type": "apiKey", "in": "header", "name": "X-Api-Key", "description": "The same key."},
@@ -27,8 +27,8 @@ _SCHEMES = {
 DESCRIPTION = """Have I been here before, and where is here? Enrol photos of places; later query with a photo.
 
 Send images as the multipart part `image`, or as the raw body with their content type; parameters are multipart
-parts or query parameters, by the same names. Unknown parameters are errors. Every error is `application/problem+json`.
-Every answer carries `X-Request-Id`.
+parts or query parameters, by the same names. Unknown and repeated parameters are errors, and so is a body where none
+is taken. Every error is `application/problem+json`. Every answer carries `X-Request-Id`.
 
 A service that has keys asks for one on every route but `/livez`, `/readyz` and `/version`: as
 `Authorization: Bearer KEY` or `X-Api-Key: KEY`. The roles of a route's security are the scope that its key needs:
@@ -52,23 +52,28 @@ def _answers(*codes: str) -> dict[int | str, Json]:
     """The `responses` for problems."""
     by_status: dict[int | str, Json] = {}
     for code in dict.fromkeys(codes):
-        kind = problems.KINDS[code]
-        entry = by_status.setdefault(
-            kind.status,
-            {
-                "description": "",
-                "content": {problems.MEDIA_TYPE: {"schema": {"$ref": _REF + "Problem"}, "examples": {}}},
-            },
-        )
-        entry["description"] = ". ".join(filter(None, (entry["description"], f"`{code}`: {kind.title}")))
-        entry["content"][problems.MEDIA_TYPE]["examples"][code] = {"value": _example(code)}
-        if kind.status == 401:
-            entry["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}, "required": True}}
-        if kind.status in (429, 503):
-            entry["headers"] = {
-                "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "required": True}
-            }
+        _add_refusal(by_status, code)
     return by_status
+
+
+def _add_refusal(by_status: dict[Any, Json], code: str, key: type[int] | type[str] = int) -> None:
+    """Add a problem to the `responses` of a route; `key`: type of the statuses in them."""
+    kind = problems.KINDS[code]
+    entry = by_status.setdefault(
+        key(kind.status),
+        {
+            "description": "",
+            "content": {problems.MEDIA_TYPE: {"schema": {"$ref": _REF + "Problem"}, "examples": {}}},
+        },
+    )
+    entry["description"] = ". ".join(filter(None, (entry["description"], f"`{code}`: {kind.title}")))
+    entry["content"][problems.MEDIA_TYPE]["examples"][code] = {"value": _example(code)}
+    if kind.status == 401:
+        entry["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}, "required": True}}
+    if kind.status in (429, 503):
+        entry["headers"] = {
+            "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "required": True}
+        }
 
 
 def _example(code: str) -> Json:
@@ -187,6 +192,8 @@ def document(app: FastAPI) -> Json:
             (method, path, one) for path, methods in whole["paths"].items() for method, one in methods.items()
         ):
             _secure(operation, method.upper(), path)
+            if "requestBody" not in operation:
+                _add_refusal(operation["responses"], "unexpected-body", str)
             if "parameters" in operation:
                 operation["parameters"] = [_described(parameter) for parameter in operation["parameters"]]
         # FastAPI's own validation errors are never sent.

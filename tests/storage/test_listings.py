@@ -143,6 +143,24 @@ def test_nothing_is_the_newest_of_an_empty_map(store: SqlStore) -> None:
         assert chosen(store, Filters(exclude_last=last)) == set()
 
 
+def test_ids_to_exclude_that_the_map_does_not_have_are_named(store: SqlStore) -> None:
+    here, gone = enroll(store, "here").view, enroll(store, "gone").view
+    elsewhere = enroll(store, "elsewhere", map="other").view
+    store.removals.delete_view(gone.id)
+    for strays in ((gone.id,), (elsewhere.id,), ("typo", gone.id)):
+        with pytest.raises(InvalidParameters) as refused:
+            chosen(store, Filters(exclude=(here.id, *strays)))
+        (error,) = refused.value.errors
+        assert error.parameter == "exclude"
+        assert all(stray in error.detail for stray in strays)
+        assert here.id not in error.detail
+        with pytest.raises(InvalidParameters):
+            store.removals.delete_views("campus", Filters(exclude=(here.id, *strays)))
+    assert len(store.views.list(None, Filters(exclude=(here.id, elsewhere.id)))[0]) == 0
+    with pytest.raises(InvalidParameters):
+        store.views.list(None, Filters(exclude=("typo",)))
+
+
 def test_filters_add_up(store: SqlStore) -> None:
     seqs, views = [], []
     for n in range(6):
@@ -151,7 +169,7 @@ def test_filters_add_up(store: SqlStore) -> None:
         )
         views.append(enroll(store, f"{n}", attributes=attributes).view)
         seqs.append(views[-1].seq)
-    assert chosen(store, Filters(place="gate", exclude=(views[0].id, "unknown"))) == set(seqs[1:4])
+    assert chosen(store, Filters(place="gate", exclude=(views[0].id,))) == set(seqs[1:4])
     everything = Filters(
         near=(3.0, 0.0, 2.5), after=NOW + MINUTE, place="gate", metadata={"odd": "true"}, exclude_last=3
     )

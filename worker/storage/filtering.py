@@ -14,12 +14,15 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from schemas.errors import InvalidParameters
 from schemas.records import Filters
 from worker.storage.rows import as_json, unit_vector
 from worker.storage.tables import METADATA_PAIRS, VIEWS
 
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of WGS 84, (2a + b) / 3."""
+
+_MOST_LISTED = 10
 
 Clause = sa.ColumnElement[bool]
 
@@ -67,6 +70,11 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
     filters : Filters
     map_id : int or None
         Map whose newest views `exclude_last` leaves out; None for the newest of all maps.
+
+    Raises
+    ------
+    InvalidParameters
+        `exclude` names views that the map does not have.
     """
     conditions: list[Clause] = []
     scope: list[Clause] = [] if map_id is None else [VIEWS.c.map_id == map_id]
@@ -80,8 +88,17 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
         oldest = connection.scalar(newest_first.offset(int(last) - 1).limit(1))
         conditions.append(VIEWS.c.seq >= (0 if oldest is None else oldest))
     if filters.exclude:
+        _refuse_unknown(connection, filters.exclude, scope)
         conditions.append(VIEWS.c.id.in_(filters.exclude))
     return conditions
+
+
+def _refuse_unknown(connection: sa.Connection, ids: Sequence[str], scope: Sequence[Clause]) -> None:
+    known = set(connection.scalars(sa.select(VIEWS.c.id).where(VIEWS.c.id.in_(ids), *scope)))
+    if unknown := [one for one in dict.fromkeys(ids) if one not in known]:
+        where = "the map has" if scope else "there are"
+        listed = ", ".join(unknown[:_MOST_LISTED]) + ("" if len(unknown) <= _MOST_LISTED else ", …")
+        raise InvalidParameters.of("exclude", f"{where} no views {listed} ({len(unknown)} of {len(ids)} ids)")
 
 
 def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Clause]:

@@ -77,6 +77,12 @@ async def version(lifecycle: Lifecycles) -> Version:
     return await lifecycle.version()
 
 
+@router.api_route("/openapi.json", methods=["GET", "HEAD"], include_in_schema=False)
+async def openapi(request: Request) -> Response:
+    """The OpenAPI document."""
+    return JSONResponse(document(request.app))
+
+
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
 async def docs(request: Request) -> Response:
     """API documentation: one page that loads nothing from other hosts."""

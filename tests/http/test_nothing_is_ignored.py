@@ -1,0 +1,82 @@
+"""Repeated and unknown parameters, and bodies where none is taken, are refused by every route of the document."""
+
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from tests.http.fakes import FakeRuntime
+from tests.openapi import CheckedClient
+from tests.sample_images import photo
+
+DOCUMENT = FakeRuntime().app().openapi()
+UNDOCUMENTED = [("get", "/docs"), ("get", "/"), ("get", "/openapi.json")]
+OPERATIONS = [(method, path) for path, methods in DOCUMENT["paths"].items() for method in methods] + UNDOCUMENTED
+TAKES_IMAGES = [("post", "/enroll"), ("post", "/query")]
+WITHOUT_BODY = [
+    (method, path)
+    for method, path in OPERATIONS
+    if "requestBody" not in DOCUMENT["paths"].get(path, {}).get(method, {})
+]
+
+
+def address(path: str) -> str:
+    return re.sub(r"\{\w+\}", "some", path)
+
+
+def known(method: str, path: str) -> list[str]:
+    """The names of an operation's parameters in the URL."""
+    parameters = DOCUMENT["paths"].get(path, {}).get(method, {}).get("parameters", [])
+    return [one["name"].replace("KEY", "floor") for one in parameters if one["in"] == "query"]
+
+
+def test_the_table_has_all_kinds_of_routes() -> None:
+    assert len(OPERATIONS) > 25
+    assert ("post", "/maps/{map}/vocabulary") in WITHOUT_BODY
+    assert ("put", "/maps/{map}") not in WITHOUT_BODY
+
+
+@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+def test_unknown_and_repeated_parameters_are_named(client: CheckedClient, method: str, path: str) -> None:
+    body = {"content": photo(), "headers": {"content-type": "image/jpeg"}} if (method, path) in TAKES_IMAGES else {}
+    for name in ("odd", *known(method, path)):
+        answer = client.request(method, f"{address(path)}?{name}=1&{name}=1", **body)
+        assert (answer.status_code, answer.json()["type"]) == (422, "urn:revisit:problem:invalid-parameter"), name
+        named = [error["parameter"] for error in answer.json()["errors"] if "2 times" in error["detail"]]
+        assert named == [name]
+    answer = client.request(method, f"{address(path)}?odd=1", **body)
+    assert answer.status_code == 422
+    assert "odd" in {error["parameter"] for error in answer.json()["errors"]}
+
+
+@pytest.mark.parametrize(("method", "path"), TAKES_IMAGES)
+def test_repeated_parts_are_named(client: CheckedClient, method: str, path: str) -> None:
+    for name in known(method, path):
+        parts = [("image", ("a.jpg", photo())), (name, (None, "1")), (name, (None, "1"))]
+        answer = client.request(method, path, files=parts)
+        assert answer.status_code == 422
+        assert any("2 times" in error["detail"] for error in answer.json()["errors"]), (name, answer.text)
+
+
+def chunks(*pieces: bytes) -> Iterator[bytes]:
+    yield from pieces
+
+
+@pytest.mark.parametrize(("method", "path"), WITHOUT_BODY)
+def test_a_body_where_none_is_taken_is_refused(client: CheckedClient, method: str, path: str) -> None:
+    for body in (b"{}", chunks(b"", b"x"), chunks(b"x" * 100_000)):
+        answer = client.request(method, address(path), content=body)
+        assert (answer.status_code, answer.json()["type"]) == (400, "urn:revisit:problem:unexpected-body")
+
+
+@pytest.mark.parametrize(("method", "path"), WITHOUT_BODY)
+def test_an_empty_body_is_none(client: CheckedClient, method: str, path: str) -> None:
+    for body in (b"", chunks(b"")):
+        answer = client.request(method, address(path), content=body, headers={"content-type": "application/json"})
+        assert answer.status_code in (200, 202, 404, 409, 422), answer.text
+
+
+def test_all_operations_promise_the_refusals() -> None:
+    for methods in DOCUMENT["paths"].values():
+        for operation in methods.values():
+            assert {"400", "408", "422", "431"} <= operation["responses"].keys()
