@@ -37,6 +37,8 @@ class Settings(BaseSettings):
     lease_s: float = Field(60, gt=0, description="Seconds after which an unfinished job is claimed again.")
     max_body_mb: float = Field(25, gt=0, description="Largest request body, in 10^6 bytes.")
     max_megapixels: float = Field(50, gt=0, description="Largest image, in 10^6 pixels.")
+    decoders: int = Field(2, ge=0, le=64, description="Processes that decode images; 0 decodes inside the service.")
+    decode_s: float = Field(20, ge=1, description="Seconds for decoding one image, and for it to wait for a decoder.")
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
     queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
     explanations: int = Field(200, ge=0, description="Latest explained queries that are kept for drawing.")
