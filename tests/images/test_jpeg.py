@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image as PilImage
 
 from schemas.errors import BadImage
 from tests.images.test_codec import LIMITS, mode, refusal

@@ -18,6 +18,9 @@ ROOT = Path(__file__).resolve().parents[3]
 START_S = 60
 """Seconds within which a process must be ready; it takes a third of one."""
 
+STARTS = 3
+"""Attempts to start a process."""
+
 THUMBNAIL_ROOM = 64 * 1024 * 1024
 _KEPT = 64 * 1024 * 1024  # more memory than this is given back after an image that needed it
 _INHERITED = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "LANG", "VIRTUAL_ENV", "PYTHONHOME", "TMPDIR")
@@ -91,11 +94,10 @@ class DecoderProcess:
         ------
         Died, Hung, Unavailable
         """
-        self.start()
+        self._make_ready()
         assert self._connection is not None  # for the type checker: `start` made all of them
         assert self._source is not None
         assert self._target is not None
-        self._await_readiness(self._connection)
         try:
             self._source[: len(data)] = data
             self._connection.settimeout(self._deadline_s)
@@ -138,14 +140,20 @@ class DecoderProcess:
             return f"its process was ended by {signal.Signals(-code).name}"
         return f"its process ended with code {code}"
 
-    def _await_readiness(self, connection: socket.socket) -> None:
-        if self._ready:
-            return
-        connection.settimeout(START_S)
-        try:
-            self._ready = connection.recv(1) == READY
-        except OSError:
-            self._ready = False
-        if not self._ready:
+    def _make_ready(self) -> None:
+        """Start it and wait for it, again when it ends meanwhile; raises Unavailable."""
+        how = ""
+        for _ in range(STARTS):
+            self.start()
+            if self._ready or self._becomes_ready():
+                return
             how = self._end()
-            raise Unavailable(f"a process for decoding did not become ready ({how}); try again in 5 s", 5)
+        raise Unavailable(f"a process for decoding did not become ready ({how}); try again in 5 s", 5)
+
+    def _becomes_ready(self) -> bool:
+        if self._connection is None:
+            return False
+        self._connection.settimeout(START_S)
+        with suppress(OSError):
+            self._ready = self._connection.recv(1) == READY
+        return self._ready

@@ -1,0 +1,1 @@
+"""Studies of faults: what breaks the service when disks, processes, clocks and images misbehave."""
