@@ -72,8 +72,8 @@ class RenderingService:
         record, data = self._views.get(view_id), self._views.image(view_id)
         with suppress(ValueError, BadImage):
             stripped = stripping.strip(data, record.image.format)
-            # Decoders guess where a damaged TIFF has its pixels; rewritten it could have others.
-            if record.image.format != "tiff" or stripped == data or self._are_alike(data, stripped):
+            # Decoders guess where a damaged TIFF or BMP has its pixels; rewritten it could have others.
+            if record.image.format not in ("tiff", "bmp") or stripped == data or self._are_alike(data, stripped):
                 return stripped, f"image/{record.image.format}"
         return drawing.encode_png(self._decode(data).pixels), "image/png"
 
