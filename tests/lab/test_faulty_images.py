@@ -10,7 +10,7 @@ from worker.images.codec import decode
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:PIL")
 
 
-def test_sound_pictures_of_every_mode_are_taken_or_refused_for_a_reason() -> None:
+def test_sound_images_of_every_mode_are_taken_or_refused_for_a_reason() -> None:
     refused = set()
     for name, data in sound().items():
         try:
@@ -20,7 +20,7 @@ def test_sound_pictures_of_every_mode_are_taken_or_refused_for_a_reason() -> Non
     assert refused == set()
 
 
-def test_three_hundred_mutated_pictures_and_every_bomb() -> None:
+def test_three_hundred_mutated_images_and_every_bomb() -> None:
     pool = DecoderPool(2, LIMITS, DEADLINE_S)
     try:
         *_, report = study(pool, 7, range(300))
@@ -36,6 +36,6 @@ def test_three_hundred_mutated_pictures_and_every_bomb() -> None:
         pool.close()
 
 
-def test_a_number_makes_the_same_picture_again() -> None:
+def test_a_number_makes_the_same_bytes_again() -> None:
     assert mutated(3, 41) == mutated(3, 41)
     assert mutated(3, 41) != mutated(3, 42)
