@@ -46,6 +46,8 @@ class Settings(BaseSettings):
     connections: int = Field(512, ge=1, description="Connections that are served at once; more are refused with 503.")
     grace_s: float = Field(20, gt=0, description="Seconds that requests under way may take when `serve` is stopped.")
     max_megapixels: float = Field(50, gt=0, description="Largest image, in 10^6 pixels.")
+    decoders: int = Field(2, ge=0, le=64, description="Processes that decode images; 0 decodes inside the service.")
+    decode_s: float = Field(20, ge=1, description="Seconds for decoding one image, and for it to wait for a decoder.")
     queue: int = Field(1000, ge=1, description="Enrolments that may wait before more are refused with 429.")
     queries: int = Field(32, ge=1, description="Queries that may wait before more are refused with 429.")
     explanations: int = Field(200, ge=0, description="Latest explained queries that are kept for drawing.")

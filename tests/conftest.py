@@ -15,6 +15,9 @@ settings.load_profile("revisit")
 ROOT = Path(__file__).parents[1]
 os.environ["PYTHONPATH"] = os.pathsep.join((str(ROOT), str(ROOT / "client")))  # for the processes that tests start
 
+os.environ.setdefault("REVISIT_DECODERS", "0")
+"""No processes for the services inside the tests; tests of decoding apart and the services they start have them."""
+
 SHARED = os.environ.pop("REVISIT_SHARED", None)
 """Taken out of the environment, where settings refuse a ``REVISIT_`` variable that they do not know."""
 

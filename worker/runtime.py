@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import lru_cache, partial
+from functools import lru_cache
 
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
@@ -18,6 +18,8 @@ from worker.description.presets import PRESETS, Wanted, general_vocabulary, make
 from worker.description.scheduler import Scheduler
 from worker.description.vocabularies import SHIPPED
 from worker.images import codec, quality
+from worker.images.apart.pool import DecoderPool
+from worker.images.decoder import Decoder, InProcessDecoder
 from worker.loop import Loop
 from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
@@ -68,8 +70,7 @@ class Runtime:
     settings : Settings
     encoder : Encoder
     store : SqlStore
-    decode : function
-        Bytes to Image; raises BadImage.
+    decoder : Decoder
     scheduler : Scheduler
         Owns the encoder.
     describers : Describers
@@ -99,7 +100,7 @@ class Runtime:
     settings: Settings
     encoder: Encoder
     store: SqlStore
-    decode: Callable[[bytes], Image]
+    decoder: Decoder
     scheduler: Scheduler
     describers: Describers
     catalogue: Catalogue
@@ -118,10 +119,15 @@ class Runtime:
         """Clean up after a crash, then start the scheduler and the loop."""
         if self.serving:  # a worker would delete the calls that the service is answering
             self.store.recover()
+        self.decoder.start()
         self.attendance.start()
         self.scheduler.start()
         if self.loop is not None:
             self.loop.start()
+
+    def decode(self, data: bytes) -> Image:
+        """Bytes to Image; raises BadImage."""
+        return self.decoder.decode(data)
 
     def stop(self) -> None:
         """Finish running work, put waiting jobs back, and release the data folder."""
@@ -129,6 +135,7 @@ class Runtime:
             self.loop.stop()
         self.attendance.stop()
         self.scheduler.stop()
+        self.decoder.close()
         self.store.close()
         self.unlock()
 
@@ -161,6 +168,12 @@ def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter |
         batch=settings.batch,
     )
     return lseg, None
+
+
+def make_decoder(settings: Settings) -> Decoder:
+    """Decoders in processes of their own, or in this one where the settings ask for none."""
+    limits = codec.Limits.of(settings)
+    return DecoderPool(settings.decoders, limits, settings.decode_s) if settings.decoders else InProcessDecoder(limits)
 
 
 def make_product(settings: Settings) -> Product:
@@ -211,7 +224,7 @@ def build(
         general = [general_vocabulary(encoder, name) for name in PRESETS]
         describers = Describers(encoder, store.vocabularies, general, product)
         catalogue = Catalogue(store.maps, store.descriptions, _empty_index)
-        decode = partial(codec.decode, limits=codec.Limits.of(settings))
+        decoder = make_decoder(settings)
         trainer = VocabularyTrainer(
             maps=store.maps,
             views=store.views,
@@ -219,7 +232,7 @@ def build(
             jobs=store.jobs,
             describers=describers,
             scheduler=scheduler,
-            decode=decode,
+            decode=decoder.decode_patiently,
         )
         comparer = MapComparer(
             comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
@@ -236,7 +249,7 @@ def build(
                 describers=describers,
                 train=trainer.run,
                 compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
-                decode=decode,
+                decode=decoder.decode_patiently,
                 name=me.name,
                 batch=batch,
                 trouble=StoringTrouble(settlements.refuse),
@@ -249,7 +262,7 @@ def build(
             settings=settings,
             encoder=encoder,
             store=store,
-            decode=decode,
+            decoder=decoder,
             scheduler=scheduler,
             describers=describers,
             catalogue=catalogue,
@@ -258,7 +271,7 @@ def build(
             settlements=settlements,
             attendance=attendance,
             services=_services(
-                settings, encoder, store, scheduler, describers, catalogue, decode, product, settlements,
+                settings, encoder, store, scheduler, describers, catalogue, decoder, product, settlements,
                 default_recipe, loop, attendance,
             ),
             default_recipe=default_recipe,
@@ -279,7 +292,7 @@ def _services(
     scheduler: Scheduler,
     describers: Describers,
     catalogue: Catalogue,
-    decode: Callable[[bytes], Image],
+    decoder: Decoder,
     product: Product,
     settlements: Settlements,
     default_recipe: MapRecipe,
@@ -296,7 +309,7 @@ def _services(
             removals=store.removals,
             queue=store.jobs,
             settlements=settlements,
-            decode=decode,
+            decode=decoder.decode,
             default_recipe=default_recipe,
             limit=settings.queue,
             pace_s=lambda: scheduler.pace_s,
@@ -313,7 +326,7 @@ def _services(
             describers=describers,
             scheduler=scheduler,
             catalogue=catalogue,
-            decode=decode,
+            decode=decoder.decode,
             shrink=codec.shrink,
             look_for_problem=lambda image: quality.problem(image.pixels),
             calibration=calibration_of,
@@ -327,8 +340,8 @@ def _services(
             descriptions=store.descriptions,
             describers=describers,
             scheduler=scheduler,
-            decode=decode,
-            thumbnail=codec.thumbnail,
+            decode=decoder.decode,
+            thumbnail=decoder.thumbnail,
             explanations=explanations,
         ),
         maps=MapService(

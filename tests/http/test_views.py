@@ -229,6 +229,7 @@ def test_the_image_comes_back_byte_for_byte_and_the_thumbnail_small(client: Chec
     image = client.get(f"/views/{view}/image")
     assert (image.content, image.headers["content-type"]) == (photo(), "image/jpeg")
     assert image.headers["x-content-type-options"] == "nosniff"
+    assert image.headers["content-disposition"] == f'inline; filename="{view}.jpeg"'
     assert PilImage.open(BytesIO(client.get(f"/views/{view}/thumbnail?size=32").content)).size == (32, 24)
 
 

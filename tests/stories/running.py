@@ -71,6 +71,11 @@ class RunningService:
             threading.Event().wait(0.05)
         raise AssertionError("the service did not become ready:\n" + "".join(self.output))
 
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
     def kill(self) -> None:
         """SIGKILL: no chance to tidy up."""
         self._process.send_signal(signal.SIGKILL)

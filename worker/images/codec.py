@@ -76,11 +76,14 @@ def decode(data: bytes, limits: Limits) -> Image:
     return Image(pixels, hashlib.sha256(data).hexdigest(), form, len(data))
 
 
-def decode_pixels(data: bytes, limits: Limits) -> tuple[Bytes2D, str]:
-    """The pixels of shape (height, width, 3) and the format's name; otherwise as `decode`."""
+def decode_pixels(data: bytes, limits: Limits, into: Bytes2D | None = None) -> tuple[Bytes2D, str]:
+    """The pixels of shape (height, width, 3) and the format's name; otherwise as `decode`.
+
+    `into` is flat memory in which they may end up, where that saves a copy.
+    """
     header = _Header.read(data, limits)
     if header.format == "jpeg":
-        pixels = _with_simplejpeg(data, header)
+        pixels = _with_simplejpeg(data, header, into)
     elif not header.plain:
         pixels = _with_pillow(data, header)
     else:
@@ -97,6 +100,12 @@ def probe(data: bytes, limits: Limits) -> ImageFacts:
 def facts(image: Image) -> ImageFacts:
     """The stored facts of a decoded image."""
     return ImageFacts(image.width, image.height, image.byte_count, image.format, image.digest)
+
+
+def orientation(data: bytes) -> int:
+    """The orientation by which `decode` turns an image, 1 to 8; 1 for TIFF, whose field Pillow follows by itself."""
+    with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
+        return _orientation(pil_image, data)
 
 
 def thumbnail(data: bytes, longest: int) -> bytes:
@@ -213,7 +222,7 @@ def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
-def _with_simplejpeg(data: bytes, header: _Header) -> Bytes2D:
+def _with_simplejpeg(data: bytes, header: _Header, into: Bytes2D | None) -> Bytes2D:
     """Decode a JPEG, refusing what libjpeg warns of: a code that does not exist, a scan too short or too long.
 
     Of single flipped bits in a scan that finds 10 to 40 %; the others give another valid image.
@@ -222,16 +231,17 @@ def _with_simplejpeg(data: bytes, header: _Header) -> Bytes2D:
     if structure is None:
         raise _undecodable("jpeg", "the file ends too early, or its segments do not follow one another")
     colors = "RGB" if header.plain else "CMYK"
+    room = into if header.plain and into is not None and into.size >= 3 * header.width * header.height else None
     try:
         try:
             whole = jpeg.ended(data, structure)
-            pixels = simplejpeg.decode_jpeg(whole, colors, strict=True)
+            pixels = simplejpeg.decode_jpeg(whole, colors, strict=True, buffer=room)
         except ValueError as error:
             if not _PADDED.search(str(error)):
                 raise
             # Cameras pad the last scan with zeros; anything else there is what a damaged scan left over.
             whole = jpeg.without_padding(data, structure)
-            pixels = simplejpeg.decode_jpeg(whole, colors, strict=True)
+            pixels = simplejpeg.decode_jpeg(whole, colors, strict=True, buffer=room)
     except (ValueError, MemoryError) as error:
         raise _undecodable("jpeg", f"it is damaged ({str(error).strip()})") from error
     if header.plain:

@@ -4,14 +4,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal
 
+import numpy as np
+
 from schemas.description import PixelField
-from schemas.errors import NotFound
+from schemas.errors import BadImage, NotFound
 from schemas.image import Image
 from schemas.records import MapRecord
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler
-from worker.images import drawing
+from worker.images import drawing, stripping
 from worker.images.explanation import explanation_png
 from worker.search.ports import DescriptionReader
 from worker.service.explanations import Explained, Explanations
@@ -62,9 +64,21 @@ class RenderingService:
         self._decode, self._thumbnail, self._explanations = decode, thumbnail, explanations
 
     def image(self, view_id: str) -> tuple[bytes, str]:
-        """The enrolled bytes and their media type; raises NotFound."""
-        record = self._views.get(view_id)
-        return self._views.image(view_id), f"image/{record.image.format}"
+        """The enrolled image without metadata, and its media type; raises NotFound.
+
+        The pixels are those that were enrolled; an image without metadata is the enrolled bytes. One whose structure
+        cannot be followed is given as PNG.
+        """
+        record, data = self._views.get(view_id), self._views.image(view_id)
+        with suppress(ValueError, BadImage):
+            stripped = stripping.strip(data, record.image.format)
+            # Decoders guess where a damaged TIFF or BMP has its pixels; rewritten it could have others.
+            if record.image.format not in ("tiff", "bmp") or stripped == data or self._are_alike(data, stripped):
+                return stripped, f"image/{record.image.format}"
+        return drawing.encode_png(self._decode(data).pixels), "image/png"
+
+    def _are_alike(self, one: bytes, other: bytes) -> bool:
+        return np.array_equal(self._decode(one).pixels, self._decode(other).pixels)
 
     def thumbnail(self, view_id: str, longest: int) -> bytes:
         """A JPEG of at most `longest` pixels on its longer side; raises NotFound."""

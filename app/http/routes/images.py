@@ -1,4 +1,4 @@
-"""Images of a view: as enrolled, small, segmentation, context graph; all with an ETag. Explanations of queries."""
+"""Images of a view: without metadata, small, segmentation, context graph; all with an ETag. Explanations of queries."""
 
 from typing import Annotated, Any
 
@@ -31,15 +31,22 @@ def _responses(*types: str, description: str, drawn: bool = False) -> dict[int |
     "/views/{view_id}/image",
     response_class=Response,
     dependencies=[no_parameters],
-    responses=_responses(*_TYPES, description="The enrolled image, byte for byte."),
+    responses=_responses(
+        *_TYPES,
+        description="The enrolled image: its pixels, orientation and colour profile, without EXIF, position, comments "
+        "and whatever lies behind it. One that has none of these comes byte for byte.",
+    ),
 )
 async def image(view_id: ViewId, request: Request, curator: Curates) -> Response:
-    """The image as it was enrolled."""
-    etag = await curator.view_etag(view_id, "image")
+    """The image as it was enrolled, without its metadata."""
+    etag = await curator.view_etag(view_id, "image-stripped")
     if _is_fresh(request, etag):
         return _unchanged(etag)
     data, media_type = await curator.image(view_id)
-    return _image(data, media_type, etag)
+    answer = _image(data, media_type, etag)
+    extension = media_type.removeprefix("image/")
+    answer.headers["Content-Disposition"] = f'inline; filename="{view_id}.{extension}"'
+    return answer
 
 
 @router.get(

@@ -1,0 +1,166 @@
+"""Decoding apart: a picture that ends its decoder ends nothing else."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from schemas.errors import BadImage, BodyTooLarge, Busy, Unavailable
+from tests.conftest import ROOT
+from tests.sample_images import drawn, encoded, photo
+from worker.images.apart import process as process_module
+from worker.images.apart.pool import DecoderPool
+from worker.images.apart.process import DecoderProcess
+from worker.images.codec import Limits, decode, thumbnail
+
+LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
+
+
+@pytest.fixture
+def pool() -> Iterator[DecoderPool]:
+    opened = DecoderPool(2, LIMITS, deadline_s=20)
+    opened.start()
+    yield opened
+    opened.close()
+
+
+def pid_of(process: DecoderProcess) -> int:
+    assert process.pid is not None
+    return process.pid
+
+
+@pytest.mark.parametrize("form", ["jpeg", "png", "webp", "bmp", "tiff"])
+def test_an_image_is_the_same_decoded_apart(pool: DecoderPool, form: str) -> None:
+    data = encoded(drawn(320, 240), form)
+    here, apart = decode(data, LIMITS), pool.decode(data)
+    assert np.array_equal(here.pixels, apart.pixels)
+    assert (here.digest, here.format, here.byte_count) == (apart.digest, apart.format, apart.byte_count)
+    assert pool.thumbnail(data, 64) == thumbnail(data, 64)
+
+
+def test_refusals_are_the_same_apart(pool: DecoderPool) -> None:
+    sound = encoded(drawn(320, 240), "png")
+    for data in (b"", b"%PDF-1.7", sound[:2000], encoded(drawn(20, 20), "png"), encoded(drawn(1200, 900), "jpeg")):
+        with pytest.raises(BadImage) as here:
+            decode(data, LIMITS)
+        with pytest.raises(BadImage) as apart:
+            pool.decode(data)
+        assert (here.value.code, here.value.detail) == (apart.value.code, apart.value.detail)
+    with pytest.raises(BodyTooLarge):
+        pool.decode(bytes(LIMITS.max_bytes + 1))
+
+
+def test_many_threads_each_get_their_own_image(pool: DecoderPool) -> None:
+    images = [encoded(drawn(160, 120, seed), "png") for seed in range(40)]
+    with ThreadPoolExecutor(8) as threads:
+        for data, image in zip(images, threads.map(pool.decode, images), strict=True):
+            assert np.array_equal(image.pixels, decode(data, LIMITS).pixels)
+
+
+def test_an_image_whose_decoder_is_killed_is_decoded_in_another(pool: DecoderPool) -> None:
+    for _ in range(3):
+        pool.decode(photo())
+        for process in pool.processes:
+            os.kill(pid_of(process), signal.SIGKILL)
+        assert pool.decode(photo()).width == 64
+
+
+def test_an_image_that_ends_its_decoder_twice_is_refused_and_neighbours_go_on() -> None:
+    pool = DecoderPool(2, LIMITS, deadline_s=20)
+    pool.start()
+    data = encoded(drawn(320, 240), "png")
+    stop = threading.Event()
+    decoded: list[int] = []
+
+    def neighbour() -> None:
+        while not stop.is_set():
+            decoded.append(pool.decode(data).width)
+
+    ask = DecoderProcess.ask
+
+    def crash(self: DecoderProcess, kind: int, given: bytes, longest: int = 0) -> object:
+        if given == b"crash":
+            ask(self, kind, photo())  # the process is ready
+            os.kill(pid_of(self), signal.SIGSEGV)
+        return ask(self, kind, given, longest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(process_module.DecoderProcess, "ask", crash)
+        thread = threading.Thread(target=neighbour)
+        thread.start()
+        try:
+            for _ in range(3):
+                with pytest.raises(BadImage) as caught:
+                    pool.decode(b"crash")
+                assert caught.value.code == "undecodable-picture"
+        finally:
+            stop.set()
+            thread.join()
+    assert set(decoded) == {320}
+    pool.close()
+
+
+def test_an_image_that_hangs_its_decoder_is_refused_at_the_deadline() -> None:
+    pool = DecoderPool(1, LIMITS, deadline_s=1)
+    pool.decode(photo())
+    os.kill(pid_of(pool.processes[0]), signal.SIGSTOP)
+    began = time.monotonic()
+    with pytest.raises(BadImage) as caught:
+        pool.decode(photo())
+    assert "within 1 s" in caught.value.detail
+    assert time.monotonic() - began < 10
+    assert pool.decode(photo()).width == 64
+    pool.close()
+
+
+def test_more_images_than_decoders_wait_and_then_are_told_to_come_back() -> None:
+    pool = DecoderPool(1, LIMITS, deadline_s=3)
+    pool.decode(photo())
+    process = pool._free.get()
+    with pytest.raises(Busy) as caught:
+        pool.decode(photo())
+    assert caught.value.code == "too-many-requests"
+    with ThreadPoolExecutor(1) as threads:
+        patient = threads.submit(pool.decode_patiently, photo())
+        pool._free.put(process)
+        assert patient.result().width == 64
+    pool.close()
+    with pytest.raises(Unavailable):
+        pool.decode(photo())
+
+
+def test_decoders_end_with_a_service_that_is_killed() -> None:
+    program = (
+        "import sys, time\n"
+        "from tests.images.test_decoding_apart import LIMITS, DecoderPool, photo\n"
+        "pool = DecoderPool(2, LIMITS, 20); pool.start(); pool.decode(photo())\n"
+        "print(*(process.pid for process in pool.processes), flush=True); time.sleep(600)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        children = [int(word) for word in parent.stdout.readline().split()]
+        assert len(children) == 2
+        parent.kill()
+    until = time.monotonic() + 30
+    while any(map(alive, children)) and time.monotonic() < until:
+        threading.Event().wait(0.02)
+    assert not any(map(alive, children))
+
+
+def alive(pid: int) -> bool:
+    told = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return bool(told.strip()) and not told.startswith("Z")
+
+
+def test_a_decoder_loads_little() -> None:
+    program = "import worker.images.apart.child, sys; print(*{name.partition('.')[0] for name in sys.modules})"
+    loaded = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    heavy = {"torch", "onnxruntime", "faiss", "sqlalchemy", "pydantic", "fastapi"}
+    assert set(loaded.stdout.split()).isdisjoint(heavy)

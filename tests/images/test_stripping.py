@@ -1,0 +1,126 @@
+"""What is served back has the enrolled pixels and nothing of its metadata."""
+
+import io
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as PilImage
+from PIL.PngImagePlugin import PngInfo
+
+from tests.sample_images import drawn, encoded, png_chunk
+from worker.images.codec import Limits, decode
+from worker.images.stripping import strip
+
+LIMITS = Limits()
+SECRET = b"48.1374N of my garden"
+FORMS = ("jpeg", "png", "webp", "bmp", "tiff")
+COMPRESSIONS = ("raw", "tiff_lzw", "tiff_adobe_deflate", "packbits", "tiff_deflate", "jpeg", "zstd", "lzma")
+
+
+def exif(orientation: int = 1) -> PilImage.Exif:
+    made = PilImage.Exif()
+    made[0x0112] = orientation
+    made[0x010E] = SECRET.decode()
+    made[0x010F] = SECRET.decode()
+    return made
+
+
+def with_secrets(form: str, orientation: int = 1, **options: Any) -> bytes:
+    """An image with the secret in every place that Pillow writes to, and behind its end."""
+    pixels = drawn(96, 64)
+    if form == "jpeg":
+        options |= {"comment": SECRET, "xmp": SECRET}
+    if form == "png":
+        info = PngInfo()
+        info.add_text("Comment", SECRET.decode())
+        info.add_itxt("XML:com.adobe.xmp", SECRET.decode())
+        options |= {"pnginfo": info}
+    if form == "webp":
+        options |= {"xmp": SECRET, "lossless": True}
+    if form in ("jpeg", "png", "webp", "tiff"):
+        options |= {"exif": exif(orientation)}
+    return encoded(pixels, form, **options) + b"PK\x03\x04<html>" + SECRET
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_pixels_and_orientation_stay_and_secrets_go(form: str, orientation: int) -> None:
+    data = with_secrets(form, orientation)
+    stripped = strip(data, form)
+    assert SECRET in data
+    assert SECRET not in stripped
+    assert b"PK\x03\x04" not in stripped
+    assert np.array_equal(decode(stripped, LIMITS).pixels, decode(data, LIMITS).pixels)
+    assert strip(stripped, form) == stripped
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_image_without_metadata_comes_back_byte_for_byte(form: str) -> None:
+    data = encoded(drawn(96, 64), form)
+    assert strip(data, form) == data
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("mode", ["RGB", "L", "RGBA", "CMYK", "1", "P", "I;16"])
+def test_a_tiff_of_every_compression_keeps_its_pixels(compression: str, mode: str) -> None:
+    if compression == "jpeg" and mode in ("1", "P", "I;16"):
+        compression = "packbits"
+    image = PilImage.fromarray(drawn(96, 64))
+    image = PilImage.fromarray(np.asarray(image)[..., 0].astype(np.uint16)) if mode == "I;16" else image.convert(mode)
+    out = io.BytesIO()
+    image.save(out, "TIFF", compression=compression, description=SECRET.decode())
+    stripped = strip(out.getvalue(), "tiff")
+    assert SECRET not in stripped
+    assert np.array_equal(decode(stripped, LIMITS).pixels, decode(out.getvalue(), LIMITS).pixels)
+
+
+def test_other_pages_of_a_tiff_are_not_given_away() -> None:
+    pages = [PilImage.fromarray(drawn(64, 48, seed)) for seed in range(2)]
+    out = io.BytesIO()
+    pages[0].save(out, "TIFF", save_all=True, append_images=pages[1:])
+    stripped = strip(out.getvalue(), "tiff")
+    assert getattr(PilImage.open(io.BytesIO(stripped)), "n_frames", 1) == 1
+    assert np.array_equal(decode(stripped, LIMITS).pixels, drawn(64, 48, 0))
+
+
+@pytest.mark.parametrize("form", ["jpeg", "png", "webp"])
+def test_a_colour_profile_stays(form: str) -> None:
+    from PIL import ImageCms
+
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    data = with_secrets(form, icc_profile=profile)
+    assert PilImage.open(io.BytesIO(strip(data, form))).info["icc_profile"] == profile
+
+
+def test_the_thumbnail_within_a_jfif_header_goes() -> None:
+    data = encoded(drawn(96, 64), "jpeg")
+    head = b"JFIF\x00\x01\x01\x00\x00\x01\x00\x01\x02\x02" + b"thumbthumbth"
+    given = data[:2] + b"\xff\xe0" + struct.pack(">H", len(head) + 2) + head + data[20:]
+    stripped = strip(given, "jpeg")
+    assert b"thumb" not in stripped
+    assert np.array_equal(decode(stripped, LIMITS).pixels, decode(data, LIMITS).pixels)
+
+
+def test_what_hides_between_the_segments_of_a_jpeg_goes() -> None:
+    data = encoded(drawn(96, 64), "jpeg")
+    at = data.index(b"\xff\xdb")
+    given = data[:at] + SECRET + data[at:]
+    assert SECRET not in strip(given, "jpeg")
+
+
+def test_an_unknown_chunk_of_a_png_goes() -> None:
+    data = encoded(drawn(96, 64), "png")
+    given = data[:33] + png_chunk(b"prVt", SECRET) + data[33:]
+    assert strip(given, "png") == data
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_is_cut_is_stripped_or_refused(form: str) -> None:
+    data = with_secrets(form)
+    for cut in range(len(data)):
+        try:
+            strip(data[:cut], form)
+        except (ValueError, OSError):
+            continue

@@ -1,0 +1,106 @@
+"""The process that decodes: ``python -m worker.images.apart.child SOCKET INPUT OUTPUT MAX_BYTES MAX_PIXELS SECONDS``.
+
+It holds three descriptors: a socket, and memory for the bytes that came and for what became of them. It ends when the
+other end of the socket is closed, which the kernel does when the service dies, and while it decodes an alarm ends it
+that no codec can hold up.
+"""
+
+import math
+import resource
+import signal
+import socket
+import sys
+from contextlib import suppress
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image as PilImage
+
+from schemas.errors import RevisitError
+from worker.images import codec
+from worker.images.apart.protocol import READY, THUMBNAIL, Request, mapped, send_reply
+
+FIXED_MEMORY = 512 * codec.MEGA
+"""Memory that decoding may take beyond `PIXEL_MEMORY` for each pixel, in bytes."""
+
+PIXEL_MEMORY = 24
+"""Bytes for each pixel: the largest images, with alpha and turned, take about sixteen."""
+
+_FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
+
+
+def main(arguments: list[str]) -> None:
+    """Serve requests until the other end is closed."""
+    number, given, made, max_bytes, max_pixels = map(int, arguments[:5])
+    seconds = float(arguments[5])
+    # A terminal sends Ctrl-C, a supervisor SIGTERM, to all processes: a service that drains still needs its decoders.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    limits = codec.Limits(max_bytes, max_pixels)
+    source, target = mapped(given), mapped(made)
+    cv2.setNumThreads(1)
+    _warm_up(limits)
+    _restrict(max_pixels)
+    with socket.socket(fileno=number) as connection:
+        connection.sendall(READY)
+        while True:
+            try:
+                request = Request.receive(connection)
+            except (EOFError, OSError):
+                return
+            signal.alarm(math.ceil(seconds) + 1)
+            reply = _answer(request, source[: request.length], target, limits)
+            signal.alarm(0)
+            with suppress(BrokenPipeError):  # the service is gone: the next request will not come
+                send_reply(connection, reply)
+
+
+def _answer(request: Request, data: bytes, target: Any, limits: codec.Limits) -> dict[str, Any]:
+    """Decode into the target; a reply with the shape, a length, or the error's type, code and detail."""
+    try:
+        if request.kind == THUMBNAIL:
+            small = codec.thumbnail(data, request.longest)
+            target[: len(small)] = small
+            return {"length": len(small)}
+        room = np.frombuffer(target, np.uint8)
+        pixels, form = codec.decode_pixels(data, limits, room)
+        if not np.may_share_memory(pixels, room):
+            room[: pixels.size].reshape(pixels.shape)[:] = pixels
+        return {"height": pixels.shape[0], "width": pixels.shape[1], "format": form}
+    except RevisitError as error:
+        return {"error": type(error).__name__, "code": error.code, "detail": error.detail}
+    except MemoryError:
+        return {"error": "BadImage", "code": "undecodable-picture", "detail": "decoding it needs too much memory"}
+    except Exception as error:
+        detail = f"decoding it failed ({type(error).__name__}: {error})"
+        return {"error": "BadImage", "code": "undecodable-picture", "detail": detail}
+
+
+def _warm_up(limits: codec.Limits) -> None:
+    """Import everything that decoding imports late, before opening files is forbidden."""
+    import io
+
+    pixels = np.zeros((32, 32, 3), np.uint8)
+    for form in _FORMATS:
+        for mode in ("RGB", "L"):
+            out = io.BytesIO()
+            PilImage.fromarray(pixels).convert(mode).save(out, form)
+            codec.decode(out.getvalue(), limits)
+            codec.thumbnail(out.getvalue(), 16)
+
+
+def _restrict(max_pixels: int) -> None:
+    """Give up what decoding does not need: memory without bound, growing files, core dumps, new processes."""
+    wanted = {resource.RLIMIT_FSIZE: 0, resource.RLIMIT_CORE: 0, resource.RLIMIT_NPROC: 0, resource.RLIMIT_NOFILE: 16}
+    with suppress(OSError), open("/proc/self/statm") as file:
+        held = int(file.read().split()[0]) * resource.getpagesize()
+        wanted[resource.RLIMIT_AS] = held + FIXED_MEMORY + PIXEL_MEMORY * max_pixels
+    for limit, value in wanted.items():
+        with suppress(ValueError, OSError):  # a limit that the system does not have, or a stricter one is set
+            resource.setrlimit(limit, (value, value))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

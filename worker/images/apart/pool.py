@@ -1,0 +1,143 @@
+"""The decoder that hands each image to one of a few processes."""
+
+import hashlib
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from schemas.errors import BadImage, BodyTooLarge, Busy, RevisitError, Unavailable
+from schemas.image import Image
+from worker.images.apart.process import DecoderProcess, Died, Hung
+from worker.images.apart.protocol import DECODE, THUMBNAIL
+from worker.images.codec import Limits, check_length
+
+log = logging.getLogger(__name__)
+
+Made = TypeVar("Made")
+
+RETRY_S = 1.0
+"""Seconds between attempts to start a process for an image that can wait."""
+
+
+class DecoderPool:
+    """Decodes in processes of their own; keeps the promises of `Decoder`.
+
+    An image whose process dies is tried once more in a fresh one, since the process may have been killed for another
+    reason. An image that ends both, or takes longer than the deadline, is refused. Other images go on meanwhile in
+    the other processes.
+
+    Parameters
+    ----------
+    count : int
+        Processes, and so images decoded at once.
+    limits : Limits
+    deadline_s : float
+        Seconds for one image, and for one to wait for its turn.
+    """
+
+    def __init__(self, count: int, limits: Limits, deadline_s: float) -> None:
+        self._limits, self._deadline_s = limits, deadline_s
+        self.processes = [DecoderProcess(limits, deadline_s) for _ in range(count)]
+        # The latest one used first: its memory is warm, and one that is never needed is never touched.
+        self._free: queue.LifoQueue[DecoderProcess] = queue.LifoQueue()
+        for process in reversed(self.processes):
+            self._free.put(process)
+        self._closed = threading.Event()
+
+    def start(self) -> None:
+        """Start all processes, without waiting for them."""
+        for process in self.processes:
+            process.start()
+
+    def decode(self, data: bytes) -> Image:
+        """An image; raises BadImage, BodyTooLarge, Busy, Unavailable."""
+        return self._decode(data, patient=False)
+
+    def decode_patiently(self, data: bytes) -> Image:
+        """As `decode`, waiting for its turn and for a process as long as it takes."""
+        while True:
+            try:
+                return self._decode(data, patient=True)
+            except Unavailable:
+                if self._closed.wait(RETRY_S):
+                    raise
+
+    def thumbnail(self, data: bytes, longest: int) -> bytes:
+        """A small JPEG; raises as `decode`."""
+        return self._with_process(lambda process: self._thumbnail(process, data, longest), patient=False)
+
+    def close(self) -> None:
+        """End all processes, after the images that they decode."""
+        self._closed.set()
+        for _ in self.processes:
+            try:
+                self._free.get(timeout=self._deadline_s + 1).kill()
+            except queue.Empty:
+                log.warning("a decoder did not come back; its own alarm ends it")
+
+    def _decode(self, data: bytes, *, patient: bool) -> Image:
+        check_length(data, self._limits)
+        return self._with_process(lambda process: self._image(process, data), patient=patient)
+
+    def _image(self, process: DecoderProcess, data: bytes) -> Image:
+        reply, memory = process.ask(DECODE, data)
+        _raise_refusal(reply)
+        height, width = int(reply["height"]), int(reply["width"])
+        size = 3 * height * width
+        if not 0 < size <= len(memory):
+            raise Died("its reply makes no sense")
+        view = np.frombuffer(memory, np.uint8, size)
+        pixels = view.reshape(height, width, 3).copy()
+        del view  # a mapping with views cannot be closed
+        process.tidy(size)
+        return Image(pixels, hashlib.sha256(data).hexdigest(), str(reply["format"]), len(data))
+
+    def _thumbnail(self, process: DecoderProcess, data: bytes, longest: int) -> bytes:
+        reply, memory = process.ask(THUMBNAIL, data, longest)
+        _raise_refusal(reply)
+        return memory[: int(reply["length"])]
+
+    def _with_process(self, use: Callable[[DecoderProcess], Made], *, patient: bool) -> Made:
+        process = self._borrow(patient)
+        try:
+            try:
+                return use(process)
+            except Died as error:
+                log.warning("a decoder died: %s; the image is tried once more", error)
+                process.kill()
+                return use(process)
+        except Died as error:
+            process.kill()
+            log.warning("an image ended its decoder twice: %s", error)
+            raise BadImage("undecodable-picture", f"this image cannot be decoded: {error}, twice") from error
+        except Hung as error:
+            log.warning("an image took its decoder longer than %g s", self._deadline_s)
+            raise BadImage(
+                "undecodable-picture", f"this image cannot be decoded within {self._deadline_s:g} s"
+            ) from error
+        finally:
+            self._free.put(process)
+
+    def _borrow(self, patient: bool) -> DecoderProcess:
+        began = time.monotonic()
+        while not self._closed.is_set():
+            try:
+                return self._free.get(timeout=min(1.0, self._deadline_s))
+            except queue.Empty:
+                if not patient and time.monotonic() - began > self._deadline_s:
+                    wait = max(1, round(self._deadline_s))
+                    raise Busy(f"all decoders are at work; try again in {wait} s", wait) from None
+        raise Unavailable("the service is stopping; try again in 5 s", 5)
+
+
+def _raise_refusal(reply: dict[str, object]) -> None:
+    if "error" in reply:
+        if reply["error"] == "BodyTooLarge":
+            raise BodyTooLarge(str(reply["detail"]))
+        refusal: RevisitError = BadImage(str(reply["code"]), str(reply["detail"]))
+        raise refusal

@@ -1,0 +1,58 @@
+"""The port of everything that decodes clients' bytes, and the decoder without a process of its own."""
+
+from typing import Protocol
+
+from schemas.image import Image
+from worker.images import codec
+
+
+class Decoder(Protocol):
+    """Bytes to images. Safe to call from several threads at once."""
+
+    def start(self) -> None:
+        """Get ready ahead of the first image."""
+        ...
+
+    def decode(self, data: bytes) -> Image:
+        """An image upright, RGB, eight bits; raises BadImage, BodyTooLarge, Busy, Unavailable."""
+        ...
+
+    def decode_patiently(self, data: bytes) -> Image:
+        """As `decode`, of an image that was accepted before: waits for its turn instead of raising Busy."""
+        ...
+
+    def thumbnail(self, data: bytes, longest: int) -> bytes:
+        """A JPEG without metadata, upright, its longer side at most `longest` pixels; raises as `decode`."""
+        ...
+
+    def close(self) -> None:
+        """Release what it holds. Later calls raise Unavailable."""
+        ...
+
+
+class InProcessDecoder:
+    """Decodes in the calling thread: quicker to start, but a crash of a codec ends the service.
+
+    Parameters
+    ----------
+    limits : Limits
+    """
+
+    def __init__(self, limits: codec.Limits) -> None:
+        self._limits = limits
+
+    def start(self) -> None:
+        """Nothing to do."""
+
+    def decode(self, data: bytes) -> Image:
+        """As `codec.decode`."""
+        return codec.decode(data, self._limits)
+
+    decode_patiently = decode
+
+    def thumbnail(self, data: bytes, longest: int) -> bytes:
+        """As `codec.thumbnail`."""
+        return codec.thumbnail(data, longest)
+
+    def close(self) -> None:
+        """Nothing to release."""
