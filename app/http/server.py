@@ -20,8 +20,11 @@ log = logging.getLogger("revisit")
 LAST_ANSWERS_S = 2.0
 """Seconds for the answers of requests that were broken off to be sent."""
 
-STAY_S = 0.25
-"""Seconds that the port stays open once all is answered, for callers that are just connecting."""
+STAY_S = 0.5
+"""Seconds for which open connections may still send a request, once all is answered and the port is closed."""
+
+ACCEPT_S = 0.1
+"""Seconds to accept the callers that were connecting when the port is closed."""
 
 
 def configured(app: ASGIApp, settings: Settings) -> uvicorn.Config:
@@ -81,8 +84,8 @@ class Server(uvicorn.Server):
         log.info("stopping: %d requests are under way", len(under_way), extra={"event": "draining"})
         while under_way and not self.force_exit and loop.time() < until:
             _, under_way = await asyncio.wait(under_way, timeout=0.1)
-        if self.server_state.connections and not self.force_exit:
-            await asyncio.sleep(STAY_S)
+        if not self.force_exit:
+            await self._close_port(sockets or [])
         if self.server_state.tasks:
             # `app.http.middleware.RequestContext` answers 503 for them; uvicorn would send a text without a type.
             late = set(self.server_state.tasks)
@@ -95,3 +98,14 @@ class Server(uvicorn.Server):
             # Threads at work would delay a regular end; what was acknowledged is on disk.
             logging.shutdown()
             os._exit(1)
+
+    async def _close_port(self, sockets: list[socket.socket]) -> None:
+        """Close the port so that nobody who has connected is reset: closing resets what waits to be accepted."""
+        for listening in sockets:
+            listening.listen(0)  # the system lets nobody else wait
+        await asyncio.sleep(ACCEPT_S)
+        for server in self.servers:
+            server.close()
+        until = asyncio.get_running_loop().time() + STAY_S
+        while self.server_state.connections and asyncio.get_running_loop().time() < until and not self.force_exit:
+            await asyncio.sleep(0.02)

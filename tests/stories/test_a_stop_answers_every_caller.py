@@ -1,6 +1,7 @@
 """SIGTERM under load: every caller gets an answer with a type, none a reset, and a second signal stops at once."""
 
 import signal
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -94,6 +95,36 @@ def test_queries_before_and_after_the_signal_are_answered(tmp_path: Path) -> Non
         (answer,) = answers(read_all(held))
         assert answer.status == 200
         assert service.wait() == 0
+
+
+def test_callers_that_never_cease_are_answered_until_nobody_can_connect(tmp_path: Path) -> None:
+    """Each calls again at once, on new and on kept connections, until its connection is refused; none is reset."""
+    with RunningService(tmp_path) as service, ThreadPoolExecutor(12) as threads:
+        stopping = threading.Event()
+
+        def call_again(keeps: bool) -> tuple[int, int]:
+            answered = refused = 0
+            while True:
+                with httpx.Client(timeout=60) as client:
+                    try:
+                        for _ in range(5 if keeps else 1):
+                            answer = client.post(f"{service.url}/query?map=none", content=image(0), headers=JPEG)
+                            assert answer.status_code in (404, 503), answer.text
+                            assert answer.headers["content-type"] == "application/problem+json"
+                            answered += 1
+                            refused += answer.status_code == 503
+                    except httpx.ConnectError:
+                        assert stopping.is_set()
+                        return answered, refused
+
+        calls = [threads.submit(call_again, bool(n % 2)) for n in range(12)]
+        while httpx.get(f"{service.url}/readyz").status_code != 200:
+            pass
+        stopping.set()
+        service.signal(signal.SIGTERM)
+        counts = [call.result() for call in calls]
+        assert service.wait() == 0
+        assert sum(refused for _, refused in counts) > 0
 
 
 def test_what_is_not_done_in_time_is_told_so(tmp_path: Path) -> None:

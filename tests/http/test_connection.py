@@ -1,0 +1,109 @@
+"""One connection on a small application: what takes too long against a real process is tried here with short times."""
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+from starlette.types import Receive, Scope, Send
+from uvicorn.server import ServerState
+
+from app.http.connection import protocol_with
+from app.http.limits import RESERVE, ConnectionLimits
+from app.http.server import configured
+from schemas.settings import Settings
+
+LARGE = b"x" * 50_000_000
+ASK = b"GET / HTTP/1.1\r\nHost: a\r\n"
+
+
+async def large(scope: Scope, receive: Receive, send: Send) -> None:
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"%d" % len(LARGE))]})
+    await send({"type": "http.response.body", "body": LARGE})
+
+
+@asynccontextmanager
+async def listening(connections: int = 10) -> AsyncIterator[tuple[ServerState, int]]:
+    """A server of the application on a free port; its connections stand in the state."""
+    config = configured(large, Settings())
+    config.load()
+    state = ServerState()
+    made = protocol_with(ConnectionLimits(connections, head_s=5, discard_s=5, discard_bytes=1000))
+    server = await asyncio.get_running_loop().create_server(lambda: made(config, state, {}), "127.0.0.1", 0)
+    async with server:
+        yield state, server.sockets[0].getsockname()[1]
+        for connection in list(state.connections):
+            connection.transport.close()
+
+
+async def gone(state: ServerState) -> None:
+    async with asyncio.timeout(20):
+        while state.connections:
+            await asyncio.sleep(0.02)
+
+
+async def ended(reader: asyncio.StreamReader) -> bool:
+    """Whether the connection is closed or reset without a byte."""
+    try:
+        return await asyncio.wait_for(reader.read(1), 20) == b""
+    except ConnectionError:
+        return True
+
+
+def small_window() -> socket.socket:
+    connection = socket.socket()
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.setblocking(False)
+    return connection
+
+
+def test_a_client_that_does_not_read_its_answer_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.http.connection.STALLED_S", 0.2)
+
+    async def story() -> None:
+        async with listening() as (state, port):
+            with small_window() as connection:
+                loop = asyncio.get_running_loop()
+                await loop.sock_connect(connection, ("127.0.0.1", port))
+                await loop.sock_sendall(connection, ASK + b"Connection: close\r\n\r\n")
+                async with asyncio.timeout(20):
+                    while not state.connections:
+                        await asyncio.sleep(0.02)
+                await gone(state)
+
+    asyncio.run(story())
+
+
+def test_a_client_that_reads_slowly_gets_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.http.connection.STALLED_S", 0.2)
+
+    async def story() -> None:
+        async with listening() as (state, port):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(ASK + b"Connection: close\r\n\r\n")
+            size = len(await reader.readuntil(b"\r\n\r\n")) * 0
+            while piece := await reader.read(1_000_000):
+                size += len(piece)
+                await asyncio.sleep(0.01)  # slower than the time without progress in all
+            assert size == len(LARGE)
+            writer.close()
+            await gone(state)
+
+    asyncio.run(story())
+
+
+def test_far_beyond_the_bound_connections_are_closed_unread() -> None:
+    async def story() -> None:
+        async with listening(connections=1) as (state, port):
+            held = [await asyncio.open_connection("127.0.0.1", port) for _ in range(1 + RESERVE)]
+            async with asyncio.timeout(20):
+                while len(state.connections) < len(held):
+                    await asyncio.sleep(0.02)
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            assert await ended(reader)
+            for _, open_writer in (*held, (reader, writer)):
+                open_writer.close()
+            await gone(state)
+
+    asyncio.run(story())
