@@ -30,6 +30,9 @@ PRUNE_EVERY_S = 5.0
 MAP_WORK_EVERY_S = 1.0
 """Seconds between checks for jobs of maps and for views to compare."""
 
+MAP_PAUSE_S = 10.0
+"""Most seconds between attempts of jobs of maps and comparisons while they cannot be stored."""
+
 STORE_ATTEMPTS = 3
 """Attempts to store a description, errors of the disk apart, before its job is failed."""
 
@@ -138,6 +141,7 @@ class Loop:
         self._name = name
         self._batch = batch
         self._trouble = trouble
+        self._map_trouble = StoringTrouble("comparisons and what is learned of maps", MAP_PAUSE_S)
         self._idle_s = idle_s
         self._awake = threading.Event()
         self._stopping = threading.Event()
@@ -229,11 +233,13 @@ class Loop:
                     if self._pruning.prune():
                         continue
                     pruned = time.monotonic()
-                if not self._compare(not self._idle.is_set()):
+                compared = self._compare(not self._idle.is_set())
+                self._map_trouble.ends()
+                if not compared:
                     self._map_awake.wait(max(self._idle_s, MAP_WORK_EVERY_S))
                     self._map_awake.clear()
             except STORAGE_ERRORS as error:
-                self._stopping.wait(self._trouble.begins(error))
+                self._stopping.wait(self._map_trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
                 self._stopping.wait(self._idle_s)

@@ -252,7 +252,7 @@ def build(
                 decode=decoder.decode_patiently,
                 name=me.name,
                 batch=batch,
-                trouble=StoringTrouble(settlements.refuse),
+                trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
             )
         attendance = Attendance.of(store, me, loop, settings.lease_s)
         if loop is not None:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 FRESH_S = 2.0
 """Seconds for which a result is given without another check: probes are cheap."""
 
-PATIENCE_S = 0.3
+PATIENCE_S = 0.15
 """Seconds that a caller waits for a check, before it gets the last result."""
 
-STALE_S = 15.0
+STALE_S = 30.0
 """Seconds after which a check that has not ended makes the service not ready."""
 
 ENCODER_PATIENCE_S = 5.0

@@ -90,6 +90,7 @@ def await_nothing_pending(client: httpx.Client) -> dict[str, int]:
     raise AssertionError(f"still {views}")
 
 
+@pytest.mark.slow
 def test_enrolling_until_the_disk_is_full_and_deleting_until_it_is_not(disk: Path) -> None:
     with serving(disk) as (service, client):
         enrolled = []
@@ -159,6 +160,7 @@ def test_a_service_starts_on_a_full_disk_and_lets_it_be_emptied(disk: Path) -> N
         until(client, is_ready)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [errno.EROFS, errno.EIO, errno.EDQUOT, errno.ENOSPC], ids=errno.errorcode.get)
 def test_a_disk_that_refuses_every_write_is_said_and_left_behind(tmp_path: Path, error: int) -> None:
     """Read-only after an error, broken, over quota, full whatever `statvfs` says."""

@@ -79,9 +79,12 @@ def lock_for_serving(data: Path, now: datetime) -> FolderLock:
     Raises
     ------
     SetupError
-        Another process serves the folder; the text names it.
+        Another process serves the folder, and the text names it; or the folder cannot be written.
     """
-    lock = FolderLock(data / SERVE)
+    try:
+        lock = FolderLock(data / SERVE)
+    except OSError as error:
+        raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
     if not lock.acquire():
         holder = lock.holder()
         lock.release()

@@ -2,7 +2,8 @@
 
 import logging
 import os
-from datetime import datetime
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -30,6 +31,9 @@ from worker.storage.views import Views
 from worker.storage.workers import Workers
 
 log = logging.getLogger("revisit")
+
+PROBE = "can this be written?"
+"""Key of a row that is written and removed at once; with spaces, so that no caller can have it."""
 
 
 class SqlStore:
@@ -111,7 +115,20 @@ class SqlStore:
             problem = None if self._database.space is None else self._database.space.problem()
         except OSError as error:
             problem = f"the folder {self._data} cannot be read: {error.strerror}"
+        if problem is None and self._database.trouble is not None:
+            self._try_to_write()
         return problem or self._database.trouble or "ok"
+
+    def _try_to_write(self) -> None:
+        """Change nothing, durably: whether a disk that failed works again."""
+        with (
+            suppress(DiskFull, StorageFailed),
+            self._database.writing(in_turn=False, frees=True) as connection,
+        ):
+            # SQLite does not write a row that stays as it is.
+            probe = {"key": PROBE, "fingerprint": "", "begun_at": datetime.now(UTC)}
+            connection.execute(sa.insert(CALLS), probe)
+            connection.execute(sa.delete(CALLS).where(CALLS.c.key == PROBE))
 
     def keep_reserve(self) -> None:
         """Make the reserve for deletions where it is missing and there is room."""

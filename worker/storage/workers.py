@@ -7,16 +7,20 @@ description is stored twice.
 
 from collections.abc import Collection
 from datetime import datetime
+from typing import get_args
 
 import sqlalchemy as sa
 
-from schemas.records import WorkerRecord
+from schemas.records import JobKind, WorkerRecord
 from worker.storage.jobs import ATTEMPTS, WORKER_DIED
 from worker.storage.map_jobs import MapJobs
 from worker.storage.tables import JOBS, WORKERS
 
 _ABANDONED = sa.and_(
-    JOBS.c.state == "running", JOBS.c.token.is_not(None), JOBS.c.worker.not_in(sa.select(WORKERS.c.name))
+    JOBS.c.kind.in_(get_args(JobKind)),  # for the index: finished jobs are many
+    JOBS.c.state == "running",
+    JOBS.c.token.is_not(None),
+    JOBS.c.worker.not_in(sa.select(WORKERS.c.name)),
 )
 _MINE = WORKERS.c.name == sa.bindparam("of")
 

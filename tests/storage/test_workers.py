@@ -1,0 +1,114 @@
+"""Signs of life: who gives none loses its jobs, whatever the clocks say, and nothing is described twice."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import timedelta
+from unittest.mock import Mock
+
+import pytest
+
+from schemas.errors import DiskFull, LeaseLost
+from schemas.records import WorkerRecord
+from tests.storage.material import NOW, enroll, finish
+from worker.service.attendance import ROUNDS, Attendance, this_process
+from worker.storage.store import SqlStore
+
+FAR = replace(this_process("worker"), name="far", host="another machine/pid:[1]")
+
+
+def watching(store: SqlStore, freed: Mock | None = None, me: WorkerRecord | None = None) -> Attendance:
+    """The attendance of a worker, whose rounds a test makes by itself."""
+    return Attendance(
+        store.workers,
+        me or this_process("worker"),
+        working=lambda: True,
+        serving=False,
+        every_s=3600,
+        each_round=lambda: None,
+        on_freed=freed or Mock(),
+    )
+
+
+def test_the_jobs_of_a_silent_worker_go_back_and_its_late_description_is_refused(store: SqlStore) -> None:
+    view = enroll(store, "gate").view
+    store.workers.beat(FAR, NOW)
+    [late] = store.jobs.claim(FAR.name, 1, None, NOW)
+    freed = Mock()
+    mine = watching(store, freed)
+    for _ in range(ROUNDS):
+        mine._round()
+        assert store.jobs.claim("mine", 1, None, NOW + timedelta(days=9999)) == [], "a clock took the job away"
+    assert mine.alive == 2
+    mine._round()
+    assert mine.alive == 1
+    freed.assert_called_once_with()
+
+    [anew] = store.jobs.claim("mine", 1, None, NOW - timedelta(days=9999))
+    assert (anew.job_id, anew.attempts) == (late.job_id, 2)
+    with pytest.raises(LeaseLost):
+        finish(store, late)
+    finish(store, anew)
+    assert store.views.get(view.id).state == "ready"
+
+
+def test_a_worker_that_gives_signs_of_life_keeps_its_jobs_for_ever(store: SqlStore) -> None:
+    enroll(store, "gate")
+    mine = watching(store)
+    store.workers.beat(FAR, NOW)
+    [claim] = store.jobs.claim(FAR.name, 1, None, NOW)
+    for number in range(4 * ROUNDS):
+        store.workers.beat(FAR, NOW - timedelta(days=number))
+        mine._round()
+    assert mine.alive == 2
+    finish(store, claim)
+
+
+def test_silence_while_nobody_can_write_says_nothing(store: SqlStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    store.workers.beat(FAR, NOW)
+    mine = watching(store)
+    mine._round()
+    with monkeypatch.context() as full:
+        full.setattr(store.workers, "beat", Mock(side_effect=DiskFull("full")))
+        for _ in range(2 * ROUNDS):
+            mine._round()
+    for _ in range(ROUNDS):
+        mine._round()
+    assert mine.alive == 2, "its rounds are counted from when it could write again"
+    mine._round()
+    assert mine.alive == 1
+
+
+def test_a_process_of_this_machine_that_is_gone_is_noticed_in_the_next_round(store: SqlStore) -> None:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    enroll(store, "gate")
+    dead = replace(this_process("worker"), name="dead", pid=process.pid)
+    store.workers.beat(dead, NOW)
+    store.jobs.claim(dead.name, 1, None, NOW)
+    watching(store)._round()
+    assert [worker.name for worker in store.workers.present() if worker.name == "dead"] == []
+    assert len(store.jobs.claim("mine", 1, None, NOW)) == 1
+
+
+def test_an_image_that_ends_three_workers_is_given_up(store: SqlStore) -> None:
+    submitted = enroll(store, "bomb")
+    for attempt in (1, 2, 3):
+        [claim] = store.jobs.claim(f"worker {attempt}", 1, None, NOW)
+        assert claim.attempts == attempt
+        assert store.workers.bury([claim.job_id], NOW) == 1
+    assert store.jobs.claim("worker", 1, None, NOW) == []
+    view = store.views.get(submitted.view.id)
+    assert (view.state, view.failure and view.failure[0]) == ("failed", "worker-died")
+
+
+def test_a_worker_that_stops_takes_itself_out(store: SqlStore) -> None:
+    enroll(store, "gate")
+    me = this_process("worker")
+    mine = watching(store, me=me)
+    mine.start()
+    assert [worker.name for worker in store.workers.present()] == [me.name]
+    store.jobs.claim(me.name, 1, None, NOW)
+    mine.stop()
+    assert store.workers.present() == []
+    assert len(store.jobs.claim("next", 1, None, NOW)) == 1
