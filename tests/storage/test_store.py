@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from schemas.errors import Conflict, Damaged, KeyReused, LeaseLost, NotFound
+from schemas.errors import Conflict, KeyReused, LeaseLost, NotFound
 from schemas.records import Filters, Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
 from tests.storage.material import (
@@ -392,12 +392,6 @@ def test_a_vocabulary_is_kept_under_its_digest(store: SqlStore) -> None:
     for _ in range(2):
         store.vocabularies.keep(digest, b"tensors")
     assert store.vocabularies.get(digest) == b"tensors"
-
-
-def test_a_damaged_vocabulary_is_not_given_out(store: SqlStore) -> None:
-    store.vocabularies.keep(hashlib.sha256(b"tensors").hexdigest(), b"tensorz")
-    with pytest.raises(Damaged, match="vocabulary"):
-        store.vocabularies.get(hashlib.sha256(b"tensors").hexdigest())
 
 
 def test_an_image_of_wrong_digest_is_refused(store: SqlStore) -> None:

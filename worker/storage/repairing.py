@@ -15,7 +15,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from schemas.errors import RevisitError, SetupError
-from worker.storage import dialect, migrating
+from worker.storage import dialect, migrating, wal
 from worker.storage.database import Database
 from worker.storage.examining import Finding, database_file, examine, file_finding, structure_findings
 from worker.storage.examining_images import is_orphan
@@ -84,8 +84,9 @@ def _mend_file(url: str, data: Path, done: list[str]) -> bool:
     path = database_file(url)
     if path is None or not path.exists():
         return False
-    from worker.storage import wal
-
+    if not path.is_file():
+        done.append(f"{path}: is no file; move it away and restore a backup")
+        return False
     log = path.with_name(path.name + "-wal")
     lost = False
     try:
