@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 
 from lab.faults.drawn import TYPE, digest, image
-from lab.faults.ledger import Known, Said, Violation, draw_patch, draw_said, require
+from lab.faults.ledger import Attributes, Known, Violation, draw_attributes, draw_patch, require
 from lab.faults.process import client
 
 SHARED = "shared"
@@ -32,7 +32,7 @@ class Unanswered:
     map : str
     numbers : tuple of int
         Images of an enrolment; each may be there or not.
-    said : Said
+    attributes : Attributes
         Of the images, or of the view after a patch.
     views : tuple of Known
         That were to be changed or deleted: all of them were, or none.
@@ -41,7 +41,7 @@ class Unanswered:
     kind: str
     map: str
     numbers: tuple[int, ...] = ()
-    said: Said = field(default_factory=Said)
+    attributes: Attributes = field(default_factory=Attributes)
     views: tuple[Known, ...] = ()
 
 
@@ -94,9 +94,9 @@ class Caller:
         elif kind < 0.97:
             self._delete(calls, "DELETE", f"/views/{one.id}", [one])
         elif kind < 0.99:
-            place = one.said.place
+            place = one.attributes.place
             # The own map alone: a place of the shared one may be another caller's too.
-            gone = [view for view in views if view.map == self.own and view.said.place == place]
+            gone = [view for view in views if view.map == self.own and view.attributes.place == place]
             if place is not None and gone:
                 self._delete(calls, "DELETE", "/views", gone, params={"map": self.own, "place": place})
         elif gone := [view for view in views if view.map == self.own]:
@@ -109,25 +109,25 @@ class Caller:
         return answer.json()
 
     def _enroll(self, calls: httpx.Client) -> None:
-        said = draw_said(self.chance)
+        attributes = draw_attributes(self.chance)
         to = SHARED if self.chance.random() < 0.6 else self.own
         numbers = []
         for _ in range(1 if self.chance.random() < 0.85 else 3):
             self._images += 1
             numbers.append(self.number * APART + self._images)
         waited = bool(self.chance.random() < 0.7)
-        self.unanswered = Unanswered("enroll", to, tuple(numbers), said)
-        form = {"map": to, "wait": str(waited).lower(), **said.parameters()}
+        self.unanswered = Unanswered("enroll", to, tuple(numbers), attributes)
+        form = {"map": to, "wait": str(waited).lower(), **attributes.parameters()}
         files = [("image", (f"{number}.png", image(number), "image/png")) for number in numbers]
         answer = self._sent(calls.post("/enroll", data=form, files=files), 201, 202)
         for number, one in zip(numbers, answer.get("views", [answer]), strict=True):
-            self.keep(one["view"], number, said)
+            self.keep(one["view"], number, attributes)
             self.counts["enrolments"] += 1
 
-    def keep(self, view: dict[str, Any], number: int, said: Said) -> None:
+    def keep(self, view: dict[str, Any], number: int, attributes: Attributes) -> None:
         """Take a view that the service showed into the own ones; raises Violation if it is not as it was sent."""
         moment = datetime.fromisoformat(view["enrolled_at"])
-        known = Known(view["id"], view["map"], number, digest(image(number)), said, moment)
+        known = Known(view["id"], view["map"], number, digest(image(number)), attributes, moment)
         known.compare(view)
         self.views[known.id] = known
         self.touched.append(known.id)
@@ -141,10 +141,10 @@ class Caller:
         self.counts["queries"] += 1
 
     def _patch(self, calls: httpx.Client, one: Known) -> None:
-        body, after = draw_patch(self.chance, one.said)
-        self.unanswered = Unanswered("patch", one.map, said=after, views=(one,))
+        body, after = draw_patch(self.chance, one.attributes)
+        self.unanswered = Unanswered("patch", one.map, attributes=after, views=(one,))
         answer = self._sent(calls.patch(f"/views/{one.id}", json=body), 200)
-        one.said = after
+        one.attributes = after
         one.compare(answer)
         self.touched.append(one.id)
         self.counts["patches"] += 1
@@ -179,7 +179,7 @@ class Caller:
             for number in call.numbers:
                 view = by_digest.get(digest(image(number)))
                 if view is not None:
-                    self.keep(view, number, call.said)
+                    self.keep(view, number, call.attributes)
         elif call.kind == "delete":
             there = [view for view in call.views if view.id in shown]
             require(len(there) in (0, len(call.views)), f"{len(there)} of {len(call.views)} views were deleted")
@@ -188,8 +188,8 @@ class Caller:
         else:
             (one,) = call.views
             require(one.id in shown, f"view {one.id} is gone, and was being patched")
-            before, one.said = one.said, call.said
+            before, one.attributes = one.attributes, call.attributes
             try:
                 one.compare(shown[one.id])
             except Violation:
-                one.said = before  # then all of it is as before; `check` compares
+                one.attributes = before  # then all of it is as before; `check` compares

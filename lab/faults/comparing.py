@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lab.faults.ledger import Known, KnownMap, require
-from lab.faults.served import Served
+from lab.faults.live_service import LiveService
 
 PAGE = 500
 
@@ -27,7 +27,7 @@ ORPHANS = {
 """Rows that nothing should own; no answer over HTTP would show them."""
 
 
-def views_of(served: Served, name: str | None = None, page: int = PAGE, **filters: str) -> list[Any]:
+def views_of(served: LiveService, name: str | None = None, page: int = PAGE, **filters: str) -> list[Any]:
     """All views of a map or of all, read page by page."""
     found: list[Any] = []
     parameters = {"limit": str(page), **filters} | ({} if name is None else {"map": name})
@@ -40,7 +40,7 @@ def views_of(served: Served, name: str | None = None, page: int = PAGE, **filter
         parameters["cursor"] = answer["next"]
 
 
-def compare_views(served: Served, of: KnownMap, page: int = PAGE) -> None:
+def compare_views(served: LiveService, of: KnownMap, page: int = PAGE) -> None:
     """The views of a map: exactly the acknowledged ones, in the order of enrolment, as they were acknowledged."""
     shown = views_of(served, of.name, page)
     compare_lists(of.name, of.views.values(), shown)
@@ -58,7 +58,7 @@ def compare_lists(name: str, known: Iterable[Known], shown: Iterable[Mapping[str
     require(kept == seen, f"map {name}: the views are not in the order of their enrolment")
 
 
-def compare_maps(served: Served, maps: Mapping[str, KnownMap]) -> None:
+def compare_maps(served: LiveService, maps: Mapping[str, KnownMap]) -> None:
     """The maps by name, their counts and recipes, and the places."""
     shown = {facts["name"]: facts for facts in served.json("/maps")["maps"]}
     require(shown.keys() == maps.keys(), f"maps are {sorted(shown)}, not {sorted(maps)}")
@@ -67,8 +67,8 @@ def compare_maps(served: Served, maps: Mapping[str, KnownMap]) -> None:
     places: dict[tuple[str, str], int] = {}
     for of in maps.values():
         for view in of.views.values():
-            if view.said.place is not None:
-                places[of.name, view.said.place] = places.get((of.name, view.said.place), 0) + 1
+            if view.attributes.place is not None:
+                places[of.name, view.attributes.place] = places.get((of.name, view.attributes.place), 0) + 1
     seen = {(row["map"], row["place"]): row["views"] for row in served.json("/places", limit="500")["places"]}
     require(seen == places, f"places are {seen}, not {places}")
 
@@ -86,7 +86,7 @@ def compare_map(of: KnownMap, facts: Mapping[str, Any]) -> None:
     of.revision = facts["revision"]
 
 
-def compare_images(served: Served, views: Iterable[Known]) -> None:
+def compare_images(served: LiveService, views: Iterable[Known]) -> None:
     """The bytes of views' images are those that were sent."""
     for view in views:
         sent = served.call("GET", f"/views/{view.id}/image").content
@@ -117,7 +117,7 @@ def compare_tables(database: Path) -> None:
         require(not broken, f"rows refer to rows that are not there: {broken[:5]}")
 
 
-def compare_all(served: Served, maps: Mapping[str, KnownMap], page: int = PAGE) -> None:
+def compare_all(served: LiveService, maps: Mapping[str, KnownMap], page: int = PAGE) -> None:
     """Everything, while nothing is being written."""
     served.settle()
     compare_maps(served, maps)

@@ -29,9 +29,9 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from lab.faults.drawn import TYPE, image
-from lab.faults.operations import LABELS, LIGHT
+from lab.faults.enrolling import LABELS, LIGHT
+from lab.faults.live_service import LiveService
 from lab.faults.run import Tally, data_folder, parser, seed_of
-from lab.faults.served import Served
 
 CHECKS = [
     not_a_server_error,
@@ -75,11 +75,11 @@ class Known:
 
     Parameters
     ----------
-    served : Served
+    served : LiveService
     chance : Generator
     """
 
-    def __init__(self, served: Served, chance: np.random.Generator) -> None:
+    def __init__(self, served: LiveService, chance: np.random.Generator) -> None:
         self._served, self._chance = served, chance
         self.names: dict[str, list[str]] = {}
 
@@ -90,8 +90,8 @@ class Known:
         for name in ("default", "campus"):
             client.put(f"/maps/{name}", json=body)
             for number in range(3):
-                said = {"map": name, "place": "gate", "x": str(number), "y": "1"}
-                client.post("/enroll", params=said, content=image(number), headers=TYPE)
+                attributes = {"map": name, "place": "gate", "x": str(number), "y": "1"}
+                client.post("/enroll", params=attributes, content=image(number), headers=TYPE)
         views = [view["id"] for view in client.get("/views").json()["views"]]
         jobs = [job["id"] for job in client.get("/jobs").json()["jobs"]]
         given_ = {"map": "campus", "explain": "true"}
@@ -117,7 +117,7 @@ class Known:
 
 
 def try_contract(
-    served: Served,
+    served: LiveService,
     document: dict[str, Any],
     seed_: int,
     examples: int,
@@ -128,7 +128,7 @@ def try_contract(
 
     Parameters
     ----------
-    served : Served
+    served : LiveService
         With an empty data folder.
     document : dict
         The service's OpenAPI document.
@@ -212,7 +212,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     tally = Tally("contract", seed_of(arguments))
     began = time.monotonic()
     with data_folder(arguments.folder) as data:
-        served = Served(data, tally.counts)
+        served = LiveService(data, tally.counts)
         try:
 
             def report(operation: str, text: str) -> None:

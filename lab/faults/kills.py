@@ -18,11 +18,11 @@ from lab.faults.callers import SHARED, Caller
 from lab.faults.comparing import compare_folder, views_of
 from lab.faults.drawn import TYPE, image
 from lab.faults.earlier import rewound
+from lab.faults.enrolling import LABELS, LIGHT
 from lab.faults.ledger import Violation, require
-from lab.faults.operations import LABELS, LIGHT
+from lab.faults.live_service import QUICK, LiveService
 from lab.faults.process import NotStarted, Running, serve, settings
 from lab.faults.run import Progress, Tally, data_folder, parser, seed_of
-from lab.faults.served import Served
 
 EPISODE = 50
 """Kills in one life of a data folder."""
@@ -30,9 +30,6 @@ EPISODE = 50
 CALLERS = 3
 MOST_ACKNOWLEDGED = 15
 """Most acknowledged calls between two kills: moments that do not depend on how fast the machine is."""
-
-QUICK = {"REVISIT_LEASE_S": "1"}
-"""What a killed process was describing is described again after so long; every check waits for it."""
 
 STUCK_S = 30.0
 """Seconds within which the callers must get some answers."""
@@ -62,7 +59,7 @@ class Site:
         self.chance = np.random.default_rng(seed)
         self.callers = [Caller(number, seed) for number in range(1, CALLERS + 1)]
         apart = {"REVISIT_INLINE_WORKER": "false"} if kind == "worker" else {}
-        self.served = Served(data, counts, settings={**QUICK, **apart})
+        self.served = LiveService(data, counts, settings={**QUICK, **apart})
         self.worker = self._hire()
         for name in (SHARED, *(caller.own for caller in self.callers)):
             self.served.call("PUT", f"/maps/{name}", 201, json={**LIGHT, "labels": LABELS[0], "dynamic": []})

@@ -29,7 +29,7 @@ def require(true: object, what: str) -> None:
 
 
 @dataclass(frozen=True)
-class Said:
+class Attributes:
     """What a caller said of an image.
 
     Parameters
@@ -69,7 +69,7 @@ class Known:
         Of its image.
     digest : str
         SHA-256 of its image.
-    said : Said
+    attributes : Attributes
     enrolled_at : datetime
         As the service said.
     """
@@ -78,7 +78,7 @@ class Known:
     map: str
     number: int
     digest: str
-    said: Said
+    attributes: Attributes
     enrolled_at: datetime
 
     def compare(self, shown: Mapping[str, Any]) -> None:
@@ -88,10 +88,10 @@ class Known:
         pairs = {
             "id": (self.id, shown["id"]),
             "map": (self.map, shown["map"]),
-            "place": (self.said.place, shown["place"]),
-            "position": (dict(self.said.position), position),
-            "captured_at": (self.said.captured_at, captured),
-            "metadata": (dict(self.said.metadata), shown["metadata"]),
+            "place": (self.attributes.place, shown["place"]),
+            "position": (dict(self.attributes.position), position),
+            "captured_at": (self.attributes.captured_at, captured),
+            "metadata": (dict(self.attributes.metadata), shown["metadata"]),
             "sha256": (self.digest, shown["image"]["sha256"]),
             "enrolled_at": (self.enrolled_at, datetime.fromisoformat(shown["enrolled_at"])),
         }
@@ -121,7 +121,7 @@ class Narrowed:
     left: Callable[[Sequence[Known]], list[Known]]
 
 
-def draw_said(chance: np.random.Generator) -> Said:
+def draw_attributes(chance: np.random.Generator) -> Attributes:
     """What a caller says: anything from nothing to everything."""
     position: dict[str, float] = {}
     frame = chance.integers(3)
@@ -133,7 +133,7 @@ def draw_said(chance: np.random.Generator) -> Said:
         position = {"lat": round(float(chance.uniform(51, 51.01)), 7), "lon": round(float(chance.uniform(6, 6.02)), 7)}
     if position and chance.random() < 0.5:
         position["heading"] = float(chance.integers(360))
-    return Said(
+    return Attributes(
         place=None if chance.random() < 0.3 else str(chance.choice(PLACES)),
         position=position,
         captured_at=None if chance.random() < 0.4 else EPOCH + timedelta(seconds=int(chance.integers(1000))),
@@ -167,21 +167,21 @@ def _one_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
     kind = int(chance.integers(8))
     if kind == 0:
         place = str(chance.choice(PLACES))
-        return _each({"place": place}, lambda view: view.said.place == place)
+        return _each({"place": place}, lambda view: view.attributes.place == place)
     if kind == 1:
         floor = int(chance.choice(FLOORS))
-        return _each({"metadata.floor": str(floor)}, lambda view: view.said.metadata.get("floor") == floor)
+        return _each({"metadata.floor": str(floor)}, lambda view: view.attributes.metadata.get("floor") == floor)
     if kind == 2:
         x, y, radius = (
             float(chance.integers(-20, 20)),
             float(chance.integers(-20, 20)),
             int(chance.integers(1, 20)) + 0.5,
         )
-        return _each({"near": f"{x},{y},{radius}"}, lambda view: _metres(view.said.position, x, y) <= radius)
+        return _each({"near": f"{x},{y},{radius}"}, lambda view: _metres(view.attributes.position, x, y) <= radius)
     if kind == 3:
         lat, lon, reach = round(float(chance.uniform(51, 51.01)), 7), 6.01, float(chance.uniform(50, 900))
         geographic = {"near": f"{lat},{lon},{reach}", "frame": "geo"}
-        return _each(geographic, lambda view: _great_circle(view.said.position, lat, lon) <= reach)
+        return _each(geographic, lambda view: _great_circle(view.attributes.position, lat, lon) <= reach)
     if kind == 4:
         moment = EPOCH + timedelta(seconds=int(chance.integers(1000)))
         name = str(chance.choice(["after", "before"]))
@@ -189,7 +189,8 @@ def _one_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
         return _each(
             {name: moment.isoformat()},
             lambda view: (
-                view.said.captured_at is not None and sign * (view.said.captured_at - moment).total_seconds() >= 0
+                view.attributes.captured_at is not None
+                and sign * (view.attributes.captured_at - moment).total_seconds() >= 0
             ),
         )
     if kind == 5 and views:
@@ -226,22 +227,22 @@ def _great_circle(position: Mapping[str, float], lat: float, lon: float) -> floa
     return 2 * EARTH_RADIUS_M * math.asin(math.sqrt(half))
 
 
-def draw_patch(chance: np.random.Generator, said: Said) -> tuple[dict[str, Any], Said]:
+def draw_patch(chance: np.random.Generator, attributes: Attributes) -> tuple[dict[str, Any], Attributes]:
     """A merge patch (RFC 7396) of a view, and what is said of the view after it."""
     kind = int(chance.integers(4))
     if kind == 0:
         place = None if chance.random() < 0.3 else str(chance.choice(PLACES))
-        return {"place": place}, replace(said, place=place)
+        return {"place": place}, replace(attributes, place=place)
     if kind == 1:
         floor = int(chance.choice(FLOORS))
         return {"metadata": {"floor": floor, "deep": None}}, replace(
-            said, metadata={k: v for k, v in said.metadata.items() if k != "deep"} | {"floor": floor}
+            attributes, metadata={k: v for k, v in attributes.metadata.items() if k != "deep"} | {"floor": floor}
         )
     if kind == 2:
         moment = None if chance.random() < 0.3 else EPOCH + timedelta(seconds=int(chance.integers(1000)))
-        return {"captured_at": None if moment is None else moment.isoformat()}, replace(said, captured_at=moment)
+        return {"captured_at": None if moment is None else moment.isoformat()}, replace(attributes, captured_at=moment)
     if chance.random() < 0.3:
-        return {"position": None}, replace(said, position={})
+        return {"position": None}, replace(attributes, position={})
     moved = {"x": float(chance.integers(-20, 20)), "y": float(chance.integers(-20, 20))}
-    cleared = {name: None for name in said.position if name not in ("x", "y")}
-    return {"position": moved | cleared}, replace(said, position=moved)
+    cleared = {name: None for name in attributes.position if name not in ("x", "y")}
+    return {"position": moved | cleared}, replace(attributes, position=moved)

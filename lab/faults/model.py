@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from lab.faults.comparing import compare_all
+from lab.faults.enrolling import MOST_VIEWS
+from lab.faults.interrupting import Interrupting
 from lab.faults.ledger import Violation
-from lab.faults.operations import MOST_VIEWS, Operations
+from lab.faults.live_service import QUICK, LiveService
 from lab.faults.run import Progress, Tally, data_folder, parser, seed_of
-from lab.faults.served import Served
 
 EPISODE = 1000
 """Operations in one life of a data folder."""
@@ -27,7 +28,8 @@ COMPARE_EVERY = 150
 """Operations between two comparisons of everything."""
 
 WEIGHTS = {
-    "enroll": 20.0,
+    "enroll": 16.0,
+    "enroll_and_query": 4.0,
     "enroll_unawaited": 7.0,
     "enroll_several": 2.0,
     "enroll_again": 5.0,
@@ -35,7 +37,7 @@ WEIGHTS = {
     "refused": 4.0,
     "query_own": 11.0,
     "query_filtered": 8.0,
-    "query_stranger": 1.0,
+    "query_unknown": 1.0,
     "patch": 12.0,
     "delete": 9.0,
     "delete_filtered": 2.0,
@@ -46,9 +48,9 @@ WEIGHTS = {
     "list_pages": 6.0,
     "list_jobs": 2.0,
     "read": 6.0,
-    "restart": 0.15,
-    "kill": 0.3,
-    "kill_during": 0.7,
+    "restart": 0.1,
+    "kill": 0.1,
+    "kill_during": 0.3,
     "set_clock": 0.3,
 }
 """How often each operation is drawn, relative to the others."""
@@ -81,8 +83,8 @@ def live(data: Path, seed: int, operations: int, counts: Counter[str], without: 
     chance = np.random.default_rng(seed)
     names = [name for name in WEIGHTS if name not in without]
     shares = np.array([WEIGHTS[name] for name in names])
-    served = Served(data, counts, told=True)
-    doing = Operations(served, chance, counts)
+    served = LiveService(data, counts, told=True, settings=QUICK)
+    doing = Interrupting(served, chance, counts)
     number = 0
     try:
         for number in range(1, operations + 1):
@@ -108,7 +110,7 @@ def live(data: Path, seed: int, operations: int, counts: Counter[str], without: 
         served.close()
 
 
-def _look(doing: Operations) -> None:
+def _look(doing: Interrupting) -> None:
     """After every operation: one view is as acknowledged, one that was deleted is not there."""
     known = doing.some_view()
     if known is not None:
@@ -143,7 +145,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         tally.done = episode + 1
         tally.seconds += time.monotonic() - began
         tally.save(arguments.checkpoint)
-        progress.tell(tally.done * EPISODE, arguments.operations, tally.counts)
+        progress.tell(min(tally.done * EPISODE, arguments.operations), arguments.operations, tally.counts)
         if len(tally.violations) >= 10:
             break
     return tally.finish()

@@ -44,7 +44,6 @@ def settings(data: Path, further: Mapping[str, str] | None = None) -> dict[str, 
         "REVISIT_ENCODER": "color",
         "REVISIT_PORT": "0",
         "REVISIT_THREADS": "1",
-        "REVISIT_LEASE_S": "2",  # what a killed process was describing is described again after so long
         **(further or {}),
     }
 

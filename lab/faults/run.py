@@ -49,9 +49,9 @@ class Tally:
     def save(self, path: Path | None) -> None:
         """Write the checkpoint, whole or not at all."""
         if path is not None:
-            beside = path.with_name(path.name + ".writing")
-            beside.write_text(json.dumps(vars(self), indent=1))
-            beside.replace(path)
+            unfinished = path.with_name(path.name + ".writing")
+            unfinished.write_text(json.dumps(vars(self), indent=1))
+            unfinished.replace(path)
 
     @classmethod
     def resume(cls, path: Path | None, name: str, seed: int) -> "Tally":

@@ -7,20 +7,20 @@ from pathlib import Path
 import pytest
 
 from lab.faults.contract import try_contract
-from lab.faults.served import Served
+from lab.faults.live_service import LiveService
 
 SEED = 20_261_123
 EXAMPLES = 12
 
 
 @pytest.fixture
-def served(tmp_path: Path) -> Iterator[Served]:
-    served = Served(tmp_path, Counter())
+def served(tmp_path: Path) -> Iterator[LiveService]:
+    served = LiveService(tmp_path, Counter())
     yield served
     served.close()
 
 
-def test_every_answer_is_what_the_document_promises(served: Served) -> None:
+def test_every_answer_is_what_the_document_promises(served: LiveService) -> None:
     """`python -m lab.faults.contract --examples 1000` is the long run."""
     counts: Counter[str] = Counter()
     wrong: list[str] = []
@@ -32,7 +32,7 @@ def test_every_answer_is_what_the_document_promises(served: Served) -> None:
     assert min(counts["answered 200"], counts["answered 201"], counts["answered 422"]) > 0, counts
 
 
-def test_a_promise_that_is_not_kept_is_reported(served: Served) -> None:
+def test_a_promise_that_is_not_kept_is_reported(served: LiveService) -> None:
     document = served.json("/openapi.json")
     document["paths"] = {"/version": document["paths"]["/version"]}
     document["components"]["schemas"]["Version"]["properties"]["python"] = {"type": "integer"}

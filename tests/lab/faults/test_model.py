@@ -8,10 +8,10 @@ import pytest
 
 from lab.faults import model
 from lab.faults.comparing import compare_all, compare_tables
+from lab.faults.interrupting import Interrupting
 from lab.faults.ledger import Violation
-from lab.faults.operations import Operations
+from lab.faults.live_service import LiveService
 from lab.faults.run import Tally
-from lab.faults.served import Served
 
 SEEDS = (1, 2, 3)
 OPERATIONS = 200
@@ -24,9 +24,9 @@ def test_a_service_and_a_plain_model_of_it_agree(seed: int, tmp_path: Path) -> N
 
 
 def test_what_is_lost_invented_or_changed_behind_the_services_back_is_noticed(tmp_path: Path) -> None:
-    served = Served(tmp_path, Counter())
+    served = LiveService(tmp_path, Counter())
     try:
-        doing = Operations(served, np.random.default_rng(0), Counter())
+        doing = Interrupting(served, np.random.default_rng(0), Counter())
         for _ in range(4):
             doing.enroll()
         compare_all(served, doing.maps)
@@ -55,10 +55,10 @@ def test_what_is_lost_invented_or_changed_behind_the_services_back_is_noticed(tm
 def test_a_violation_is_told_with_what_replays_it_and_fails_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def wrong(self: Operations) -> None:
+    def wrong(self: Interrupting) -> None:
         raise Violation("two and two are five")
 
-    monkeypatch.setattr(Operations, "enroll", wrong)
+    monkeypatch.setattr(Interrupting, "enroll", wrong)
     checkpoint = tmp_path / "run.json"
     options = ["--operations", "40", "--seed", "3", "--checkpoint", str(checkpoint), "--folder", str(tmp_path)]
 

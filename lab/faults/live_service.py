@@ -16,7 +16,11 @@ SETTLE_S = 60.0
 """Seconds within which a few images must be described."""
 
 
-class Served:
+QUICK = {"REVISIT_LEASE_S": "1"}
+"""What a killed process was describing is described again after so long: every check after a kill waits for it."""
+
+
+class LiveService:
     """A service that can be restarted on the same data.
 
     Parameters
