@@ -4,11 +4,9 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import lru_cache
 
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
-from schemas.records import MapRecord
 from schemas.settings import MEGA, Settings
 from worker.configure import configure, configure_torch, keep_freed_memory
 from worker.description.describers import Describers
@@ -16,7 +14,6 @@ from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
-from worker.description.vocabularies import SHIPPED
 from worker.images import codec, quality
 from worker.images.apart.pool import DecoderPool
 from worker.images.decoder import Decoder, InProcessDecoder
@@ -26,7 +23,8 @@ from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
 from worker.service.attendance import Attendance, this_process
-from worker.service.calibrating import CalibrationService, own_calibration
+from worker.service.calibrating import CalibrationService
+from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
@@ -43,8 +41,6 @@ from worker.storage.migrating import newest
 from worker.storage.store import SqlStore, open_store
 
 GPU_BATCH = 8
-
-GENERAL_CALIBRATION = "compact-default.calibration.json"
 
 
 @dataclass(frozen=True)
@@ -75,9 +71,9 @@ class Runtime:
         Owns the encoder.
     describers : Describers
     catalogue : Catalogue
+        Of the maps' indexes.
     comparer : MapComparer
         Compares views in the background.
-        Of the maps' indexes.
     loop : Loop or None
         None when only other processes describe images.
     settlements : Settlements
@@ -369,27 +365,6 @@ def _services(
             product=product,
         ),
     )
-
-
-def calibration_of(record: MapRecord) -> Calibration:
-    """The calibration of a map: its own, or the shipped one."""
-    return (
-        shipped_calibration(record.recipe)
-        if record.calibration is None
-        else own_calibration(record.calibration).calibration
-    )
-
-
-def shipped_calibration(recipe: MapRecipe) -> Calibration:
-    """The calibration shipped for a recipe's encoder and preset, or the general one: its features are relative to what
-    wrong answers get in a map, and so mean nearly the same for all of them."""
-    name = f"{recipe.description.encoder}-{recipe.ranking.preset}.calibration.json"
-    return _calibration(name if (SHIPPED / name).exists() else GENERAL_CALIBRATION)
-
-
-@lru_cache
-def _calibration(name: str) -> Calibration:
-    return Calibration.from_json((SHIPPED / name).read_text())
 
 
 def _empty_index(recipe: DescriptionRecipe) -> FlatIndex:
