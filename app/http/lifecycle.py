@@ -43,6 +43,7 @@ class Lifecycle:
             store=lambda: runtime.store.statistics(datetime.now(UTC), SAMPLE),
             indexes=runtime.catalogue,
             data=runtime.settings.data,
+            heartbeat_ages=lambda: runtime.attendance.ages_s(),
         ).gather
         self._statistics = StatisticsReader(gather)
 
@@ -88,7 +89,10 @@ class Lifecycle:
     def live(self) -> LiveStatistics:
         """What the metrics show and is known without asking the database."""
         loop, scheduler = self._runtime.loop, self._runtime.scheduler
-        return LiveStatistics(scheduler.queries_waiting, scheduler.alive, None if loop is None else loop.alive)
+        working = None if loop is None else loop.alive
+        return LiveStatistics(
+            scheduler.queries_waiting, scheduler.alive, working, decoder_restarts=self._runtime.decoder.restarts
+        )
 
     async def statistics(self) -> tuple[ServiceStatistics | None, float]:
         """What the metrics show of database and disk (None before the first), and its age in seconds; never hangs."""

@@ -88,11 +88,18 @@ class Metrics:
         self._received.labels(method, route).inc(received)
         self._sent.labels(method, route).inc(sent)
 
-    def refused(self, code: str) -> None:
-        """Count an error by its problem type; one that says that a limit was reached is counted as a rejection too."""
+    def refused(self, code: str, limit: str | None = None) -> None:
+        """Count an error by its problem type; one that says that a limit was reached is counted as a rejection too.
+
+        Parameters
+        ----------
+        code : str
+        limit : str, optional
+            Which limit, where the problem type does not tell.
+        """
         self._problems.labels(code).inc()
         if code in LIMITS:
-            self._rejected.labels(LIMITS[code]).inc()
+            self._rejected.labels(limit or LIMITS[code]).inc()
 
     def verdict(self, status: str, reason: str) -> None:
         """Count the answer to a query."""

@@ -127,7 +127,7 @@ class RequestContext:
         method = scope["method"] if scope["method"] in _METHODS else "other"
         self._metrics.answered(method, template, status, seconds, received=received, sent=sent)
         for code in notes.problems:
-            self._metrics.refused(code)
+            self._metrics.refused(code, "rate" if "limit" in notes.fields else None)
         slow = seconds > self._slow_s
         # The path without its query string: positions and metadata are private to the caller.
         access.log(

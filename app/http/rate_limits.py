@@ -19,6 +19,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.http.notes import note
 from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS
 from schemas.errors import Busy
@@ -146,6 +147,7 @@ class RateLimit:
         waits = [(self._buckets.wait(share.bucket, share.limit, costs[share.name]), share) for share in shares]
         wait, share = max(waits, key=lambda one: one[0])
         if wait:
+            note(limit=share.name)
             await refuse(_too_many(share, wait), scope, receive, send_with_limits)
             return
         self._spend(shares, costs)

@@ -152,6 +152,12 @@ def test_what_is_refused_is_not_counted() -> None:
         assert client.get("/maps").status_code == 200
 
 
+def test_a_refusal_is_counted_as_one_of_the_rate_and_not_of_the_queue() -> None:
+    with limited(limit_requests=1) as client:
+        assert [client.get("/maps").status_code for _ in range(2)] == [200, 429]
+        assert 'revisit_rejected_total{reason="rate"} 1.0' in client.get("/metrics").text
+
+
 def test_images_of_one_body_are_all_counted() -> None:
     with limited(limit_images=3) as client:
         files = [("image", (f"{n}.jpg", encoded(drawn(64, 64, n), "jpeg"))) for n in range(3)]

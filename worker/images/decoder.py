@@ -9,6 +9,11 @@ from worker.images import codec
 class Decoder(Protocol):
     """Bytes to images. Safe to call from several threads at once."""
 
+    @property
+    def restarts(self) -> int:
+        """Times that a process for decoding was started anew after its predecessor ended."""
+        ...
+
     def start(self) -> None:
         """Get ready ahead of the first image."""
         ...
@@ -40,6 +45,8 @@ class InProcessDecoder:
 
     def __init__(self, limits: codec.Limits) -> None:
         self._limits = limits
+
+    restarts = 0
 
     def start(self) -> None:
         """Nothing to do."""

@@ -5,6 +5,7 @@ import os
 import platform
 import secrets
 import threading
+import time
 from collections.abc import Callable, Collection
 from datetime import UTC, datetime
 from pathlib import Path
@@ -110,6 +111,7 @@ class Attendance:
         self._rows, self._me, self._working, self._serving = rows, me, working, serving
         self._every_s, self._each_round, self._on_freed = every_s, each_round, on_freed
         self._seen: dict[str, tuple[int, int]] = {}  # name: (count, rounds that it stood still)
+        self._fresh: dict[str, float] = {}  # name: when its count last moved, of a monotonic clock
         self._alive = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="revisit-attendance", daemon=True)
@@ -126,6 +128,11 @@ class Attendance:
             each_round=store.keep_reserve,
             on_freed=(lambda: None) if loop is None else loop.wake_all,
         )
+
+    def ages_s(self) -> tuple[float, ...]:
+        """Seconds since a sign of life of each worker was first seen, by this process's clock; 0 for a new one."""
+        now = time.monotonic()
+        return tuple(now - since for since in list(self._fresh.values()))
 
     @property
     def alive(self) -> int:
@@ -174,6 +181,7 @@ class Attendance:
 
     def _dead(self, rows: list[WorkerRecord]) -> set[str]:
         seen, self._seen = self._seen, {}
+        fresh, now = self._fresh, time.monotonic()
         dead = set()
         for row in rows:
             count, still = seen.get(row.name, (-1, 0))
@@ -182,6 +190,12 @@ class Attendance:
             predecessor = self._serving and row.kind == "serve"
             if not mine and (predecessor or self._gone(row) or self._seen[row.name][1] >= ROUNDS):
                 dead.add(row.name)
+        self._fresh = {
+            row.name: now if still == 0 else fresh.get(row.name, now)
+            for row in rows
+            if row.name not in dead
+            for _, still in (self._seen[row.name],)
+        }
         own = self._seen.get(self._me.name)
         if own is not None and own[1] >= ROUNDS and self._working is not None:  # its thread has ended
             dead.add(self._me.name)

@@ -49,6 +49,11 @@ class DecoderPool:
             self._free.put(process)
         self._closed = threading.Event()
 
+    @property
+    def restarts(self) -> int:
+        """Times that a process was started anew after its predecessor ended."""
+        return sum(max(0, process.starts - 1) for process in self.processes)
+
     def start(self) -> None:
         """Start all processes, without waiting for them."""
         for process in self.processes:

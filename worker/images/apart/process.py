@@ -51,6 +51,7 @@ class DecoderProcess:
         self._source: mmap.mmap | None = None
         self._target: mmap.mmap | None = None
         self._ready = False
+        self.starts = 0
 
     @property
     def pid(self) -> int | None:
@@ -86,6 +87,7 @@ class DecoderProcess:
             for number in numbers:
                 os.close(number)
         self._connection, self._ready = ours, False
+        self.starts += 1
 
     def ask(self, kind: int, data: bytes, longest: int = 0) -> tuple[dict[str, Any], mmap.mmap]:
         """The reply about an image, and the memory that holds what was made of it, valid until the next call.
