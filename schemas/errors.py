@@ -14,6 +14,7 @@
     ├── Unauthorized       unauthorized          Forbidden   forbidden
     ├── Busy               too-many-requests     Unavailable unavailable
     ├── DiskFull           disk-full
+    ├── Damaged            damaged               (also the failure code of a view whose stored data is damaged)
     ├── LeaseLost          lease-lost            (in workers; never sent to a client)
     ├── DescriptorMismatch descriptor-mismatch   (descriptors do not fit the vocabulary)
     └── SetupError         setup                 (the service cannot start as it is configured)
@@ -161,6 +162,12 @@ class DiskFull(RevisitError):
     """The disk is full; reading and deleting still work."""
 
     code = "disk-full"
+
+
+class Damaged(RevisitError):
+    """What is stored is not what was stored: a file or a row does not fit its checksum, or cannot be read."""
+
+    code = "damaged"
 
 
 class LeaseLost(RevisitError):

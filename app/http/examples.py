@@ -152,6 +152,8 @@ CALIBRATION_REPORT: dict[str, Any] = {
 }
 
 PROBLEM_DETAILS: dict[str, str] = {
+    "damaged": "the file pictures/9f/86/9f86d081 of its image is empty; enrol the image again, or restore the file "
+    "from a backup",
     "no-picture": "the body is empty; send the image as the multipart part `image`",
     "malformed-body": "the multipart body breaks off before its closing boundary",
     "bad-request": "the request cannot be understood",

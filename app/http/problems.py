@@ -68,6 +68,11 @@ KINDS: Mapping[str, Kind] = {
     ),
     "too-many-requests": Kind(429, "Too many requests are waiting", "Try again after `Retry-After` seconds."),
     "internal": Kind(500, "The service failed", "Try again; report it with the request id, which the log has too."),
+    "damaged": Kind(
+        500,
+        "Stored data is damaged",
+        "Enrol the image again, or have `./revisit doctor --repair` run; do not retry.",
+    ),
     "unavailable": Kind(503, "The service is starting or stopping", "Try again after `Retry-After` seconds."),
     "disk-full": Kind(507, "The disk is full", "Free space or delete views; reading and deleting still work."),
 }

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import pytest
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, DiskFull, NotFound
+from schemas.errors import Conflict, Damaged, DiskFull, NotFound
 from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import sqlite_url
 from tests.storage.material import LEASE, NOW, Follower, describe_all, enroll, facts, image
@@ -174,7 +174,7 @@ def test_a_conflict_leaves_the_image_of_the_view_that_is_there(store: SqlStore, 
 def test_a_lost_file_is_healed_by_enrolling_its_image_again(store: SqlStore, data: Path) -> None:
     view = enroll(store, "gate").view
     files(data)[0].unlink()
-    with pytest.raises(NotFound, match="enrol the image again"):
+    with pytest.raises(Damaged, match="is missing; enrol the image again"):
         store.views.image(view.id)
     enroll(store, "gate")
     assert store.views.image(view.id) == image("gate")

@@ -1,4 +1,4 @@
-"""A damaged description keeps its map from being compared, and nothing else from running."""
+"""A damaged description keeps its view from being compared until it is described again, and nothing else waits."""
 
 import logging
 from pathlib import Path
@@ -14,7 +14,7 @@ from worker.runtime import build
 from worker.storage.tables import CELLS
 
 
-def test_views_that_cannot_be_compared_are_logged_and_not_tried_for_ever(
+def test_a_damaged_view_is_named_described_again_and_then_compared(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
@@ -28,12 +28,17 @@ def test_views_that_cannot_be_compared_are_logged_and_not_tried_for_ever(
         with sa.create_engine(f"sqlite:///{tmp_path / 'revisit.db'}").begin() as connection:
             connection.execute(sa.update(CELLS).where(CELLS.c.seq == seq).values(body=b"not cells"))
 
-        with caplog.at_level(logging.ERROR, "revisit.worker"):
+        with caplog.at_level(logging.ERROR):
+            runtime.comparer.all()
+            view = runtime.store.views.list("damaged", Filters())[0][0]
+            assert f"view {view.id} of map damaged: its cells did not fit the checksum" in caplog.text
+            while runtime.store.jobs.count_waiting(redescriptions=True):
+                runtime.settlements.wait(view.id, 1)
             runtime.comparer.all()
 
         assert runtime.store.comparisons.levels("whole").compared == 3
+        assert runtime.store.comparisons.levels("damaged").compared == 3
         assert runtime.store.comparisons.uncompared(100, 100) is None
-        assert f"sequence number {seq} could not be compared" in caplog.text
         assert not runtime.comparer.step()
     finally:
         runtime.stop()

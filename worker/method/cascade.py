@@ -9,7 +9,7 @@
 No I/O: stored data of candidates comes through `Fetch`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +24,17 @@ from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
 
 
 class ViewGone(Exception):
-    """A candidate was deleted between the search and the fetch: search again."""
+    """Candidates were deleted between the search and the fetch, or are damaged: search again without them.
+
+    Parameters
+    ----------
+    seqs : iterable of int
+        Their sequence numbers, as far as known.
+    """
+
+    def __init__(self, seqs: Iterable[int] = ()) -> None:
+        super().__init__()
+        self.seqs = frozenset(seqs)
 
 
 class Fetch(Protocol):

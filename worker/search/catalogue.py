@@ -51,7 +51,12 @@ class Catalogue:
                 record = self._maps.get(name)
                 held = self._indexes.get(name)
                 # A map that was deleted and created again under its name is another map.
-                if held is None or held.made_at != record.created_at or held.index.recipe != record.description.id:
+                if (
+                    held is None
+                    or held.made_at != record.created_at
+                    or held.index.recipe != record.description.id
+                    or held.index.revision > record.revision  # which never goes back, but by damage or a backup
+                ):
                     held = _Held(self._make(record.description), record.created_at)
                 if held.index.revision < record.revision:
                     changes = self._descriptions.since(name, held.index.revision)

@@ -46,5 +46,5 @@ class Fetcher:
 
 def _in_order(found: Mapping[int, T], seqs: Sequence[int]) -> list[T]:
     if len(found) < len(seqs):
-        raise ViewGone
+        raise ViewGone(set(seqs) - found.keys())
     return [found[seq] for seq in seqs]

@@ -239,6 +239,7 @@ class CalibrationService:
 
     def _observe(self, record: MapRecord, view: ViewRecord, query: LabelledView, within: float) -> ObservedAnswer:
         """Query the map with one of its views, itself left out."""
+        gone: frozenset[int] = frozenset()
         for _ in range(ROUNDS):
             index, now = self._catalogue.index(record.name)
             description = self._descriptions.whole(view.seq, now.description)
@@ -246,13 +247,14 @@ class CalibrationService:
                 raise Conflict(f"the view {view.id} was deleted, or its map was described anew, in the meantime")
             config, fetcher = now.ranking, Fetcher(self._descriptions, self._comparisons, now.description.id)
             count = max(GROUPED, config.candidates)
-            found = index.search(description.vectors, count, Selection(None, np.array([view.seq])))
+            found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
             try:
                 ranking = cascade.rank(
                     description, found, now.description, config, fetcher, top=0, product=self._product
                 )
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
-            except ViewGone:
+            except ViewGone as error:
+                gone |= error.seqs
                 continue
             levels, shipped = self._comparisons.levels(record.name), self._shipped(now.recipe)
             decision = decide(ranking, levels, shipped, config.precision, searched=found.searched)

@@ -5,13 +5,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+import numpy as np
 from uuid6 import uuid7
 
 from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
-from schemas.records import Filters, MapLevels, MapRecord
+from schemas.records import Filters, MapLevels, MapRecord, Selection
 from worker.description.describer import Describer, components
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -270,14 +271,16 @@ class QueryService:
         Unavailable
             Views that were found were deleted before they could be ranked, `ROUNDS` times.
         """
-        for _ in range(ROUNDS):
+        gone: frozenset[int] = frozenset()
+        rounds = 0
+        while rounds < ROUNDS:
             watch = _Stopwatch(observe)
             index, record = self._catalogue.index(map_name)
             if record.description.id != recipe.id:
                 raise RecipeChanged
             config = record.ranking
             reranked = config.candidates if candidates is None else candidates
-            selection = self._listings.select(map_name, filters)
+            selection = without(self._listings.select(map_name, filters), gone)
             found = index.search(description.vectors, max(top, reranked), selection)
             try:
                 ranked = cascade.rank(
@@ -293,12 +296,16 @@ class QueryService:
                 )
                 shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
                 views = self._views.at(sorted({candidate.seq for candidate in shown}))
-                facts = [views[candidate.seq].description for candidate in shown if candidate.seq in views]
-                if len(facts) < len(shown) or None in facts:
-                    raise ViewGone
-            except ViewGone:
+                described = {seq: view.description for seq, view in views.items() if view.description is not None}
+                facts = [described[candidate.seq] for candidate in shown if candidate.seq in described]
+                if len(facts) < len(shown):
+                    raise ViewGone({candidate.seq for candidate in shown} - described.keys())
+            except ViewGone as error:
+                # A round that found another one to leave out does not count: a map may have many that are damaged.
+                rounds += error.seqs <= gone
+                gone |= error.seqs
                 continue
-            if any(of is not None and of.recipe != recipe.id for of in facts):
+            if any(of.recipe != recipe.id for of in facts):
                 raise RecipeChanged  # while candidates were compared: views are shown by the map's present recipe
             scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
             return RankedResults(
@@ -314,6 +321,13 @@ class QueryService:
                 timing_ms=watch.timing_ms(),
             )
         raise Unavailable("the map is being emptied faster than it can be searched; query again", 1)
+
+
+def without(selection: Selection, gone: frozenset[int]) -> Selection:
+    """A selection without views that were deleted meanwhile, or are damaged."""
+    if not gone:
+        return selection
+    return Selection(selection.only, np.union1d(selection.never, np.array(sorted(gone), np.int64)))
 
 
 class _Stopwatch:

@@ -1,12 +1,14 @@
 """Calls with an Idempotency-Key, and vocabularies."""
 
+import hashlib
 import json
 from datetime import datetime, timedelta
 
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, KeyReused, NotFound
+from schemas.errors import Conflict, Damaged, KeyReused, NotFound
 from schemas.records import Replay
+from worker.storage import checksums
 from worker.storage.part import Part
 from worker.storage.rows import as_json
 from worker.storage.tables import CALLS, VOCABULARIES
@@ -37,6 +39,8 @@ class Calls(Part):
             raise KeyReused(f"the Idempotency-Key {key!r} came before with another request; take a new key")
         if row.finished_at is None:
             raise Conflict(f"the first call with the Idempotency-Key {key!r} still runs; try again when it has ended")
+        if not checksums.is_whole(CALLS, row, row.checksum):
+            raise Damaged(f"the stored answer to the call with the Idempotency-Key {key!r} is damaged; take a new key")
         return Replay(row.status, json.loads(row.headers), row.body)
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:
@@ -74,4 +78,6 @@ class Vocabularies(Part):
             tensors = connection.scalar(sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == digest))
         if tensors is None:
             raise NotFound("vocabulary", digest)
+        if hashlib.sha256(tensors).hexdigest() != digest:
+            raise Damaged(f"the stored vocabulary {digest} is damaged; train the map another one, or restore a backup")
         return bytes(tensors)

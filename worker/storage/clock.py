@@ -6,7 +6,11 @@ from worker.storage.tables import CLOCK, MAPS
 
 _LAST = sa.select(CLOCK.c.revision)
 _FORWARD = sa.update(CLOCK).values(revision=CLOCK.c.revision + 1)
-_GIVE = sa.update(MAPS).where(MAPS.c.id == sa.bindparam("of")).values(revision=sa.bindparam("given"))
+_GIVE = (
+    sa.update(MAPS)
+    .where(MAPS.c.id == sa.bindparam("of"))
+    .values(revision=sa.bindparam("given"), checksum=MAPS.c.checksum)  # which does not cover the revision
+)
 
 
 def read(connection: sa.Connection) -> int:

@@ -1,10 +1,19 @@
-"""Column types with the same meaning on SQLite and PostgreSQL, for tables and migrations."""
+"""Column types with the same meaning on SQLite and PostgreSQL, for tables and migrations.
 
+What a damaged file holds is read without an error, as a value that no checksum fits: an error would bring down the
+whole statement, and with it the rows that are whole.
+"""
+
+from collections.abc import Callable
 from datetime import UTC, datetime
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.engine import Dialect
 from sqlalchemy.types import TypeDecorator
+
+NEVER = datetime.min.replace(tzinfo=UTC)
+"""Stands for a stored time that cannot be read."""
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -29,6 +38,37 @@ class UtcDateTime(TypeDecorator[datetime]):
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[Any], datetime | None] | None:
+        """Converts what the driver returns; a time that cannot be read is `NEVER`."""
+        convert = super().result_processor(dialect, coltype)
+        if convert is None:
+            return None
+
+        def tolerant(value: Any) -> datetime | None:
+            try:
+                return convert(value)
+            except (ValueError, TypeError, AttributeError, OverflowError):
+                return NEVER
+
+        return tolerant
+
+
+class Body(TypeDecorator[bytes]):
+    """Bytes; a stored value of another type, which only damage leaves, is read as no bytes."""
+
+    impl = sa.LargeBinary
+    cache_ok = True
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[Any], bytes | None]:
+        """Takes what the driver returns; without the copy that SQLAlchemy's own type makes."""
+
+        def as_bytes(value: Any) -> bytes | None:
+            if value is None or isinstance(value, bytes):
+                return value
+            return bytes(value) if isinstance(value, bytearray | memoryview) else b""
+
+        return as_bytes
 
 
 def ordered_text() -> sa.Text:

@@ -8,13 +8,15 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.records import Comparison, KnownView, MapLevels, Position, Uncompared
-from worker.storage import clock
+from schemas.records import Comparison, KnownView, MapLevels, Uncompared
+from worker.storage import checksums, clock
 from worker.storage.part import Part
-from worker.storage.rows import COORDINATES, batches, find_map
+from worker.storage.rows import attributes_of, batches, find_map, has_whole_attributes, log
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
 NOTHING: frozenset[int] = frozenset()
+
+_COVERED = checksums.COVERED[COMPARISONS.name]
 
 _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 """A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
@@ -85,7 +87,11 @@ class Comparisons(Part):
         """Means over the compared views of a map; raises NotFound."""
         with self._database.reading() as connection:
             row = find_map(connection, name)
-            level, gap, made_at = COMPARISONS.c.level, COMPARISONS.c.gap, COMPARISONS.c.made_at
+            # Within the range of scores: one damaged number must not carry the mean away.
+            level, gap = (
+                sa.case((column.between(0, 1), column)) for column in (COMPARISONS.c.level, COMPARISONS.c.gap)
+            )
+            made_at = COMPARISONS.c.made_at
             means = (sa.func.avg(column) for column in (level, gap, COMPARISONS.c.others))
             found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*_of(row))
             count, latest, *mean = connection.execute(found).one()
@@ -93,15 +99,17 @@ class Comparisons(Part):
         return MapLevels(count, own_level, own_gap, others, latest, row.revision)
 
     def known(self, seqs: Sequence[int], recipe: str) -> dict[int, KnownView]:
-        """Name, position and comparison of views by sequence number; deleted views are absent."""
+        """Name, position and comparison of views by sequence number; deleted and damaged views are absent."""
         found: dict[int, KnownView] = {}
+        damaged: list[int] = []
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                for seq, place, *coordinates, same_spot in connection.execute(
-                    _known(), {"seqs": portion, "recipe": recipe}
-                ):
-                    spot = frozenset(json.loads(same_spot)) if same_spot else NOTHING
-                    found[seq] = KnownView(place, Position(*coordinates), spot)
+                for row in connection.execute(_known(), {"seqs": portion, "recipe": recipe}):
+                    if not has_whole_attributes(row):
+                        damaged.append(row.seq)
+                        continue
+                    found[row.seq] = KnownView(row.place, attributes_of(row).position, _same_spot(row))
+        self._quarantine.views(damaged)
         return found
 
 
@@ -122,5 +130,19 @@ def _known() -> sa.Select[Any]:
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
     recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
     compared = (COMPARISONS.c.seq == VIEWS.c.seq) & (COMPARISONS.c.recipe == recipe)
-    columns = [VIEWS.c[name] for name in ("seq", "place", *COORDINATES)]
-    return sa.select(*columns, COMPARISONS.c.same_spot).outerjoin(COMPARISONS, compared).where(VIEWS.c.seq.in_(seqs))
+    own = [COMPARISONS.c[name].label(f"compared_{name}") for name in (*_COVERED, "checksum")]
+    return sa.select(VIEWS, *own).outerjoin(COMPARISONS, compared).where(VIEWS.c.seq.in_(seqs))
+
+
+def _same_spot(row: sa.Row[Any]) -> frozenset[int]:
+    """Views of the same spot by the comparison in a row of `_known`; nothing when there is none, or it is damaged."""
+    if row.compared_same_spot is None:
+        return NOTHING
+    mapping = row._mapping
+    try:
+        if checksums.of_values((name, mapping[f"compared_{name}"]) for name in _COVERED) != row.compared_checksum:
+            raise ValueError("the row does not fit its checksum")
+        return frozenset(json.loads(row.compared_same_spot)) if row.compared_same_spot else NOTHING
+    except (ValueError, OverflowError):
+        log.error("view %s: its stored comparison with its map is damaged; it is left out", row.id)
+        return NOTHING

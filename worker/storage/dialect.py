@@ -1,10 +1,13 @@
 """Differences between SQLite and PostgreSQL, except column types."""
 
 import errno
+import sqlite3
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import sqlalchemy as sa
-from sqlalchemy.pool import QueuePool
+from sqlalchemy.pool import NullPool, QueuePool
 
 from schemas.errors import SetupError
 
@@ -15,6 +18,8 @@ WRITERS = 0x7265766973697400
 """Key of PostgreSQL's advisory lock that writers take in turn ("revisit" in ASCII)."""
 
 SQLITE_FULL = 13
+SQLITE_DAMAGED = (11, 26)  # malformed, not a database
+SQLITE_UNREADABLE = (266, 522, 8202, 8458)  # I/O errors in reading: failed, short, checksum, file system
 
 
 def make_engine(url: str) -> sa.Engine:
@@ -55,6 +60,7 @@ def _sqlite(url: sa.URL) -> sa.Engine:
     @sa.event.listens_for(engine, "connect")
     def prepare(connection: Any, _: object) -> None:
         connection.isolation_level = None  # or the driver would begin transactions by itself
+        connection.text_factory = _text
         for pragma in (
             "page_size=8192",  # of a new file: a description takes 8 pages to read instead of 16
             "journal_mode=WAL",
@@ -73,6 +79,35 @@ def _sqlite(url: sa.URL) -> sa.Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
+    """An engine that cannot write, for examinations: a SQLite file is opened read only and left as it is.
+
+    Parameters
+    ----------
+    url : str
+    damaged : bool
+        Read as much as possible: past a definition that is damaged, and of a file that was cut off.
+    """
+    parsed = sa.make_url(url)
+    if parsed.get_backend_name() != "sqlite" or parsed.database is None:
+        return make_engine(url)
+    address = f"file:{quote(str(Path(parsed.database).absolute()))}?mode=ro"
+
+    def connect() -> sqlite3.Connection:
+        connection = sqlite3.connect(address, uri=True, timeout=BUSY_S, check_same_thread=False)
+        connection.text_factory = _text
+        if damaged:
+            connection.execute("PRAGMA writable_schema=ON").close()
+        return connection
+
+    return sa.create_engine("sqlite://", creator=connect, poolclass=NullPool)
+
+
+def _text(stored: bytes) -> str:
+    """Stored text; damaged UTF-8 becomes lone surrogates instead of an error that would bring down the statement."""
+    return stored.decode("utf-8", "surrogateescape")
 
 
 def for_reading(connection: sa.Connection) -> sa.Connection:
@@ -105,6 +140,16 @@ def is_full(error: BaseException) -> bool:
         code = getattr(error.orig, "sqlite_errorcode", 0) or 0
         return code & 0xFF == SQLITE_FULL or getattr(error.orig, "sqlstate", None) == "53100"
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def is_damaged(error: sa.exc.DBAPIError) -> bool:
+    """Whether an error means that the file of the database cannot be read as one."""
+    code = getattr(error.orig, "sqlite_errorcode", 0) or 0
+    return (
+        code & 0xFF in SQLITE_DAMAGED
+        or code in SQLITE_UNREADABLE
+        or getattr(error.orig, "sqlstate", None) in ("XX001", "XX002")
+    )
 
 
 def is_file(engine: sa.Engine) -> bool:

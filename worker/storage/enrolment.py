@@ -11,7 +11,7 @@ from schemas.errors import Conflict, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes
-from worker.storage import switching
+from worker.storage import checksums, switching
 from worker.storage.filtering import metadata_pairs
 from worker.storage.maps import make_map
 from worker.storage.part import Part
@@ -22,6 +22,7 @@ from worker.storage.rows import (
     attributes_of,
     find_map,
     find_view,
+    has_whole_attributes,
     inserting,
     view_record,
     view_rows,
@@ -53,6 +54,16 @@ def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) 
     pairs = [{"pair": pair, "seq": seq} for pair in metadata_pairs(attributes.metadata)]
     if pairs:
         connection.execute(sa.insert(METADATA_PAIRS), pairs)
+
+
+def _fact_columns(facts: ImageFacts) -> dict[str, Any]:
+    return {
+        "sha256": facts.sha256,
+        "width": int(facts.width),
+        "height": int(facts.height),
+        "byte_count": int(facts.byte_count),
+        "format": facts.format,
+    }
 
 
 @cache
@@ -88,26 +99,21 @@ class Enrolment(Part):
             view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
                 return self._enrol(connection, row, facts, attributes, now)
-            return self._enrol_again(connection, row, view, attributes, now)
+            return self._enrol_again(connection, row, view, facts, attributes, now)
 
     def _enrol(
         self, connection: sa.Connection, row: sa.Row[Any], facts: ImageFacts, attributes: ViewAttributes, now: datetime
     ) -> Submitted:
         view_id = str(uuid7())
+        columns = {
+            "id": view_id,
+            "map_id": row.id,
+            "enrolled_at": now,
+            **_fact_columns(facts),
+            **attribute_columns(attributes),
+        }
         connection.execute(
-            inserting(VIEWS),
-            {
-                "id": view_id,
-                "map_id": row.id,
-                "enrolled_at": now,
-                "sha256": facts.sha256,
-                "width": int(facts.width),
-                "height": int(facts.height),
-                "byte_count": int(facts.byte_count),
-                "format": facts.format,
-                "state": "pending",
-                **attribute_columns(attributes),
-            },
+            inserting(VIEWS), {**columns, "state": "pending", "checksum": checksums.of_row(VIEWS, columns)}
         )
         view = view_record(find_view(connection, view_id))
         keep_pairs(connection, view.seq, attributes)
@@ -115,8 +121,27 @@ class Enrolment(Part):
         return Submitted(view, job, created=True, revision=row.revision)
 
     def _enrol_again(
-        self, connection: sa.Connection, row: sa.Row[Any], view: sa.Row[Any], attributes: ViewAttributes, now: datetime
+        self,
+        connection: sa.Connection,
+        row: sa.Row[Any],
+        view: sa.Row[Any],
+        facts: ImageFacts,
+        attributes: ViewAttributes,
+        now: datetime,
     ) -> Submitted:
+        if not has_whole_attributes(view):  # what is sent now is what there is
+            columns = {
+                **view._mapping,
+                "map_id": row.id,
+                "enrolled_at": now,
+                **_fact_columns(facts),
+                **attribute_columns(attributes),
+            }
+            changed = {name: columns[name] for name in checksums.COVERED[VIEWS.name]}
+            changed |= {"state": "failed", "checksum": checksums.of_row(VIEWS, columns)}
+            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
+            keep_pairs(connection, view.seq, attributes)
+            view = find_view(connection, view.id)
         differing = contradictions(attributes_of(view), attributes)
         if differing:
             raise Conflict(

@@ -9,17 +9,22 @@ remover holds it while it reads the rows, so that no file is removed between its
 
 import hashlib
 import os
+import re
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 
-from schemas.errors import DiskFull
+from schemas.errors import Damaged, DiskFull
 from worker.storage import dialect
 from worker.storage.locks import held
 
 UNFINISHED = ".writing-"
+
+DIGEST = re.compile("[0-9a-f]{64}")
+
+LOST = "the file {} of its image {}; enrol the image again, or restore the file from a backup"
 
 Owned = Callable[[list[str]], set[str]]
 """From digests to those that some view still needs."""
@@ -78,9 +83,22 @@ class Images:
 
         Raises
         ------
-        FileNotFoundError
+        Damaged
+            The file is missing, cannot be read, or does not hold these bytes.
         """
-        return self._path(digest).read_bytes()
+        if not DIGEST.fullmatch(digest):
+            raise Damaged(f"the stored SHA-256 of its image, {digest!r}, is none; enrol the image again")
+        path = self._path(digest)
+        name = path.relative_to(self._folder.parent)
+        try:
+            image = path.read_bytes()
+        except FileNotFoundError:
+            raise Damaged(LOST.format(name, "is missing")) from None
+        except OSError as error:
+            raise Damaged(LOST.format(name, f"cannot be read ({error.strerror})")) from error
+        if hashlib.sha256(image).hexdigest() != digest:
+            raise Damaged(LOST.format(name, "does not hold what was enrolled" if image else "is empty"))
+        return image
 
     def discard(self, digests: Iterable[str]) -> int:
         """Remove images that no view needs, after their rows were deleted; returns how many."""
@@ -112,8 +130,8 @@ class Images:
     def _write(self, digest: str, image: bytes) -> bool:
         """Write an image unless its file exists; returns whether it was written."""
         path = self._path(digest)
-        # A file is renamed after its bytes are durable, so one of the right length is complete.
-        if path.is_file() and path.stat().st_size == len(image):
+        # A file is renamed after its bytes are durable; but one may have been damaged since.
+        if path.is_file() and path.stat().st_size == len(image) and path.read_bytes() == image:
             self._sync_name(path)  # its writer may have died before this
             return False
         unfinished = path.parent.parent / f"{UNFINISHED}{uuid.uuid4().hex}"

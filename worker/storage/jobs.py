@@ -7,12 +7,12 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.description import Description
-from schemas.errors import LeaseLost
+from schemas.errors import Damaged, LeaseLost
 from schemas.records import Claim
 from worker.storage import clock, switching
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
-from worker.storage.rows import batches, find_map, find_recipe, view_record, views_of
+from worker.storage.rows import batches, find_map, find_recipe, log, view_record, views_of
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
 ATTEMPTS = 3
@@ -74,7 +74,14 @@ class Jobs(Part):
         for portion in batches(job.seq for job in jobs):
             rows = connection.execute(views_of(), {"seqs": portion})
             views.update({row.seq: view_record(row) for row in rows})
-        recipes = {recipe: find_recipe(connection, recipe) for recipe in {job.recipe for job in jobs}}
+        recipes = {}
+        for recipe in {job.recipe for job in jobs}:
+            try:
+                recipes[recipe] = find_recipe(connection, recipe)
+            except Damaged as error:
+                log.error("jobs are left alone: %s", error.detail)
+        # What is damaged beyond use is left for `revisit doctor`; the jobs behind it go on.
+        jobs = [job for job in jobs if job.recipe in recipes and job.seq in views]
         for job in jobs:
             lease = {"state": "running", "worker": worker, "token": tokens[job.number], "lease_until": until}
             connection.execute(_LEASED, {"of": job.number, **lease})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
+from schemas.errors import Damaged
 from schemas.records import Filters, Position, Selection, Sequence64
 from worker.storage.filtering import allowing, excluding
 from worker.storage.paging import cursor_after, read_cursor
@@ -51,6 +52,7 @@ class Listings(Part):
             )
             .join(MAPS, MAPS.c.id == VIEWS.c.map_id)
             .where(VIEWS.c.place.is_not(None), MAPS.c.name.is_not(None))
+            .where(sa.func.coalesce(VIEWS.c.failure_code, "") != Damaged.code)
             .group_by(MAPS.c.name, VIEWS.c.place)
             .order_by(MAPS.c.name, VIEWS.c.place)
             .limit(limit + 1)
@@ -64,7 +66,20 @@ class Listings(Part):
                 page = page.where(VIEWS.c.map_id == find_map(connection, name).id)
             rows = list(connection.execute(page))
         following = cursor_after(BY_PLACE, rows[limit - 1].map, rows[limit - 1].place) if len(rows) > limit else None
-        return [(row.map, row.place, row.views, _mean_position(row), row.last) for row in rows[:limit]], following
+        places = [
+            (row.map, row.place, row.views, _mean_position(row), row.last)
+            for row in rows[:limit]
+            if _is_text(row.place)
+        ]
+        return places, following
+
+
+def _is_text(place: str) -> bool:
+    """Whether a stored name can be shown; one of damaged bytes cannot, and `revisit doctor` says whose it is."""
+    try:
+        return bool(place.encode())
+    except (UnicodeEncodeError, AttributeError):
+        return False
 
 
 def _mean_position(row: sa.Row[Any]) -> Position:

@@ -9,18 +9,18 @@ import secrets
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 import sqlalchemy as sa
 from uuid6 import uuid7
 
-from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.errors import Conflict, Damaged, LeaseLost, NotFound
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
-from worker.storage import switching
+from worker.storage import checksums, switching
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
-from worker.storage.rows import find_map, inserting, keep_recipe
+from worker.storage.rows import find_map, inserting, keep_recipe, log
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -226,6 +226,8 @@ def _record(connection: sa.Connection, job_id: str) -> JobRecord:
 
 
 def _of_row(connection: sa.Connection, row: sa.Row[Any]) -> JobRecord:
+    if not checksums.is_whole(JOBS, row, row._mapping[JOBS.c.checksum]):
+        return _damaged_record(row)
     result: Mapping[str, Any] | None = None if row.result is None else json.loads(row.result)
     return JobRecord(
         id=row.id,
@@ -239,6 +241,24 @@ def _of_row(connection: sa.Connection, row: sa.Row[Any]) -> JobRecord:
         created_at=row.created_at,
         finished_at=row.finished_at,
         failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+    )
+
+
+def _damaged_record(row: sa.Row[Any]) -> JobRecord:
+    """A job whose row is damaged, so that nothing of it is shown but its name."""
+    log.error("job %s of map %s: its row does not fit its checksum; `./revisit doctor` says more", row.id, row.map)
+    return JobRecord(
+        id=str(row.id),
+        kind=row.kind if row.kind in get_args(JobKind) else "describe",
+        state="failed",
+        map=row.map,
+        view_id=row.view_id,
+        attempts=0,
+        progress=None,
+        result=None,
+        created_at=row.created_at,
+        finished_at=None,
+        failure=(Damaged.code, "the stored row of this job is damaged; `./revisit doctor --repair` mends it"),
     )
 
 

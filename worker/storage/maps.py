@@ -5,12 +5,12 @@ from datetime import datetime
 
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, NotFound
-from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
+from schemas.errors import Conflict, Damaged, NotFound
+from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
 from worker.storage.part import Part
-from worker.storage.rows import COORDINATES, find_map, keep_recipe, map_by, map_record
+from worker.storage.rows import COORDINATES, find_map, keep_recipe, log, map_by, map_record, recipe_of
 from worker.storage.tables import MAPS, RECIPES, VIEWS
 
 STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
@@ -37,12 +37,15 @@ class Maps(Part):
     def all(self) -> list[MapRecord]:
         """All maps, sorted by name."""
         with self._database.reading() as connection:
-            recipes = {
-                row.id: DescriptionRecipe.model_validate_json(row.body)
-                for row in connection.execute(sa.select(RECIPES).where(RECIPES.c.id.in_(sa.select(MAPS.c.recipe))))
-            }
-            rows = connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.name))
-            return [map_by(recipes[row.recipe], row) for row in rows]
+            bodies = {row.id: row.body for row in connection.execute(sa.select(RECIPES))}
+            rows = list(connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.name)))
+        records = []
+        for row in rows:
+            try:
+                records.append(map_by(recipe_of(row.recipe, str(bodies.get(row.recipe))), row))
+            except Damaged as error:
+                log.error("map %s is left out of the list: %s", row.name, error.detail)
+        return records
 
     def get(self, name: str) -> MapRecord:
         """One map; raises NotFound."""
@@ -60,11 +63,12 @@ class Maps(Part):
     def counts(self, name: str) -> MapCounts:
         """Size of a map; raises NotFound."""
         axes = COORDINATES[:-1]  # a box has no heading
+        sound = sa.func.coalesce(VIEWS.c.failure_code, "") != Damaged.code
         totals = sa.select(
             *(sa.func.count(sa.case((VIEWS.c.state == state, 1))).label(state) for state in STATES),
             sa.func.coalesce(sa.func.sum(VIEWS.c.byte_count), 0).label("picture_bytes"),
-            *(sa.func.min(VIEWS.c[axis]).label(f"lowest_{axis}") for axis in axes),
-            *(sa.func.max(VIEWS.c[axis]).label(f"highest_{axis}") for axis in axes),
+            *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in axes),
+            *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in axes),
         )
         # A query of its own: an index answers it without reading views.
         distinct = sa.select(sa.func.count(sa.distinct(VIEWS.c.place)))

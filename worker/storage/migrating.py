@@ -29,6 +29,11 @@ def _revisions() -> tuple[str, ...]:
     return tuple(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
 
 
+def known() -> tuple[str, ...]:
+    """All revisions that this version knows, newest first."""
+    return _revisions()
+
+
 def newest() -> str:
     """The revision of the tables that this version needs, such as ``0001``."""
     return _revisions()[0]
@@ -117,6 +122,11 @@ def _upgrade(database: Database, data: Path, share: FolderLock, *, allowed: bool
         raise SetupError(
             f"the database of {data} must be migrated, but other processes use it; stop all services and workers first"
         )
+    create(database)
+
+
+def create(database: Database) -> None:
+    """Bring the tables of a database that nobody else uses to this version."""
     config = _config()
     with database.writing() as connection:  # all or nothing: both databases roll back changes of tables
         config.attributes["connection"] = connection

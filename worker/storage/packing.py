@@ -101,16 +101,22 @@ def _pack(layout: Layout, *arrays: npt.NDArray[Any]) -> bytes:
 
 
 def _unpack(layout: Layout, body: bytes) -> list[npt.NDArray[Any]]:
-    """Inverse of `_pack`; the arrays are views of `body`."""
+    """Inverse of `_pack`; the arrays are views of `body`. Raises ValueError for bytes that `_pack` does not make."""
     header = _header(layout)
+    if len(body) < header.size:
+        raise ValueError(f"{len(body)} bytes are too few for the shapes of the arrays")
     sizes = header.unpack_from(body)
     offset, first = header.size, 0
     arrays = []
     for dtype, dimensions in layout:
         shape = sizes[first : first + dimensions]
+        if offset + prod(shape) * dtype.itemsize > len(body):
+            raise ValueError(f"an array of the shape {shape} is longer than what is left")
         arrays.append(np.ndarray(shape, dtype, body, offset))
         offset += prod(shape) * dtype.itemsize
         first += dimensions
+    if offset != len(body):
+        raise ValueError(f"the arrays take {offset} bytes, not {len(body)}")
     return arrays
 
 

@@ -1,5 +1,6 @@
 """Base of the parts of the store."""
 
+from worker.storage.damage import Quarantine
 from worker.storage.database import Database
 from worker.storage.image_files import Images
 
@@ -16,3 +17,4 @@ class Part:
     def __init__(self, database: Database, images: Images) -> None:
         self._database = database
         self._images = images
+        self._quarantine = Quarantine(database)

@@ -8,10 +8,11 @@ import sqlalchemy as sa
 
 from schemas.records import Filters, Removal
 from worker.storage import clock, switching
+from worker.storage.damage import bury
 from worker.storage.filtering import fitting
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_view
-from worker.storage.tables import JOBS, MAPS, TOMBSTONES, VIEWS
+from worker.storage.tables import JOBS, MAPS, VIEWS
 
 PORTION = 200
 """Views deleted in one transaction."""
@@ -87,9 +88,7 @@ class Removals(Part):
             which = VIEWS.c.seq.in_(seqs)
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))
             if rows:
-                revision = clock.tick(connection, map_id)
-                tombstones = [{"seq": row.seq, "map_id": map_id, "revision": revision} for row in rows]
-                connection.execute(sa.insert(TOMBSTONES), tombstones)
+                bury(connection, map_id, [row.seq for row in rows])
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0

@@ -1,6 +1,7 @@
 """Conversion between rows and records."""
 
 import json
+import logging
 import math
 from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
@@ -8,12 +9,23 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import NotFound
+from schemas.errors import Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import DescriptionRecord, MapRecord, Position, ViewAttributes, ViewRecord
+from worker.storage import checksums
 from worker.storage.packing import unpack_floats
 from worker.storage.tables import DESCRIPTIONS, MAPS, RECIPES, VIEWS
+
+log = logging.getLogger("revisit.storage")
+
+_PLACES = {column.name: at for at, column in enumerate(VIEWS.columns)}
+_COVERED = [(name, _PLACES[name]) for name in checksums.COVERED[VIEWS.name]]
+_CHECKSUM = _PLACES["checksum"]
+
+VIEW_STATES = ("pending", "ready", "failed")
+
+FORMATS = ("png", "jpeg", "webp", "bmp", "tiff")
 
 COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
 
@@ -62,13 +74,20 @@ def keep_recipe(connection: sa.Connection, recipe: DescriptionRecipe) -> str:
 
 
 def find_recipe(connection: sa.Connection, recipe: str) -> DescriptionRecipe:
-    """A stored recipe by its id."""
-    return _recipe_of(str(connection.scalar(_RECIPE, {"of": recipe})))
+    """A stored recipe by its id; raises Damaged."""
+    return recipe_of(recipe, str(connection.scalar(_RECIPE, {"of": recipe})))
 
 
 @lru_cache(maxsize=64)
-def _recipe_of(body: str) -> DescriptionRecipe:
-    return DescriptionRecipe.model_validate_json(body)
+def recipe_of(recipe: str, body: str) -> DescriptionRecipe:
+    """A recipe from its JSON; raises Damaged when that is not of this id, which is a hash of it."""
+    try:
+        found = DescriptionRecipe.model_validate_json(body)
+    except ValueError:
+        found = None
+    if found is None or found.id != recipe:
+        raise Damaged(f"the stored recipe {recipe} is damaged, so that its maps cannot be searched; restore a backup")
+    return found
 
 
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
@@ -78,13 +97,25 @@ def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
 
 def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
     """A map from its row and its description recipe."""
-    return MapRecord(row.name, row.revision, recipe, ranking_of(row.ranking), row.created_at, row.calibration)
+    ranking, calibration = ranking_of(row.ranking), row.calibration
+    if not checksums.is_whole(MAPS, row, row.checksum):
+        calibration = None  # the shipped one is right for every map, if less sharp
+        log.error(
+            "map %s: its stored settings do not fit their checksum; it is searched with %s, without a calibration of "
+            "its own; `./revisit doctor` says more",
+            row.name,
+            ranking,
+        )
+    return MapRecord(row.name, row.revision, recipe, ranking, row.created_at, calibration)
 
 
 @lru_cache(maxsize=64)
 def ranking_of(body: str) -> RankingConfig:
-    """A ranking from its JSON."""
-    return RankingConfig.model_validate_json(body)
+    """A ranking from its JSON; the default one when that is damaged."""
+    try:
+        return RankingConfig.model_validate_json(body)
+    except ValueError:
+        return RankingConfig()
 
 
 # views
@@ -104,16 +135,27 @@ def view_rows() -> sa.Select[Any]:
         DESCRIPTIONS.c.static_share,
         DESCRIPTIONS.c.nodes,
         DESCRIPTIONS.c.label_shares,
+        DESCRIPTIONS.c.map_id.label("described_map"),
+        DESCRIPTIONS.c.revision.label("described_revision"),
+        DESCRIPTIONS.c.checksum.label("described_checksum"),
     ).select_from(VIEWS.join(MAPS, named).outerjoin(DESCRIPTIONS, described))
 
 
 def view_record(row: sa.Row[Any]) -> ViewRecord:
     """A view from a row of `view_rows`."""
-    description = None
-    if row.recipe is not None and row.state == "ready":
-        description = DescriptionRecord(
-            row.recipe, row.descriptor_count, row.static_share, unpack_floats(row.label_shares), row.nodes
-        )
+    if not has_whole_attributes(row):
+        return _damaged_record(row)
+    description, state = None, row.state
+    failure = None if row.failure_code is None else (row.failure_code, row.failure_detail)
+    if row.state not in VIEW_STATES:
+        state, failure = "failed", (Damaged.code, "its stored state is damaged")
+    elif row.recipe is not None and row.state == "ready":
+        if not has_whole_facts(row):
+            state, failure = "failed", (Damaged.code, "its description is damaged")
+        else:
+            description = DescriptionRecord(
+                row.recipe, row.descriptor_count, row.static_share, unpack_floats(row.label_shares), row.nodes
+            )
     return ViewRecord(
         id=row.id,
         seq=row.seq,
@@ -121,9 +163,50 @@ def view_record(row: sa.Row[Any]) -> ViewRecord:
         attributes=attributes_of(row),
         enrolled_at=row.enrolled_at,
         image=ImageFacts(row.width, row.height, row.byte_count, row.format, row.sha256),
-        state=row.state,
-        failure=None if row.failure_code is None else (row.failure_code, row.failure_detail),
+        state=state,
+        failure=failure,
         description=description,
+    )
+
+
+def has_whole_attributes(row: sa.Row[Any]) -> bool:
+    """Whether the attributes and the facts of a view fit their checksum; of a row that begins with `views`."""
+    try:
+        return bool(checksums.of_values([(name, row[at]) for name, at in _COVERED]) == row[_CHECKSUM])
+    except (OverflowError, UnicodeError):
+        return False
+
+
+def has_whole_facts(row: sa.Row[Any]) -> bool:
+    """Whether the facts of the description in a row of `view_rows` fit their checksum."""
+    moved = {"map_id": row.described_map, "revision": row.described_revision}
+    facts = [(name, moved.get(name, value)) for name, value in description_facts(row)]
+    try:
+        return bool(checksums.of_values(facts) == row.described_checksum)
+    except (OverflowError, UnicodeError):
+        return False
+
+
+def description_facts(row: sa.Row[Any]) -> list[tuple[str, Any]]:
+    """Covered columns of a description, (name, value) each."""
+    return [(name, getattr(row, name, None)) for name in checksums.COVERED[DESCRIPTIONS.name]]
+
+
+def _damaged_record(row: sa.Row[Any]) -> ViewRecord:
+    """A view with damaged attributes: none of them is shown, since any may be wrong."""
+    sizes = [size if isinstance(size, int) and size > 0 else 1 for size in (row.width, row.height, row.byte_count)]
+    kind = row.format if row.format in FORMATS else FORMATS[0]
+    detail = row.failure_detail if row.failure_code == Damaged.code else "its stored attributes are damaged"
+    return ViewRecord(
+        id=row.id,
+        seq=row.seq,
+        map=row.map,
+        attributes=ViewAttributes(),
+        enrolled_at=row.enrolled_at,
+        image=ImageFacts(sizes[0], sizes[1], sizes[2], kind, str(row.sha256)),
+        state="failed",
+        failure=(Damaged.code, str(detail)),
+        description=None,
     )
 
 

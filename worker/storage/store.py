@@ -6,7 +6,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from schemas.errors import SetupError
+from schemas.errors import Damaged, SetupError
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
@@ -81,6 +81,8 @@ class SqlStore:
             with self._database.reading() as connection:
                 if connection.scalar(sa.select(CLOCK.c.revision)) is None:
                     return "the database has lost its clock; restore a snapshot"
+        except Damaged as error:
+            return error.detail
         except sa.exc.SQLAlchemyError as error:
             return f"the database does not answer: {getattr(error, 'orig', None) or error}"
         folder = self._data / "pictures"
@@ -121,6 +123,13 @@ def open_store(url: str, data: Path) -> SqlStore:
     except OSError as error:
         database.close()
         raise SetupError(f"the data folder {data} cannot be used: {error.strerror}; see REVISIT_DATA") from error
+    except Damaged as error:
+        database.close()
+        reason = getattr(error.__cause__, "orig", error.__cause__)
+        raise SetupError(
+            f"the database cannot be used: {reason}; see REVISIT_DATABASE; if it was whole once, `./revisit doctor "
+            "--repair` saves what can be read, and a backup has the rest"
+        ) from error
     except sa.exc.DBAPIError as error:
         database.close()
         raise SetupError(f"the database cannot be used: {error.orig}; see REVISIT_DATABASE") from error

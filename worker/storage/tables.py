@@ -16,15 +16,32 @@ own, since each is read alone and rows with overflow pages are slow to scan.
 
 import sqlalchemy as sa
 
-from worker.storage.columns import UtcDateTime, big_key, ordered_text
+from worker.storage.columns import Body, UtcDateTime, big_key, ordered_text
 
 METADATA = sa.MetaData()
+
+
+def _checksum() -> sa.Column[int]:
+    """CRC-32 of the row's content, given when it is written: see checksums.py."""
+    return sa.Column("checksum", sa.BigInteger, nullable=False, server_default="0")
+
+
+def _seal() -> sa.Column[int | None]:
+    """CRC-32 of the row's content; NULL until its transaction ends: see sealing.py."""
+    return sa.Column("checksum", sa.BigInteger, onupdate=sa.null())
+
+
+def _unsealed(table: str, key: str) -> sa.Index:
+    missing = sa.text("checksum IS NULL")
+    return sa.Index(f"{table}_unsealed", key, sqlite_where=missing, postgresql_where=missing)
+
 
 CLOCK = sa.Table(
     "clock",
     METADATA,
     sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),  # one row, 1
     sa.Column("revision", sa.BigInteger, nullable=False),
+    _seal(),
 )
 
 RECIPES = sa.Table(
@@ -48,6 +65,8 @@ MAPS = sa.Table(
     sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision is rebuilt
     sa.Column("created_at", UtcDateTime, nullable=False),
     sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
+    _seal(),
+    _unsealed("maps", "id"),
     sqlite_autoincrement=True,
 )
 
@@ -79,6 +98,7 @@ VIEWS = sa.Table(
     sa.Column("state", sa.Text, nullable=False),  # pending, ready or failed, by the map's recipe
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
+    _checksum(),
     sa.UniqueConstraint("map_id", "sha256", name="views_once_per_map"),
     sa.Index("views_by_map", "map_id", "seq"),
     sa.Index("views_by_picture", "sha256"),
@@ -108,7 +128,8 @@ DESCRIPTIONS = sa.Table(
     sa.Column("descriptor_count", sa.Integer, nullable=False),
     sa.Column("static_share", sa.Double, nullable=False),
     sa.Column("nodes", sa.Integer, nullable=False),
-    sa.Column("label_shares", sa.LargeBinary, nullable=False),  # float32, little-endian
+    sa.Column("label_shares", Body, nullable=False),  # float32, little-endian
+    _checksum(),
     sa.Index("descriptions_by_revision", "map_id", "recipe", "revision"),
 )
 
@@ -119,7 +140,8 @@ def _part_of_a_description(name: str) -> sa.Table:
         METADATA,
         sa.Column("seq", sa.BigInteger, primary_key=True),
         sa.Column("recipe", sa.Text, primary_key=True),
-        sa.Column("body", sa.LargeBinary, nullable=False),
+        sa.Column("body", Body, nullable=False),
+        _checksum(),
         sa.ForeignKeyConstraint(
             ["seq", "recipe"], ["descriptions.seq", "descriptions.recipe"], name=f"{name}_of", ondelete="CASCADE"
         ),
@@ -143,10 +165,12 @@ COMPARISONS = sa.Table(  # of a view with the other views of its map; see schema
     sa.Column("gap", sa.Double),
     sa.Column("same_spot", sa.Text, nullable=False),  # JSON: sequence numbers
     sa.Column("made_at", UtcDateTime, nullable=False),
+    _seal(),
     sa.ForeignKeyConstraint(
         ["seq", "recipe"], ["descriptions.seq", "descriptions.recipe"], name="comparisons_of", ondelete="CASCADE"
     ),
     sa.Index("comparisons_by_map", "map_id", "recipe"),
+    _unsealed("comparisons", "seq"),
 )
 
 JOBS = sa.Table(
@@ -171,6 +195,8 @@ JOBS = sa.Table(
     sa.Column("finished_at", UtcDateTime),
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
+    _seal(),
+    _unsealed("jobs", "number"),
     sa.Index("jobs_in_order", "kind", "state", "background", "number"),
     sa.Index("jobs_by_recipe", "map_id", "recipe", "state"),
     sa.Index("jobs_by_view", "seq", "recipe"),
@@ -183,6 +209,8 @@ TOMBSTONES = sa.Table(
     sa.Column("seq", sa.BigInteger, primary_key=True, autoincrement=False),
     sa.Column("map_id", sa.BigInteger, sa.ForeignKey("maps.id", ondelete="CASCADE"), nullable=False),
     sa.Column("revision", sa.BigInteger, nullable=False),
+    _seal(),
+    _unsealed("tombstones", "seq"),
     sa.Index("tombstones_by_revision", "map_id", "revision"),
 )
 
@@ -190,7 +218,7 @@ VOCABULARIES = sa.Table(
     "vocabularies",
     METADATA,
     sa.Column("digest", sa.Text, primary_key=True),
-    sa.Column("tensors", sa.LargeBinary, nullable=False),  # safetensors
+    sa.Column("tensors", Body, nullable=False),  # safetensors; the digest is their SHA-256
 )
 
 CALLS = sa.Table(
@@ -202,6 +230,8 @@ CALLS = sa.Table(
     sa.Column("finished_at", UtcDateTime),
     sa.Column("status", sa.Integer),
     sa.Column("headers", sa.Text),  # JSON
-    sa.Column("body", sa.LargeBinary),
+    sa.Column("body", Body),
+    _seal(),
+    _unsealed("calls", "key"),
     sa.Index("calls_by_age", "begun_at"),
 )

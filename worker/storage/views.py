@@ -1,22 +1,28 @@
 """Views: shown, listed, changed."""
 
+import builtins
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import NotFound
+from schemas.errors import Damaged
 from schemas.records import Filters, ViewAttributes, ViewRecord
-from worker.storage import clock
+from worker.storage import checksums, clock
+from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
 from worker.storage.rows import (
+    VIEW_STATES,
     attribute_columns,
     attributes_of,
     batches,
     find_map,
     find_view,
+    has_whole_attributes,
+    log,
     view_record,
     view_rows,
     views_of,
@@ -30,16 +36,17 @@ class Views(Part):
     def get(self, view_id: str) -> ViewRecord:
         """One view; raises NotFound."""
         with self._database.reading() as connection:
-            return view_record(find_view(connection, view_id))
+            row = find_view(connection, view_id)
+        [record] = self._records([row])
+        return record
 
     def at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
         """Views by sequence number; deleted ones are absent."""
-        found: dict[int, ViewRecord] = {}
+        rows: list[sa.Row[Any]] = []
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                rows = connection.execute(views_of(), {"seqs": portion})
-                found.update({row.seq: view_record(row) for row in rows})
-        return found
+                rows += connection.execute(views_of(), {"seqs": portion})
+        return {record.seq: record for record in self._records(rows)}
 
     def list(
         self,
@@ -71,30 +78,52 @@ class Views(Part):
                 page = page.where(VIEWS.c.map_id == map_id)
             rows = [*connection.execute(page.where(*fitting(connection, filters, map_id)))]
         following = cursor_after(order, rows[limit - 1].seq) if len(rows) > limit else None
-        return [view_record(row) for row in rows[:limit]], following
+        return self._records(rows[:limit]), following
+
+    def _records(self, rows: Sequence[sa.Row[Any]]) -> "builtins.list[ViewRecord]":
+        """Views from their rows; damaged ones are failed, in the database too."""
+        records = [view_record(row) for row in rows]
+        damaged = [row for row, record in zip(rows, records, strict=True) if record.state != row.state]
+        described = [row for row in damaged if has_whole_attributes(row) and row.state in VIEW_STATES]
+        for recipe in {row.recipe for row in described}:
+            self._quarantine.descriptions({row.seq: "facts" for row in described if row.recipe == recipe}, recipe)
+        self._quarantine.views(row.seq for row in damaged if row not in described)
+        return records
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:
-        """Replace a view's attributes by `change` of them, in one transaction; raises NotFound.
+        """Replace a view's attributes by `change` of them, in one transaction; raises NotFound, Damaged.
 
         When `change` raises, the view stays as it was.
         """
         with self._database.writing() as connection:
             before = find_view(connection, view_id)
+            if not has_whole_attributes(before):
+                raise Damaged(ATTRIBUTES.format(id=view_id))
             attributes = change(attributes_of(before))
             columns = attribute_columns(attributes)
             if any(value != getattr(before, column) for column, value in columns.items()):
-                connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**columns))
+                sealed = {**columns, "checksum": checksums.of_row(VIEWS, {**before._mapping, **columns})}
+                connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**sealed))
                 keep_pairs(connection, before.seq, attributes)
                 connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
                 clock.tick(connection, before.map_id)
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
-        """The enrolled bytes; raises NotFound."""
+        """The enrolled bytes.
+
+        Raises
+        ------
+        NotFound
+        Damaged
+            The file is missing or is not what was enrolled.
+        """
         with self._database.reading() as connection:
-            digest = find_view(connection, view_id).sha256
+            digest = str(find_view(connection, view_id).sha256)
         try:
             return self._images.read(digest)
-        except FileNotFoundError:  # deleted between row and file
-            hint = "the view was deleted, or its file was removed by hand: then enrol the image again"
-            raise NotFound("image of view", view_id, hint) from None
+        except Damaged as error:
+            with self._database.reading() as connection:
+                find_view(connection, view_id)  # else it was deleted between row and file
+            log.error("view %s: %s", view_id, error.detail)
+            raise
