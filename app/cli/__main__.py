@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
 
-GROUPS = ("serve", "demo", "enroll", "query", "browse", "recipes", "calibrate", "health", "care", "study", "weights")
+GROUPS = (
+    "serve", "demo", "enroll", "query", "browse", "recipes", "calibrate", "health", "care", "doctor", "study", "weights"
+)  # fmt: skip
 """Modules with commands. Slow imports happen when a command runs, so that `--help` answers at once."""
 
 EPILOG = """\

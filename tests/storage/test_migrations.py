@@ -13,15 +13,17 @@ from alembic.runtime.migration import MigrationContext
 
 from schemas.errors import SetupError
 from schemas.recipe import RankingConfig
+from schemas.records import Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
 from tests.storage.databases import sqlite_url
-from tests.storage.material import LEASE, NOW, enroll
+from tests.storage.material import LEASE, NOW, describe_all, enroll
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, make_recipe
 from worker.encoders.color import ColorEncoder
 from worker.encoders.compact.encoder import CompactEncoder
 from worker.storage import migrating
 from worker.storage.database import Database
+from worker.storage.examining import examine
 from worker.storage.locks import USE, FolderLock, lock_for_serving
 from worker.storage.migrating import migrate, newest
 from worker.storage.store import open_store
@@ -279,3 +281,33 @@ def _old_job(number: int, map_id: int, seq: int, recipe: str, state: str) -> dic
         "number": number, "id": f"job-{number}", "map_id": map_id, "seq": seq, "recipe": recipe, "background": False,
         "state": state, "attempts": 0, "created_at": MOMENT,
     }  # fmt: skip
+
+
+# 0006: checksums
+
+
+def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> None:
+    """The same rows as this version writes, and so no finding: written without checksums, then migrated."""
+    store = open_store(database_url, data)
+    enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=-0.0, y=1e-7, heading=12.5), NOW, {"floor": 2}))
+    enroll(store, "yard")
+    describe_all(store)
+    store.jobs.queue_vocabulary("campus", NOW)
+    store.calls.begin("key", "print", NOW)
+    store.calls.end("key", Replay(201, {"location": "/views/1"}, b"{}"), NOW)
+    store.removals.delete_view(enroll(store, "pier").view.id)
+    store.close()
+    assert list(examine(database_url, data)) == []
+    database = Database(database_url)
+    with database.writing() as connection:
+        for name in ("maps", "comparisons", "jobs", "tombstones", "calls"):
+            connection.exec_driver_sql(f"DROP INDEX {name}_unsealed")
+        for name in [table.name for table in METADATA.sorted_tables if "checksum" in table.c]:
+            connection.exec_driver_sql(f"ALTER TABLE {name} DROP COLUMN checksum")
+    set_revision(database, "0005")
+    database.close()
+    assert [finding.remedy for finding in examine(database_url, data)] == ["./revisit migrate"]
+
+    migrate(database_url, data)
+
+    assert list(examine(database_url, data)) == []

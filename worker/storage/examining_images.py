@@ -1,0 +1,78 @@
+"""Examines the folder of images: deleted, damaged, emptied, orphaned and foreign files."""
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from worker.storage.examining import REPAIR, Finding
+from worker.storage.image_files import DIGEST, UNFINISHED
+
+AGAIN = "enrol the image again, or restore the file from a backup"
+ORPHAN = "belongs to no view"
+LEFTOVER = "was left unfinished by a crash"
+
+
+def image_findings(folder: Path, owners: dict[str, str] | None, *, running: bool = False) -> Iterator[Finding]:
+    """Findings of all files of images.
+
+    Parameters
+    ----------
+    folder : Path
+    owners : mapping or None
+        SHA-256 of each image to the view that needs it, as text; None when the database could not be read.
+    running : bool
+        Whether a service uses the folder: it may be writing or removing files just now.
+    """
+    if not os.access(folder, os.R_OK | os.X_OK):
+        if folder.exists() or owners:
+            yield Finding(str(folder), "is missing or cannot be read", "see its permissions, or restore a backup")
+        return
+    missing = dict(owners or {})
+    for path in files_below(folder):
+        name = str(path.relative_to(folder.parent))
+        digest = path.name
+        placed = path.parent == folder / digest[:2] / digest[2:4]
+        if path.name == ".lock" and path.parent.parent == folder:
+            continue
+        if path.name.startswith(UNFINISHED):
+            if not running:
+                yield Finding(name, LEFTOVER, f"{REPAIR} removes it")
+        elif not DIGEST.fullmatch(digest) or not placed:
+            yield Finding(name, "is not of revisit", "move it away")
+        else:
+            view = missing.pop(digest, None)
+            if (fault := _fault(path)) is not None:
+                yield Finding(name, f"{fault}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}")
+            elif owners is not None and view is None and not running:
+                yield Finding(name, ORPHAN, f"{REPAIR} removes it")
+    for digest, view in missing.items():
+        shown = f"pictures/{digest[:2]}/{digest[2:4]}/{digest}" if DIGEST.fullmatch(digest) else repr(digest)
+        yield Finding(shown, f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """All files below a folder, in order; what cannot be read is left out here and missed elsewhere."""
+    for root, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(names):
+            yield Path(root) / name
+
+
+def _fault(path: Path) -> str | None:
+    try:
+        sums = hashlib.sha256()
+        with path.open("rb") as file:
+            while portion := file.read(1 << 20):
+                sums.update(portion)
+        if sums.hexdigest() == path.name:
+            return None
+        return "does not hold what was enrolled" if path.stat().st_size else "is empty"
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+
+
+def is_orphan(finding: Finding) -> bool:
+    """Whether a finding is of a file that repair removes."""
+    return finding.what in (ORPHAN, LEFTOVER) and re.match("pictures/", finding.where) is not None
