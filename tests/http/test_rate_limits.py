@@ -153,8 +153,9 @@ def test_what_is_refused_is_not_counted() -> None:
 
 
 def test_a_refusal_is_counted_as_one_of_the_rate_and_not_of_the_queue() -> None:
-    with limited(limit_requests=1) as client:
-        assert [client.get("/maps").status_code for _ in range(2)] == [200, 429]
+    image: Any = {"content": encoded(drawn(64, 64), "jpeg"), "headers": JPEG}
+    with limited(limit_images=1) as client:
+        assert [client.post("/enroll", **image).status_code for _ in range(2)] == [201, 429]
         assert 'revisit_rejected_total{reason="rate"} 1.0' in client.get("/metrics").text
 
 

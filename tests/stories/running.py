@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -112,3 +114,26 @@ class RunningService:
     ) -> None:
         if self._process.poll() is None:
             self.stop()
+
+
+@contextmanager
+def worker(data: Path, **environment: str) -> Iterator["subprocess.Popen[str]"]:
+    """`revisit worker` on a data folder, with the encoder that needs no weights."""
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
+    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app.cli", "worker"],
+        cwd=ROOT,
+        env=clean | ours | environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert "describes" in process.stdout.readline()
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()

@@ -20,16 +20,16 @@ def lines(service: RunningService) -> list[dict[str, Any]]:
 
 def test_every_line_of_a_failing_request_has_the_id_of_its_problem(tmp_path: Path) -> None:
     with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_COMPARE="false") as service:
-        enrolled = httpx.post(f"{service.url}/enroll", content=photo(), headers=JPEG, timeout=60).json()
+        httpx.post(f"{service.url}/enroll", content=photo(), headers=JPEG, timeout=60).raise_for_status()
         database = sqlite3.connect(tmp_path / "revisit.db")
-        database.execute("UPDATE views SET metadata = 'no JSON at all'")
+        database.execute("DROP TABLE metadata_pairs")
         database.commit()
         database.close()
-        answer = httpx.get(f"{service.url}/views/{enrolled['view']['id']}", timeout=60)
+        answer = httpx.get(f"{service.url}/views?map=default&metadata.colour=red", timeout=60)
         assert answer.status_code == 500, answer.text
     mine = [line for line in lines(service) if line.get("request_id") == answer.json()["request_id"]]
     (failed,) = [line for line in mine if "traceback" in line]
-    assert "JSONDecodeError" in failed["traceback"]
+    assert "no such table: metadata_pairs" in failed["traceback"]
     (access,) = [line for line in mine if line.get("event") == "request"]
     assert (access["status"], access["problem"], access["level"]) == (500, "internal", "warning")
 
@@ -58,7 +58,7 @@ def test_only_what_is_slow_or_fails_is_logged_on_request(tmp_path: Path) -> None
 
 
 def test_what_the_worker_says_of_a_job_is_found_by_the_ids_that_the_request_has(tmp_path: Path) -> None:
-    with RunningService(tmp_path, REVISIT_LOG="json", REVISIT_INLINE_WORKER="false") as service:
+    with RunningService(tmp_path, False, REVISIT_LOG="json", REVISIT_INLINE_WORKER="false") as service:
         httpx.post(
             f"{service.url}/enroll?wait=false",
             content=photo(),

@@ -12,7 +12,7 @@ JPEG = {"content-type": "image/jpeg"}
 
 
 def test_what_is_enrolled_and_what_waits_is_seen(tmp_path: Path) -> None:
-    with RunningService(tmp_path, REVISIT_INLINE_WORKER="false") as service:
+    with RunningService(tmp_path, False, REVISIT_INLINE_WORKER="false") as service:
         httpx.post(f"{service.url}/enroll?map=m&wait=false", content=photo(), headers=JPEG, timeout=60)
         waiting = samples(httpx.get(f"{service.url}/metrics", timeout=60).text)
     with RunningService(tmp_path, REVISIT_COMPARE="false") as service:

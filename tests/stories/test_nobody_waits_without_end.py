@@ -1,13 +1,9 @@
 """Whoever waits is answered: without a worker, behind a long queue, when a worker is killed, when the service stops."""
 
-import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,31 +15,12 @@ from schemas.description import Description
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
-from tests.stories.running import ROOT, RunningService
+from tests.stories.running import RunningService, worker
 from worker.description.describer import Describer
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 WAIT_S = 1.0
-
-
-@contextmanager
-def worker(data: Path) -> Iterator["subprocess.Popen[str]"]:
-    """`revisit worker` on a data folder."""
-    clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
-    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1", "REVISIT_LEASE_S": "2"}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "app.cli", "worker"], cwd=ROOT, env=clean | ours, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stdout is not None
-        assert "describes" in process.stdout.readline()
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-        assert process.stdout is not None
-        process.stdout.close()
 
 
 def until(client: httpx.Client, ready: bool, seconds: float = 20) -> Any:
@@ -72,7 +49,7 @@ def test_without_a_worker_callers_are_told_and_a_killed_one_is_noticed_within_se
 
         kept = client.post("/enroll?wait=false", content=photo(2), headers=JPEG)
         assert kept.status_code == 202
-        with worker(data) as process:
+        with worker(data, REVISIT_LEASE_S="2") as process:
             until(client, True)
             assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 201
             assert client.get(f"/jobs/{kept.json()['job']}").json()["state"] == "done"
