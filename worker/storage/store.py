@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from schemas.statistics import StoreStatistics
-from worker.storage import dialect, statistics
+from worker.storage import dialect, statistics, wal
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
@@ -36,6 +36,9 @@ PROBE = "can this be written?"
 """Key of a row that is written and removed at once; with spaces, so that no caller can have it."""
 
 
+DOCTOR = "run `./revisit doctor --repair` with the service stopped"
+
+
 class SqlStore:
     """Maps, views, descriptions, jobs, vocabularies and calls. When a method returns, its changes are durable.
 
@@ -49,10 +52,13 @@ class SqlStore:
         Data folder; its folder ``pictures`` holds the enrolled images.
     share : FolderLock
         Shared lock that keeps migrations out; released by `close`.
+    lost : str or None
+        What was wrong with the database's log when the store was opened: rows may be missing.
     """
 
-    def __init__(self, database: Database, data: Path, share: FolderLock) -> None:
+    def __init__(self, database: Database, data: Path, share: FolderLock, lost: str | None = None) -> None:
         self._database = database
+        self._lost = lost
         self._data = data
         self._share = share
         self._images = images = Images(data / "pictures", self._owned)
@@ -86,7 +92,12 @@ class SqlStore:
         try:
             self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
             self.removals.clear_deleted_maps()
-            self._images.sweep()
+            if self._lost is None:
+                self._images.sweep()
+            else:  # an image without a view may be all that is left of it
+                log.error(
+                    "the log of the database was damaged: %s; images without a view are kept, %s", self._lost, DOCTOR
+                )
         except (DiskFull, StorageFailed) as error:  # queries can be answered all the same
             log.error("what a crash left could not be cleaned up: %s; the next start tries again", error.detail)
 
@@ -165,9 +176,10 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
     try:
         # First, so that no lock is held if it fails.
         (data / "pictures").mkdir(parents=True, exist_ok=True)
+        lost = _log_fault(database)  # before SQLite reads the log and takes what it cannot read for never written
         share = enter(database, data, may_migrate=migrates_by_itself(database))
         database.space = Space(_folders(database, data), reserve_bytes)
-        return SqlStore(database, data, share)
+        return SqlStore(database, data, share, lost)
     except SetupError:
         database.close()
         raise
@@ -196,3 +208,11 @@ def _folders(database: Database, data: Path) -> list[Path]:
     """The folders of the images and, when it is a file, of the database."""
     file = database.engine.url.database
     return [data, Path(file).resolve().parent] if dialect.is_file(database.engine) and file else [data]
+
+
+def _log_fault(database: Database) -> str | None:
+    """What is wrong with the log of a SQLite file that was not closed, or None."""
+    file = database.engine.url.database
+    if not dialect.is_file(database.engine) or not file:
+        return None
+    return wal.fault(Path(file).with_name(Path(file).name + "-wal"))
