@@ -301,8 +301,8 @@ class QueryService:
                 if len(facts) < len(shown):
                     raise ViewGone({candidate.seq for candidate in shown} - described.keys())
             except ViewGone as error:
-                # A round that found another one to leave out does not count: a map may have many that are damaged.
-                rounds += error.seqs <= gone
+                # A round that found damaged descriptions to leave out does not count: a map may have many.
+                rounds += not self._comparisons.known(sorted(error.seqs - gone), recipe.id)
                 gone |= error.seqs
                 continue
             if any(of.recipe != recipe.id for of in facts):
