@@ -54,10 +54,16 @@ def serving(disk: Path, **environment: str) -> Iterator[tuple[RunningService, ht
 def fill(disk: Path, leave: int = 0) -> Path:
     """Another program takes the space of the disk."""
     hog = disk / "hog"
-    found = os.statvfs(disk)
-    size = found.f_bavail * found.f_frsize - leave
     with hog.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, size)
+        while True:
+            found = os.statvfs(disk)
+            size = file.seek(0, os.SEEK_END) + found.f_bavail * found.f_frsize - leave
+            try:
+                os.posix_fallocate(file.fileno(), 0, size)
+                break
+            except OSError as error:  # the service took some of it meanwhile
+                if error.errno != errno.ENOSPC:
+                    raise
     return hog
 
 
