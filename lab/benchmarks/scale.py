@@ -82,9 +82,9 @@ def tables(options: argparse.Namespace, cache: Cache, recipe: MapRecipe) -> None
 def print_set(one: Placed, measured: Sequence[AtSize], ahead: Nearer, forecast: Sequence[int]) -> None:
     """One row for each size, and one for each forecast."""
     print(f"\n{one.name}: {len(one.queries)} queries, {len(one.database)} views of its own")
-    print("   views   " + "   ".join(f"among {count} of each" for count in COUNTS) + "   first")
+    print("   views   " + "   ".join(f"among {count} of each" for count in COUNTS) + "   re-ranked   first")
     for at in measured:
-        print(f"{at.views:8d}   {_shares(np.column_stack([at.among, at.first]))}")
+        print(f"{at.views:8d}   {_shares(at.table)}")
     for views in forecast:
         recalls = ahead.forecast(views, len(one.database))
         print(f"{views:8d}   " + "   ".join(f"{recall:.3f}" for recall in recalls) + "   (forecast)")
@@ -97,7 +97,7 @@ def print_pooled(
     print("\nall sets, each query counting the same")
     for size in (0, *sizes):
         at = [next((m for m in reversed(measured) if m.views <= size), measured[0]) for _, measured, _ in results]
-        print(f"{size or 'alone':>8}   {_shares(np.concatenate([np.column_stack([m.among, m.first]) for m in at]))}")
+        print(f"{size or 'alone':>8}   {_shares(np.concatenate([m.table for m in at]))}")
     weights = np.array([len(one.queries) for one, _, _ in results])
     for views in forecast:
         recalls = np.stack([ahead.forecast(views, len(one.database)) for one, _, ahead in results])
@@ -114,7 +114,10 @@ def _as_json(one: Placed, measured: Sequence[AtSize], ahead: Nearer) -> dict[str
     return {
         "set": one.name,
         "own": len(one.database),
-        "sizes": {at.views: {"among": at.among.tolist(), "first": at.first.tolist()} for at in measured},
+        "sizes": {
+            at.views: {"among": at.among.tolist(), "compared": at.compared.tolist(), "first": at.first.tolist()}
+            for at in measured
+        },
         "nearer": ahead.distractors.tolist(),
         "searched": ahead.searched,
     }

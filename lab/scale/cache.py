@@ -82,15 +82,15 @@ class Cache:
     def appearances(self, keys: Sequence[str]) -> list[Appearance]:
         """Cells at half size, graphs and extents, in the order of `keys`."""
         found = self._read("width, height, appearance", keys)
-        return [packing.unpack_appearance(bytearray(body), (width, height)) for width, height, body in found]
+        return [packing.unpack_appearance(body, (width, height)) for width, height, body in found]
 
     def cells(self, keys: Sequence[str]) -> list[Int8s]:
         """Cells at full resolution, in the order of `keys`."""
-        return [packing.unpack_cells(bytearray(body)) for (body,) in self._read("cells", keys)]
+        return [packing.unpack_cells(body) for (body,) in self._read("cells", keys)]
 
     def local_features(self, keys: Sequence[str]) -> list[LocalFeatures]:
         """Local features, in the order of `keys`."""
-        return [packing.unpack_keypoints(bytearray(body)) for (body,) in self._read("keypoints", keys)]
+        return [packing.unpack_keypoints(body) for (body,) in self._read("keypoints", keys)]
 
     def _read(self, columns: str, keys: Sequence[str]) -> list[tuple[Any, ...]]:
         marks = ", ".join("?" * len(keys))

@@ -59,7 +59,7 @@ def recall_forecast(fixed: Counts, nearer: Counts, distractors: int, among: int,
     counts, the channels are taken as independent.
     """
     with for_studies():
-        from scipy.stats import betabinom  # type: ignore[import-untyped]
+        from scipy.stats import betabinom
     fitted = np.array([fit_shares(counted, distractors) for counted in nearer])
     alpha, beta = nearer + fitted[:, :1], distractors - nearer + fitted[:, 1:]
     recalls = []

@@ -30,13 +30,21 @@ class AtSize:
     views : int
     among : bool of shape (queries, counts)
         Whether a right view is among the candidates, for each of `COUNTS`.
+    compared : bool of shape (queries,)
+        Whether a right view is among those that are re-ranked.
     first : bool of shape (queries,)
         Whether the first answer is right.
     """
 
     views: int
     among: Booleans
+    compared: Booleans
     first: Booleans
+
+    @property
+    def table(self) -> Booleans:
+        """All of them as columns, bool (queries, counts + 2)."""
+        return np.column_stack([self.among, self.compared, self.first])
 
 
 def measure(placed: Placed, size: int, pool: Pool, recipe: MapRecipe, product: Product) -> AtSize:
@@ -58,17 +66,18 @@ def measure(placed: Placed, size: int, pool: Pool, recipe: MapRecipe, product: P
     index.apply(Changes(1, described.id, seqs, pool.vectors[seqs - 1], np.zeros(0, np.int64)))
     fetch = PoolFetch(pool)
     among = np.zeros((len(placed.queries), len(COUNTS)), np.bool_)
-    first = np.zeros(len(placed.queries), np.bool_)
+    compared, first = np.zeros((2, len(placed.queries)), np.bool_)
     for number, (row, right) in enumerate(zip(placed.queries, placed.right, strict=True)):
         query = query_of(pool, int(row), described)
-        found = index.search(query.vectors, max(max(COUNTS), recipe.ranking.candidates), EVERYTHING)
+        found = index.search(query.vectors, max(*COUNTS, recipe.ranking.searched), EVERYTHING)
         correct = np.isin(found.seqs, right + 1)
         for column, count in enumerate(COUNTS):
             near = np.logical_or.reduce([(ranks > 0) & (ranks <= count) for ranks in found.ranks.values()])
             among[number, column] = (correct & near).any()
         ranked = cascade.rank(query, found, described, recipe.ranking, fetch, top=1, product=product)
+        compared[number] = np.isin(ranked.seqs[: ranked.reranked], right + 1).any()
         first[number] = ranked.first[0].seq - 1 in right
-    return AtSize(size, among, first)
+    return AtSize(size, among, compared, first)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Cached descriptions as a map of any size: members, right answers, and what a ranking reads of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -153,10 +153,11 @@ class PoolFetch:
 def query_of(pool: Pool, row: int, recipe: DescriptionRecipe) -> Description:
     """The parts of a view's description that a ranking reads of a query."""
     key = [pool.keys[row]]
+    seen = pool.cache.appearances(key)[0]
     return Description(
         vectors=by_channel(pool.vectors[row], recipe),
-        appearance=pool.cache.appearances(key)[0],
-        cells=pool.cache.cells(key)[0],
+        appearance=replace(seen, coarse=seen.coarse.copy()),  # PyTorch multiplies writable arrays only
+        cells=pool.cache.cells(key)[0].copy(),
         keypoints=None if recipe.parameters.local_features is None else pool.cache.local_features(key)[0],
         label_shares=np.zeros(0, np.float32),
         static_share=1.0,

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from lab.datasets.dataset import ENDINGS
 from scenes import Scene
-from scenes.scene import KINDS, Kind
+from scenes.scene import Kind
 from schemas.image import Image
 from worker.images.codec import SHORTEST_SIDE
 
@@ -83,7 +84,7 @@ def varied(sources: Sequence[Source]) -> Iterator[Source]:
 
 def drawn(count: int) -> Iterator[Source]:
     """Drawn scenes, each of a place of its own."""
-    kinds: list[Kind] = sorted(KINDS)
+    kinds: list[Kind] = sorted(get_args(Kind))
     for number in range(count):
         kind = kinds[number % len(kinds)]
         yield Source(f"drawn/{kind}/{number}", "drawn", _drawing(kind, number))
