@@ -164,7 +164,7 @@ class RankingConfig(Identified):
         0,
         description="Up to how many views of each channel are looked at where histograms hardly tell them apart, as in "
         "large maps: as many of them as `candidates` of every channel are re-ranked, by cells at a quarter size and "
-        "distance. Up to `candidates`: none.",
+        "distance. Maps of no more views, and numbers up to `candidates`: none.",
     )
     weights: TermWeights = TermWeights(graph=1.0)
     full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(

@@ -77,6 +77,13 @@ def test_a_small_map_is_answered_as_without() -> None:
     assert [(c.seq, c.score, c.ranks) for c in with_it] == [(c.seq, c.score, c.ranks) for c in without]
 
 
+def test_a_map_that_the_search_nearly_exhausts_has_no_shortlist(crowd: Dictionary) -> None:
+    """Its answers stay what they were measured at."""
+    all_of_them = ranked(changed(shortlist_from=CROWD), views=crowd, candidates=alike(0.001), top=20)
+    without = ranked(CONFIG, views=crowd, candidates=alike(0.001), top=20)
+    assert [(c.seq, c.score) for c in all_of_them] == [(c.seq, c.score) for c in without]
+
+
 def test_an_explicit_number_of_candidates_is_kept_to(crowd: Dictionary) -> None:
     crowd.fetched.clear()
     ranked(changed(shortlist_from=100), views=crowd, candidates=alike(0.001), reranked=15)

@@ -116,11 +116,12 @@ def shorten(
 ) -> tuple[Candidates, dict[int, Appearance]]:
     """Stage 0: the candidates that are left, and the appearances of those that are to be re-ranked.
 
-    Nothing is left out, and no appearance given, where the distances single out no more than ``config.candidates`` of
-    each channel.
+    There is no shortlist, and no appearance given, in a map of at most ``config.shortlist_from`` views, or where the
+    distances single out no more than ``config.candidates`` of each channel.
     """
     kept = shortlist.nearest(candidates, max(top, config.candidates))
-    if config.shortlist_from <= config.candidates or not query.appearance.coarse.size:
+    large = candidates.searched > config.shortlist_from > config.candidates
+    if not large or not query.appearance.coarse.size:
         return shortlist.only(candidates, kept), {}
     looked = shortlist.worth_a_look(candidates, config.candidates, config.shortlist_from)
     count = config.candidates * len(candidates.ranks)
