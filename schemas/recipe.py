@@ -160,6 +160,12 @@ class RankingConfig(Identified):
     candidates: Annotated[int, Field(ge=0, le=500)] = Field(
         20, description="Candidates of each channel that are re-ranked; 0 ranks by histograms alone."
     )
+    shortlist_from: Annotated[int, Field(ge=0, le=2000)] = Field(
+        0,
+        description="Up to how many views of each channel are looked at where histograms hardly tell them apart, as in "
+        "large maps: as many of them as `candidates` of every channel are re-ranked, by cells at a quarter size and "
+        "distance. Maps of no more views, and numbers up to `candidates`: none.",
+    )
     weights: TermWeights = TermWeights(graph=1.0)
     full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
         10, description="How many of the best by cells at half size are compared at full resolution."
@@ -189,6 +195,11 @@ class RankingConfig(Identified):
     precision: Annotated[float, Field(ge=0.5, le=0.999)] = Field(
         0.97, description="Share of answers with the status matched that must be right; a query may ask for another."
     )
+
+    @property
+    def searched(self) -> int:
+        """How many views of each channel a search finds."""
+        return max(self.candidates, self.shortlist_from)
 
     def detail_only(self, recipe: DescriptionRecipe) -> int:
         """`detail_only_top_k` when the recipe's cells join the channel detail with others; otherwise 0."""

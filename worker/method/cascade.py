@@ -1,5 +1,6 @@
 """Ranking of a query's candidates: every stage, in order.
 
+0. In a large map, the shortlist: of all views with much the same histograms those whose cells look alike.
 1. Histogram similarity of all candidates, from the distances that the search measured.
 2. For the best of each channel: dense cells at half resolution and the context graph (paper, "Context Graph").
 3. For the best so far: dense cells at full resolution.
@@ -17,7 +18,7 @@ import numpy as np
 from schemas.description import DETAIL, Appearance, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import Candidates, KnownView
-from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, verification
+from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, shortlist, verification
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
@@ -90,7 +91,8 @@ def rank(
     top : int
         How many are returned with their evidence at most.
     reranked : int, optional
-        How many of each channel are re-ranked, in place of ``config.candidates``; 0 ranks by histograms alone.
+        How many of each channel are re-ranked, in place of ``config.candidates`` and without a shortlist; 0 ranks by
+        histograms alone.
     product : Product
         Inner products of dense cells; every implementation gives the same result.
     observe : function
@@ -101,11 +103,13 @@ def rank(
     ViewGone
         A candidate was deleted after the search.
     """
+    appearances: dict[int, Appearance] = {}
+    count = config.candidates if reranked is None else reranked
+    if reranked is None:
+        candidates, appearances = shorten(query, candidates, config, fetch, product, top)
     seqs = [int(seq) for seq in candidates.seqs]
     places = Places(dict(zip(seqs, fetch.known(seqs), strict=True)), config.same_place_m)
-    evidence = compare_histograms(
-        candidates, recipe, config, places, config.candidates if reranked is None else reranked
-    )
+    evidence = compare_histograms(candidates, recipe, config, places, count, appearances)
     observe("histograms", evidence)
     if len(evidence.rows):
         compare_coarse(query, recipe, evidence, fetch, product)
@@ -117,25 +121,62 @@ def rank(
     return fuse(evidence, top)
 
 
+def shorten(
+    query: Description, candidates: Candidates, config: RankingConfig, fetch: Fetch, product: Product, top: int
+) -> tuple[Candidates, dict[int, Appearance]]:
+    """Stage 0: the candidates that are left, and the appearances of those that are to be re-ranked.
+
+    There is no shortlist, and no appearance given, in a map of at most ``config.shortlist_from`` views, or where the
+    distances single out no more than ``config.candidates`` of each channel.
+    """
+    kept = shortlist.nearest(candidates, max(top, config.candidates))
+    large = candidates.searched > config.shortlist_from > config.candidates
+    if not large or not query.appearance.coarse.size:
+        return shortlist.only(candidates, kept), {}
+    looked = shortlist.worth_a_look(candidates, config.candidates, config.shortlist_from)
+    count = config.candidates * len(candidates.ranks)
+    if looked.sum() <= count:
+        return shortlist.only(candidates, kept), {}
+    rows = np.flatnonzero(looked)
+    appearances = fetch.appearances([int(seq) for seq in candidates.seqs[rows]])
+    similarity = shortlist.rough_similarity(query.appearance.coarse, [a.coarse for a in appearances], product)
+    distances = {name: of[rows] for name, of in candidates.distances.items()}
+    stays = shortlist.nearest(candidates, shortlist.GUARANTEED)[rows]
+    chosen = shortlist.shortlist(distances, similarity, stays, count)
+    kept = shortlist.nearest(candidates, top)
+    kept[rows[chosen]] = True
+    return shortlist.only(candidates, kept), {int(candidates.seqs[rows[i]]): appearances[i] for i in chosen}
+
+
 def compare_histograms(
-    candidates: Candidates, recipe: DescriptionRecipe, config: RankingConfig, places: Places, reranked: int
+    candidates: Candidates,
+    recipe: DescriptionRecipe,
+    config: RankingConfig,
+    places: Places,
+    reranked: int,
+    appearances: Mapping[int, Appearance],
 ) -> Evidence:
-    """Stage 1: histogram similarity of all candidates; the best `reranked` of each channel go on to the next stages."""
+    """Stage 1: histogram similarity of all candidates.
+
+    Those of the shortlist go on to the next stages, or else the best `reranked` of each channel.
+    """
     terms = {
         f"histogram.{name}": score_fusion.histogram_similarity(candidates.distances[name], channel)
         for name, channel in recipe.parameters.channels.items()
     }
-    chosen = np.zeros(len(candidates.seqs), np.bool_)
-    for ranks in candidates.ranks.values():
-        chosen |= (ranks > 0) & (ranks <= reranked)
-    return Evidence(candidates, config, places, terms, np.flatnonzero(chosen))
+    chosen = shortlist.nearest(candidates, reranked)
+    if appearances:
+        chosen = np.isin(candidates.seqs, list(appearances))
+    rows = np.flatnonzero(chosen)
+    known = [appearances[int(seq)] for seq in candidates.seqs[rows]] if appearances else []
+    return Evidence(candidates, config, places, terms, rows, known)
 
 
 def compare_coarse(
     query: Description, recipe: DescriptionRecipe, evidence: Evidence, fetch: Fetch, product: Product
 ) -> None:
     """Stage 2, for re-ranked candidates: half-resolution cells (all channels, and detail alone) and context graphs."""
-    evidence.appearances = fetch.appearances(evidence.seqs(evidence.rows))
+    evidence.appearances = evidence.appearances or fetch.appearances(evidence.seqs(evidence.rows))
     ours, config = query.appearance, evidence.config
     if ours.coarse.size:
         coarse = np.stack([a.coarse for a in evidence.appearances])

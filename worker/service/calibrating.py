@@ -248,11 +248,11 @@ class CalibrationService:
             if description is None or now.description.id != record.description.id:
                 raise Conflict(f"the view {view.id} was deleted, or its map was described anew, in the meantime")
             config, fetcher = now.ranking, Fetcher(self._descriptions, self._comparisons, now.description.id)
-            count = max(GROUPED, config.candidates)
+            count = max(GROUPED, config.searched)
             found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
             try:
                 ranking = cascade.rank(
-                    description, found, now.description, config, fetcher, top=0, product=self._product
+                    description, found, now.description, config, fetcher, top=GROUPED, product=self._product
                 )
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
             except ViewGone as error:

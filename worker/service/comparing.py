@@ -171,7 +171,7 @@ class MapComparer:
         return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched)
 
     def _search(self, index: Index, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
-        return index.search(query.vectors, max(2, config.candidates), Selection(None, np.array(sorted(never))))
+        return index.search(query.vectors, max(2, config.searched), Selection(None, np.array(sorted(never))))
 
     def _rank(
         self,
@@ -181,7 +181,7 @@ class MapComparer:
         config: RankingConfig,
         fetcher: Fetcher,
     ) -> Ranking:
-        return cascade.rank(query, found, recipe, config, fetcher, top=0, product=self._product)
+        return cascade.rank(query, found, recipe, config, fetcher, top=2, product=self._product)
 
 
 def _same_spot(ranking: Ranking) -> npt.NDArray[np.intp]:

@@ -279,9 +279,9 @@ class QueryService:
             if record.description.id != recipe.id:
                 raise RecipeChanged
             config = record.ranking
-            reranked = config.candidates if candidates is None else candidates
+            searched = config.searched if candidates is None else candidates
             selection = without(self._listings.select(map_name, filters), gone)
-            found = index.search(description.vectors, max(top, reranked), selection)
+            found = index.search(description.vectors, max(top, searched), selection)
             try:
                 ranked = cascade.rank(
                     description,
@@ -290,7 +290,7 @@ class QueryService:
                     config,
                     Fetcher(self._descriptions, self._comparisons, recipe.id),
                     top=top,
-                    reranked=reranked,
+                    reranked=candidates,
                     product=self._product,
                     observe=watch.observe,
                 )

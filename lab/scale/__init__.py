@@ -1,0 +1,1 @@
+"""Sets among distractors: how well the right view is found in large maps."""
