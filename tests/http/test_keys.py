@@ -198,7 +198,12 @@ def test_probes_need_no_key_and_name_no_map_to_whoever_has_none(
     locked: Locked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def readiness() -> wire.Readiness:
-        return wire.Readiness(ready=True, checks={"database": "ok", "map belfry": "lost its vocabulary"})
+        checks = {"database": "ok", "map belfry": "lost its vocabulary"}
+        return wire.Readiness(
+            ready=True,
+            checks=checks,
+            maps={"belfry": wire.MapReadiness(state="lost its vocabulary", revision=3, indexed=None)},
+        )
 
     monkeypatch.setattr(locked.runtime.recogniser, "readiness", readiness)
     for path in OPEN_PATHS:
@@ -208,7 +213,9 @@ def test_probes_need_no_key_and_name_no_map_to_whoever_has_none(
     assert "belfry" not in locked.call("GET", "/readyz", None).text
     assert "1 cannot be served" in locked.call("GET", "/readyz", None).text
     assert "belfry" not in locked.call("GET", "/readyz", locked.keys.make("other", "admin", "other")).text
-    assert "map belfry" in locked.call("GET", "/readyz", locked.bearer["read"]).json()["checks"]
+    told = locked.call("GET", "/readyz", locked.bearer["read"]).json()
+    assert "map belfry" in told["checks"]
+    assert "belfry" in told["maps"]
 
 
 def test_a_body_is_not_read_before_the_key_is_checked(locked: Locked) -> None:

@@ -52,6 +52,11 @@ def test_a_robot_gets_a_key_works_and_loses_it(tmp_path: Path) -> None:
         assert httpx.post(f"{service.url}/enroll?map=depot", content=image, headers=sent).status_code == 403
         assert httpx.delete(f"{service.url}/maps/campus", headers=sent).status_code == 403
 
+        time_out = time.monotonic() + 20  # the checks are some seconds old
+        while "campus" not in httpx.get(f"{service.url}/readyz", headers=sent).json()["maps"]:
+            assert time.monotonic() < time_out
+        assert "campus" not in httpx.get(f"{service.url}/readyz").text
+
         keys(tmp_path, "revoke", "robot")
         assert refused_after_s(service.url, key, 1.0) < 1.0
         assert httpx.get(f"{service.url}/readyz").status_code == 200

@@ -106,7 +106,8 @@ def _shown(readiness: Readiness, access: Access) -> Readiness:
     hidden = len(readiness.checks) - len(known)
     if hidden:
         known["maps"] = f"{hidden} cannot be served; with a key for them this says which and why"
-    return readiness.model_copy(update={"checks": known})
+    maps = {name: state for name, state in readiness.maps.items() if access.may_use(name)}
+    return readiness.model_copy(update={"checks": known, "maps": maps})
 
 
 async def _maps(lifecycle: Lifecycle, curator: Curator) -> Maps | None:
