@@ -1,13 +1,17 @@
 """A photo that is served back has lost its position, and what was hidden behind it; the place is found all the same."""
 
+import io
 from pathlib import Path
 
+import numpy as np
+import pytest
 from PIL import Image as PilImage
 
 from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from worker.images import stripping
 from worker.runtime import build
 
 SECRET = b"<script>of my garden</script>"
@@ -30,3 +34,19 @@ def test_position_and_polyglot_are_gone_and_the_view_is_found(tmp_path: Path) ->
         answer = client.post("/query?map=m", content=served.content, headers=jpeg).json()
     assert answer["matches"][0]["view"]["id"] == view
     assert answer["query"]["width"] == 64
+
+
+@pytest.mark.parametrize("form", ["tiff", "bmp"])
+def test_an_image_that_another_copy_would_change_is_given_as_png(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Decoders guess where a damaged TIFF or BMP has its pixels: without its metadata it may show something else."""
+    pixels = drawn(96, 64)
+    other = encoded(drawn(96, 64, 1), form)
+    monkeypatch.setattr(stripping, "strip", lambda data, kind: other)
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    with CheckedClient(create_app(runtime)) as client:
+        sent = client.post("/enroll?map=m", content=encoded(pixels, form), headers={"content-type": f"image/{form}"})
+        served = client.get(f"/views/{sent.json()['view']['id']}/image")
+    assert served.headers["content-type"] == "image/png"
+    assert np.array_equal(np.asarray(PilImage.open(io.BytesIO(served.content))), np.asarray(pixels))
