@@ -96,9 +96,13 @@ class Town:
     def settle(self, view_id: str) -> dict[str, Any]:
         """Wait until a view that was set aside is described again; one failed for good fails the test."""
         until = time.monotonic() + 60
-        while (record := self.runtime.store.views.get(view_id)).state != "ready":
+        while True:
+            waiting = self.runtime.store.jobs.count_waiting(redescriptions=True)  # first: the last one ends meanwhile
+            record = self.runtime.store.views.get(view_id)
+            if record.state == "ready":
+                break
+            assert waiting, record.failure
             assert time.monotonic() < until, record.failure
-            assert self.runtime.store.jobs.count_waiting(redescriptions=True), record.failure
             threading.Event().wait(0.02)
         body: dict[str, Any] = self.client.get(f"/views/{view_id}").json()
         return body
