@@ -1,5 +1,7 @@
 """Keys are kept as hashes, ended for ever, and restrict what lists show."""
 
+import sqlite3
+from contextlib import closing
 from datetime import timedelta
 
 import pytest
@@ -10,6 +12,7 @@ from schemas.records import Filters
 from tests.storage.conftest import Open
 from tests.storage.material import NOW, enroll
 from worker.service.keys import KeyService
+from worker.storage.examining import examine
 from worker.storage.store import SqlStore
 
 
@@ -83,3 +86,27 @@ def test_lists_show_the_maps_that_are_allowed(store: SqlStore) -> None:
         "depot",
         "attic",
     }
+
+
+@pytest.mark.parametrize(
+    "change", ["maps = 'no JSON'", 'maps = \'["a", "c"]\'', "scope = 'admin'", "digest = x'00'", "created_at = 'never'"]
+)
+def test_a_damaged_key_opens_nothing_and_leaves_the_others_in_force(
+    store: SqlStore, database_url: str, change: str
+) -> None:
+    """Nor does it open the service, when it is the only one: it counts as revoked."""
+    if not database_url.startswith("sqlite"):
+        pytest.skip("damage is made by hand in a SQLite file")
+    keys = KeyService(store.keys)
+    _, damaged = keys.create("robot", "read", NOW, maps=["a", "b"])
+    with closing(sqlite3.connect(str(store._data / "revisit.db"))) as connection, connection:
+        connection.execute(f"UPDATE keys SET {change}")
+    _, whole = keys.create("console", "admin", NOW)
+
+    ring = keys.read()
+    with pytest.raises(Unauthorized):
+        ring.access(damaged, NOW)
+    assert ring.access(whole, NOW).key == "console"
+    keys.revoke("console", NOW)
+    assert keys.read().closed
+    assert [finding.where for finding in examine(database_url, store._data)] == ["key robot"]

@@ -24,6 +24,7 @@ from worker.storage.tables import (
     DESCRIPTIONS,
     JOBS,
     KEYPOINTS,
+    KEYS,
     MAPS,
     TOMBSTONES,
     VECTORS,
@@ -51,6 +52,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     JOBS.name: _but(JOBS),
     TOMBSTONES.name: _but(TOMBSTONES),
     CALLS.name: _but(CALLS),
+    KEYS.name: _but(KEYS),
     CLOCK.name: _but(CLOCK),
     **{table.name: _but(table) for table in BODIES},
 }

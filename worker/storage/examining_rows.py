@@ -22,6 +22,7 @@ from worker.storage.tables import (
     COMPARISONS,
     DESCRIPTIONS,
     JOBS,
+    KEYS,
     MAPS,
     METADATA_PAIRS,
     RECIPES,
@@ -53,6 +54,7 @@ def row_findings(engine: sa.Engine, owners: dict[str, str]) -> Iterator[Finding]
                     yield row
                 elif row.checksum is None or not checksums.is_whole(table, row, row.checksum):
                     yield _dispensable(table, row)
+        yield from _keys(connection)
         for row in scan(connection, VOCABULARIES):
             if isinstance(row, Finding):
                 yield row
@@ -253,6 +255,20 @@ def _describe_again(seq: int, recipe: str) -> Mend:
         return "it is failed and queued to be described again from its image" if told else "mended already"
 
     return mend
+
+
+def _keys(connection: sa.Connection) -> Iterator[Finding]:
+    """Damaged keys: never removed, since a service without any key asks nobody for one."""
+    for row in scan(connection, KEYS):
+        if isinstance(row, Finding):
+            yield row
+        elif row.checksum is None or not checksums.is_whole(KEYS, row, row.checksum):
+
+            def mend(connection: sa.Connection, key_id: str = row.id) -> str:
+                connection.execute(sa.update(KEYS).where(KEYS.c.id == key_id).values(revoked_at=datetime.now(UTC)))
+                return "revoked: make another with `./revisit keys create`"
+
+            yield Finding(f"key {row.name}", "does not fit its checksum; it lets nobody in", REPAIR, mend)
 
 
 def _dispensable(table: sa.Table, row: sa.Row[Any]) -> Finding:

@@ -1,6 +1,7 @@
 """API keys: their hashes, and what each allows."""
 
 import json
+import logging
 from datetime import datetime
 from typing import Any
 
@@ -8,17 +9,32 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict, NotFound
 from schemas.keys import KeyRecord, Rates
+from worker.storage import checksums
+from worker.storage.columns import NEVER
+from worker.storage.database import Database
+from worker.storage.image_files import Images
 from worker.storage.part import Part
 from worker.storage.tables import KEYS
+
+log = logging.getLogger("revisit")
 
 
 class Keys(Part):
     """See `worker.service.keys.KeyStore`."""
 
+    def __init__(self, database: Database, images: Images) -> None:
+        super().__init__(database, images)
+        self._told: set[str] = set()  # damaged keys that the log has
+
     def all(self) -> list[KeyRecord]:
-        """All keys, also those that are no longer in force, oldest first."""
+        """All keys, also those that are no longer in force, oldest first; a damaged one counts as revoked."""
         with self._database.reading() as connection:
-            return [_record(row) for row in connection.execute(sa.select(KEYS).order_by(KEYS.c.created_at, KEYS.c.id))]
+            rows = list(connection.execute(sa.select(KEYS).order_by(KEYS.c.created_at, KEYS.c.id)))
+        damaged = {row.id for row in rows if not checksums.is_whole(KEYS, row, row.checksum)}
+        for key_id in damaged - self._told:  # once: the keys are read every second
+            log.error("the key %s is damaged and lets nobody in; revoke it and make another", key_id)
+        self._told |= damaged
+        return [_record(row) for row in rows]
 
     def add(self, record: KeyRecord) -> None:
         """Keep a new key; raises Conflict when a key in force has its name."""
@@ -65,6 +81,8 @@ class Keys(Part):
 
 
 def _record(row: sa.Row[Any]) -> KeyRecord:
+    if not checksums.is_whole(KEYS, row, row.checksum):
+        return KeyRecord(str(row.id), str(row.name), b"", "read", (), Rates(), NEVER, revoked_at=NEVER)
     return KeyRecord(
         id=row.id,
         name=row.name,

@@ -10,9 +10,9 @@ from typing import Any
 import sqlalchemy as sa
 
 from worker.storage import checksums
-from worker.storage.tables import CALLS, CLOCK, COMPARISONS, JOBS, MAPS, TOMBSTONES
+from worker.storage.tables import CALLS, CLOCK, COMPARISONS, JOBS, KEYS, MAPS, TOMBSTONES
 
-SEALED = (MAPS, COMPARISONS, JOBS, TOMBSTONES, CALLS, CLOCK)
+SEALED = (MAPS, COMPARISONS, JOBS, TOMBSTONES, CALLS, CLOCK, KEYS)
 
 _KEY = "written_tables"
 

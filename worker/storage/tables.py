@@ -254,7 +254,7 @@ KEYS = sa.Table(
     METADATA,
     sa.Column("id", sa.Text, primary_key=True),
     sa.Column("name", sa.Text, nullable=False),
-    sa.Column("digest", sa.LargeBinary, nullable=False),  # SHA-256
+    sa.Column("digest", Body, nullable=False),  # SHA-256
     sa.Column("scope", sa.Text, nullable=False),
     sa.Column("maps", sa.Text),  # JSON; NULL: all
     sa.Column("requests_per_minute", sa.Integer),  # NULL: as the settings say, like the next two
@@ -264,4 +264,6 @@ KEYS = sa.Table(
     sa.Column("expires_at", UtcDateTime),
     sa.Column("revoked_at", UtcDateTime),  # kept, so that revoking the last key does not open the service
     sa.Column("last_used_at", UtcDateTime),
+    _seal(),
+    _unsealed("keys", "id"),
 )

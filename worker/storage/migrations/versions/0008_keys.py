@@ -28,4 +28,7 @@ def upgrade() -> None:
         sa.Column("expires_at", UtcDateTime),
         sa.Column("revoked_at", UtcDateTime),
         sa.Column("last_used_at", UtcDateTime),
+        sa.Column("checksum", sa.BigInteger),
     )
+    missing = sa.text("checksum IS NULL")
+    op.create_index("keys_unsealed", "keys", ["id"], sqlite_where=missing, postgresql_where=missing)
