@@ -124,6 +124,29 @@ def test_images_of_rows_that_a_damaged_log_lost_are_not_swept_away(
     assert "doctor --repair" in caplog.text
 
 
+@pytest.mark.parametrize("page", [0, 100, 8192])
+def test_a_log_whose_last_frame_is_unfinished_is_that_of_a_killed_process(
+    store: SqlStore, data: Path, tmp_path: Path, page: int
+) -> None:
+    """The images of its enrolments that were never acknowledged are swept as after any crash."""
+    enroll(store, "pond")
+    orphan = Images(data / "pictures", owned=lambda digests: set(digests))
+    with pytest.raises(PowerCut), orphan.kept(facts(image("gate")).sha256, image("gate")):
+        raise PowerCut
+    copy = tmp_path / "data"
+    shutil.copytree(data, copy)
+    log = copy / "revisit.db-wal"
+    content = log.read_bytes()
+    # One more frame of this round: its header, and a part of its page or what an earlier round left there.
+    log.write_bytes(content + content[32:56] + bytes(page))
+
+    opened = open_store(sqlite_url(copy), copy)
+    opened.recover()
+    opened.close()
+
+    assert [path.name for path in files(copy)] == [facts(image("pond")).sha256]
+
+
 def test_a_crash_while_writing_leaves_an_unfinished_file_that_recovery_sweeps(store: SqlStore, data: Path) -> None:
     enroll(store, "gate")
     [whole] = files(data)

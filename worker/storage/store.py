@@ -211,8 +211,9 @@ def _folders(database: Database, data: Path) -> list[Path]:
 
 
 def _log_fault(database: Database) -> str | None:
-    """What is wrong with the log of a SQLite file that was not closed, or None."""
+    """What is wrong with the log of a SQLite file, or None, also for a last frame that is unfinished."""
     file = database.engine.url.database
     if not dialect.is_file(database.engine) or not file:
         return None
-    return wal.fault(Path(file).with_name(Path(file).name + "-wal"))
+    fault = wal.fault(Path(file).with_name(Path(file).name + "-wal"))
+    return None if fault == wal.UNFINISHED else fault

@@ -14,6 +14,9 @@ _HEADER = Struct(">8I")  # magic, format, page size, sequence, two salts, two ch
 _FRAME = Struct(">6I")  # page, pages after a commit (0: none), two salts, two checksums
 _MAGIC = (0x377F0682, 0x377F0683)
 
+UNFINISHED = "its last frame is unfinished or damaged; if that was a commit, it is lost"
+"""As a process that was killed while it wrote leaves it, so that nothing that was acknowledged needs to be missing."""
+
 
 def fault(path: Path) -> str | None:
     """What is wrong with a log, or None; an absent or empty one is whole."""
@@ -35,18 +38,25 @@ def fault(path: Path) -> str | None:
         frame = log[start : start + size]
         if len(frame) < _FRAME.size or list(_FRAME.unpack_from(frame)[2:4]) != salts:
             # The frames of an earlier round of the log follow, or a part of one: unless commits of this round do.
-            later = range(start + size, len(log) - _FRAME.size, size)
-            if any(list(_FRAME.unpack_from(log, at)[2:4]) == salts for at in later):
+            if _goes_on(log, start + size, size, salts):
                 return f"frame {(start - _HEADER.size) // size + 1} is damaged; commits after it cannot be read"
-            return "it ends within a frame; its last commit is lost" if len(frame) < _FRAME.size else None
+            return UNFINISHED if len(frame) < _FRAME.size else None
         found = _FRAME.unpack_from(frame)
         sums = _sums(frame[:8] + frame[_FRAME.size :], sums, order) if len(frame) == size else (-1, -1)
+        if sums != tuple(found[4:]) and not _goes_on(log, start + size, size, salts):
+            return UNFINISHED
         if sums != tuple(found[4:]):
             return (
                 f"frame {(start - _HEADER.size) // size + 1} of {-(-(len(log) - _HEADER.size) // size)} is damaged; "
                 "commits from it on cannot be read"
             )
     return None
+
+
+def _goes_on(log: bytes, start: int, size: int, salts: list[int]) -> bool:
+    """Whether any later frame is of the round with these salts."""
+    later = range(start, len(log) - _FRAME.size, size)
+    return any(list(_FRAME.unpack_from(log, at)[2:4]) == salts for at in later)
 
 
 def _sums(data: bytes, sums: tuple[int, int], order: str) -> tuple[int, int]:
