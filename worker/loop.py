@@ -108,7 +108,7 @@ class Loop:
     decode : function
         Bytes to Image; raises BadImage.
     name : str
-        Of this worker, written to leases.
+        Of this worker, written to its claims.
     batch : int
         Images encoded together.
     trouble : StoringTrouble
@@ -180,7 +180,7 @@ class Loop:
         self.wake_all()
         if self._thread.is_alive():
             self._thread.join()
-        if self._map_thread.is_alive():  # a job in a long step is claimed again after its lease
+        if self._map_thread.is_alive():  # a job in a long step goes back when this worker signs off
             self._map_thread.join(MAP_JOB_PATIENCE_S)
 
     def run(self) -> None:

@@ -212,9 +212,8 @@ def decide(
     [unrivalled] = calibration.probabilities([features(scores[0], least, usual)])
     outrivalled = rival is not None and unrivalled >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
-        unlike = best_unlike(ranking)
-        alone = features(scores[0], max(least, unlike), usual)
-        if calibration.probabilities([alone])[0] >= threshold:
+        together = features(scores[0], max(least, best_unlike(ranking)), usual)
+        if calibration.probabilities([together])[0] >= threshold:
             status = "ambiguous"
     reason = _reason(status, outrivalled, searched)
     if not measured_alike:

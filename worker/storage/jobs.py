@@ -1,4 +1,4 @@
-"""Describe jobs: claimed under a lease, finished once, failed after three attempts."""
+"""Describe jobs: claimed by a worker, finished once, failed after three attempts."""
 
 import secrets
 from datetime import datetime, timedelta

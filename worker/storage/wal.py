@@ -43,9 +43,9 @@ def fault(path: Path) -> str | None:
             return UNFINISHED if len(frame) < _FRAME.size else None
         found = _FRAME.unpack_from(frame)
         sums = _sums(frame[:8] + frame[_FRAME.size :], sums, order) if len(frame) == size else (-1, -1)
-        if sums != tuple(found[4:]) and not _goes_on(log, start + size, size, salts):
-            return UNFINISHED
         if sums != tuple(found[4:]):
+            if not _goes_on(log, start + size, size, salts):
+                return UNFINISHED
             return (
                 f"frame {(start - _HEADER.size) // size + 1} of {-(-(len(log) - _HEADER.size) // size)} is damaged; "
                 "commits from it on cannot be read"
