@@ -6,7 +6,6 @@ acknowledged, is never found after its deletion, and no answer holds anything of
 
 import sys
 import threading
-import time
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -18,9 +17,9 @@ from lab.faults.callers import APART
 from lab.faults.drawn import TYPE, digest, image
 from lab.faults.enrolling import LABELS, LIGHT
 from lab.faults.ledger import Violation, require
-from lab.faults.live_service import LiveService
+from lab.faults.live_service import LiveService, timed_service
 from lab.faults.process import client
-from lab.faults.run import Tally, data_folder, parser, seed_of
+from lab.faults.run import Tally, parser, seed_of
 
 SHARED = "shared"
 MOST = 8
@@ -147,14 +146,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--minutes", type=float, default=10, help="(default: 10)")
     arguments = options.parse_args(argv)
     tally = Tally("clients", seed_of(arguments))
-    began = time.monotonic()
-    with data_folder(arguments.folder) as data:
-        served = LiveService(data, tally.counts)
-        try:
-            tally.violations += churn(served, arguments.clients, 60 * arguments.minutes, tally.seed, tally.counts)
-        finally:
-            served.close()
-    tally.seconds = time.monotonic() - began
+    with timed_service(tally, arguments.folder) as served:
+        tally.violations += churn(served, arguments.clients, 60 * arguments.minutes, tally.seed, tally.counts)
     return tally.finish()
 
 

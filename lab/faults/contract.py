@@ -5,7 +5,6 @@ declared status, content type, headers and schema, and a refusal of what does no
 """
 
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -30,8 +29,8 @@ from schemathesis.specs.openapi.checks import (
 
 from lab.faults.drawn import TYPE, image
 from lab.faults.enrolling import LABELS, LIGHT
-from lab.faults.live_service import LiveService
-from lab.faults.run import Tally, data_folder, parser, seed_of
+from lab.faults.live_service import LiveService, timed_service
+from lab.faults.run import Tally, parser, seed_of
 
 CHECKS = [
     not_a_server_error,
@@ -210,19 +209,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--examples", type=int, default=300, help="calls of each operation and kind (default: 300)")
     arguments = options.parse_args(argv)
     tally = Tally("contract", seed_of(arguments))
-    began = time.monotonic()
-    with data_folder(arguments.folder) as data:
-        served = LiveService(data, tally.counts)
-        try:
 
-            def report(operation: str, text: str) -> None:
-                tally.violations.append(f"{operation}: {text}")
-                print(f"VIOLATION: {operation}: {text}", file=sys.stderr, flush=True)
+    def report(operation: str, text: str) -> None:
+        tally.violations.append(f"{operation}: {text}")
+        print(f"VIOLATION: {operation}: {text}", file=sys.stderr, flush=True)
 
-            try_contract(served, served.json("/openapi.json"), tally.seed, arguments.examples, tally.counts, report)
-        finally:
-            served.close()
-    tally.seconds = time.monotonic() - began
+    with timed_service(tally, arguments.folder) as served:
+        try_contract(served, served.json("/openapi.json"), tally.seed, arguments.examples, tally.counts, report)
     return tally.finish()
 
 

@@ -2,7 +2,8 @@
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import httpx
 from lab.faults.injected import set_clock
 from lab.faults.ledger import Violation, require
 from lab.faults.process import TOLD, Running, client, serve
+from lab.faults.run import Tally, data_folder
 
 SETTLE_S = 60.0
 """Seconds within which a few images must be described."""
@@ -105,3 +107,28 @@ class LiveService:
         while pending := sum(facts["views"]["pending"] for facts in self.json("/maps")["maps"]):
             require(time.monotonic() < until, f"{pending} views are still pending after {SETTLE_S:.0f} s")
             time.sleep(0.005)
+
+
+@contextmanager
+def timed_service(
+    tally: Tally, folder: Path | None, settings: Mapping[str, str] | None = None
+) -> Iterator[LiveService]:
+    """A service on a data folder of its own during a block, whose seconds go to the tally.
+
+    Parameters
+    ----------
+    tally : Tally
+        Gets the starts too.
+    folder : Path or None
+        Where the data folder is made; None: in memory.
+    settings : mapping of str to str, optional
+        Further ``REVISIT_*`` variables.
+    """
+    began = time.monotonic()
+    with data_folder(folder) as data:
+        service = LiveService(data, tally.counts, settings=settings)
+        try:
+            yield service
+        finally:
+            service.close()
+    tally.seconds = time.monotonic() - began

@@ -21,9 +21,9 @@ import psutil
 from lab.faults.drawn import TYPE, image
 from lab.faults.enrolling import LABELS, LIGHT
 from lab.faults.ledger import Violation, require
-from lab.faults.live_service import LiveService
+from lab.faults.live_service import LiveService, timed_service
 from lab.faults.process import client
-from lab.faults.run import Progress, Tally, data_folder, parser, seed_of
+from lab.faults.run import Progress, Tally, parser, seed_of
 
 LOADS = 3
 VIEWS = 30
@@ -225,15 +225,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--minutes", type=float, default=30, help="(default: 30)")
     arguments = options.parse_args(argv)
     tally = Tally("soak", seed_of(arguments))
-    began = time.monotonic()
-    with data_folder(arguments.folder) as data:
-        served = LiveService(data, tally.counts, settings=SETTINGS)
-        try:
-            lines, wrong = soak(served, arguments.minutes, tally.seed, tally.counts)
-        finally:
-            served.close()
+    with timed_service(tally, arguments.folder, SETTINGS) as served:
+        lines, wrong = soak(served, arguments.minutes, tally.seed, tally.counts)
     tally.violations += wrong
-    tally.seconds = time.monotonic() - began
     print("\n".join(lines))
     return tally.finish()
 
