@@ -178,7 +178,7 @@ class QueryAnswer(Answer):
     recipe: str = Field(description="Id of the description recipe.")
     ranking: str = Field(description="Id of the ranking.")
     searched: int
-    pending: int = Field(description="Views of the map that were acknowledged and are not described yet.")
+    pending: int = Field(description="Views of the map acknowledged but not described when the search began.")
     status: Literal["matched", "ambiguous", "no_match"]
     confidence: float = Field(description="Probability that the first place is right.", ge=0, le=1)
     reason: Reason

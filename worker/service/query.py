@@ -275,6 +275,8 @@ class QueryService:
         rounds = 0
         while rounds < ROUNDS:
             watch = _Stopwatch(observe)
+            # Counted first: a view described between the two reads is found and counted, never neither.
+            pending = self._queue.count_pending(map_name)
             index, record = self._catalogue.index(map_name)
             if record.description.id != recipe.id:
                 raise RecipeChanged
@@ -313,7 +315,7 @@ class QueryService:
                 ranking=ranked,
                 rival=None if ranked.opposed is None else scored[-1],
                 levels=self._levels_of(record),
-                pending=self._queue.count_pending(map_name),
+                pending=pending,
                 revision=found.revision,
                 recipe=record.recipe,
                 calibration=self._calibration(record),

@@ -31,7 +31,7 @@ class RankedResults:
     levels : MapLevels
         Of the map.
     pending : int
-        Views of the map that were acknowledged and are not described yet.
+        Views of the map that were acknowledged and not described yet when the search began.
     revision : int
     recipe : MapRecipe
     calibration : Calibration

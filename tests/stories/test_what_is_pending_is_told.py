@@ -1,0 +1,44 @@
+"""A view that nobody waited for is in the answer to a query, or the answer says that views are pending."""
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from app.http.application import create_app
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.sample_images import photo
+from worker.runtime import build
+
+JPEG = {"content-type": "image/jpeg"}
+PATIENCE_S = 20.0
+
+
+def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path) -> None:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    allowed = threading.Event()
+    claim, index = runtime.store.jobs.claim, runtime.catalogue.index
+
+    def held_back(*arguments: Any) -> Any:
+        return claim(*arguments) if allowed.is_set() else []
+
+    def described_meanwhile(name: str) -> Any:
+        brought_up_to_date = index(name)
+        allowed.set()
+        deadline = time.monotonic() + PATIENCE_S
+        while runtime.store.jobs.count_pending(name) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return brought_up_to_date
+
+    runtime.store.jobs.claim = held_back  # type: ignore[method-assign]
+    runtime.catalogue.index = described_meanwhile  # type: ignore[method-assign]
+    with CheckedClient(create_app(runtime)) as client:
+        kept = client.post("/enroll?wait=false", content=photo(1), headers=JPEG)
+        amid = client.post("/query", content=photo(1), headers=JPEG).json()
+        after = client.post("/query", content=photo(1), headers=JPEG).json()
+
+    assert kept.status_code == 202
+    assert (amid["matches"], amid["pending"]) == ([], 1)
+    assert [match["view"]["id"] for match in after["matches"]] == [kept.json()["view"]["id"]]
+    assert after["pending"] == 0
