@@ -152,6 +152,17 @@ ROUNDED_UP = RankingConfig(
 """Scaled down to the least score of the re-ranked ones, a view that is not came out above it by the last bit."""
 
 
+HISTOGRAMS_ALONE = RankingConfig(
+    candidates=0,
+    weights=TermWeights(verification=1.0),
+    graph_cosine=0.7,
+    graph_max_edge=0.5,
+)
+"""With one view asked for, only the nearest by each channel were looked at, and not one that is near by both."""
+
+
+@example(HISTOGRAMS_ALONE, [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.25, 0.25)], 1, False)
+@example(HISTOGRAMS_ALONE, [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)], 1, False)
 @example(ROUNDED_UP, [(0.0, 0.0, 0.0), (0.8, 0.3125, 1.33984375), (0.0, 1.0, 0.0), (0.0, 1.5, 0.9921875)], 4, False)
 @given(
     rankings(),

@@ -243,7 +243,7 @@ def test_damaged_facts_of_a_description(town: Town, column: str, value: object) 
         ("captured_at", "2026-13-41 99:00:00"),
         ("enrolled_at", b"\x00"),
         ("sha256", "0" * 64),
-        ("sha256", "../../../../etc/passwd"),
+        ("sha256", "../../../../etc/no-such-file"),
         ("width", 0),
         ("height", "tall"),
         ("format", "gif"),
@@ -329,3 +329,15 @@ def test_a_damaged_job_is_listed_as_that(town: Town) -> None:
     listed = {job["id"]: job for job in town.client.get("/jobs").json()["jobs"]}
     assert listed[last["id"]]["state"] == "failed"
     assert [job["state"] for key, job in listed.items() if key != last["id"]] == ["done"] * 3
+
+
+def test_a_damaged_row_deletes_no_file_that_is_not_an_image(town: Town, tmp_path: Path) -> None:
+    bystander = tmp_path / "bystander"
+    bystander.write_text("not of this service")
+    view = town.enroll()[2]
+    town.damage(VIEWS, f"seq = {town.seq(view)}", sha256=str(bystander))
+    before = sorted(tmp_path.rglob("*"))
+
+    assert town.client.delete(f"/views/{view}").status_code == 200
+    assert bystander.read_text() == "not of this service"
+    assert sorted(tmp_path.rglob("*")) == before

@@ -5,6 +5,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from app.http.application import create_app
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
@@ -15,7 +17,7 @@ JPEG = {"content-type": "image/jpeg"}
 PATIENCE_S = 20.0
 
 
-def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path) -> None:
+def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
     allowed = threading.Event()
     claim, index = runtime.store.jobs.claim, runtime.catalogue.index
@@ -31,8 +33,8 @@ def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path) -> N
             time.sleep(0.01)
         return brought_up_to_date
 
-    runtime.store.jobs.claim = held_back  # type: ignore[method-assign]
-    runtime.catalogue.index = described_meanwhile  # type: ignore[method-assign]
+    monkeypatch.setattr(runtime.store.jobs, "claim", held_back)
+    monkeypatch.setattr(runtime.catalogue, "index", described_meanwhile)
     with CheckedClient(create_app(runtime)) as client:
         kept = client.post("/enroll?wait=false", content=photo(1), headers=JPEG)
         amid = client.post("/query", content=photo(1), headers=JPEG).json()

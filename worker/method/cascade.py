@@ -61,6 +61,10 @@ class Fetch(Protocol):
 Observe = Callable[[str, Evidence], None]
 """Called after each stage with its name and the evidence so far, for measurements."""
 
+LISTED = 100
+"""Views of each channel that an answer can list. Not as many as are asked for: whether a view is a candidate, and so
+the order, does not depend on how many are wanted."""
+
 STAGES = ("histograms", "coarse", "full", "verification")
 """Names that `Observe` is called with, in order."""
 
@@ -106,10 +110,8 @@ def rank(
     appearances: dict[int, Appearance] = {}
     count = config.candidates if reranked is None else reranked
     if reranked is None:
-        candidates, appearances = shorten(query, candidates, config, fetch, product, top)
-    seqs = [int(seq) for seq in candidates.seqs]
-    places = Places(dict(zip(seqs, fetch.known(seqs), strict=True)), config.same_place_m)
-    evidence = compare_histograms(candidates, recipe, config, places, count, appearances)
+        candidates, appearances = shorten(query, candidates, config, fetch, product)
+    evidence = compare_histograms(candidates, recipe, config, fetch, count, appearances)
     observe("histograms", evidence)
     if len(evidence.rows):
         compare_coarse(query, recipe, evidence, fetch, product)
@@ -118,18 +120,18 @@ def rank(
         observe("full", evidence)
         verify(query, evidence, fetch)
     observe("verification", evidence)
-    return fuse(evidence, top)
+    return fuse(evidence, top, fetch)
 
 
 def shorten(
-    query: Description, candidates: Candidates, config: RankingConfig, fetch: Fetch, product: Product, top: int
+    query: Description, candidates: Candidates, config: RankingConfig, fetch: Fetch, product: Product
 ) -> tuple[Candidates, dict[int, Appearance]]:
     """Stage 0: the candidates that are left, and the appearances of those that are to be re-ranked.
 
     There is no shortlist, and no appearance given, in a map of at most ``config.shortlist_from`` views, or where the
     distances single out no more than ``config.candidates`` of each channel.
     """
-    kept = shortlist.nearest(candidates, max(top, config.candidates))
+    kept = shortlist.nearest(candidates, max(LISTED, config.candidates))
     large = candidates.searched > config.shortlist_from > config.candidates
     if not large or not query.appearance.coarse.size:
         return shortlist.only(candidates, kept), {}
@@ -143,7 +145,7 @@ def shorten(
     distances = {name: of[rows] for name, of in candidates.distances.items()}
     stays = shortlist.nearest(candidates, shortlist.GUARANTEED)[rows]
     chosen = shortlist.shortlist(distances, similarity, stays, count)
-    kept = shortlist.nearest(candidates, top)
+    kept = shortlist.nearest(candidates, LISTED)
     kept[rows[chosen]] = True
     return shortlist.only(candidates, kept), {int(candidates.seqs[rows[i]]): appearances[i] for i in chosen}
 
@@ -152,7 +154,7 @@ def compare_histograms(
     candidates: Candidates,
     recipe: DescriptionRecipe,
     config: RankingConfig,
-    places: Places,
+    fetch: Fetch,
     reranked: int,
     appearances: Mapping[int, Appearance],
 ) -> Evidence:
@@ -168,8 +170,10 @@ def compare_histograms(
     if appearances:
         chosen = np.isin(candidates.seqs, list(appearances))
     rows = np.flatnonzero(chosen)
-    known = [appearances[int(seq)] for seq in candidates.seqs[rows]] if appearances else []
-    return Evidence(candidates, config, places, terms, rows, known)
+    seqs = [int(seq) for seq in (candidates.seqs[rows] if len(rows) else candidates.seqs)]
+    places = Places(dict(zip(seqs, fetch.known(seqs), strict=True)), config.same_place_m)
+    taken = [appearances[seq] for seq in seqs] if appearances else []
+    return Evidence(candidates, config, places, terms, rows, taken)
 
 
 def compare_coarse(
@@ -233,7 +237,7 @@ def verify(query: Description, evidence: Evidence, fetch: Fetch) -> None:
     evidence.put("verification", first, verification.gated_bonus([one.inliers for one in verified]))
 
 
-def fuse(evidence: Evidence, top: int) -> Ranking:
+def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
     """Stage 5: candidates by score, re-ranked ones before all others; the first `top` with their evidence."""
     candidates = evidence.candidates
     score, parts = score_fusion.score(evidence.terms, evidence.config, evidence.rows)
@@ -241,7 +245,9 @@ def fuse(evidence: Evidence, top: int) -> Ranking:
     inliers, matches = np.full((2, len(order)), -1, np.intp)
     for row, verified in evidence.verified.items():
         inliers[row], matches[row] = verified.inliers, verified.matches
-    places, seqs = evidence.places, [int(seq) for seq in candidates.seqs[order]]
+    seqs = [int(seq) for seq in candidates.seqs[order]]
+    behind = seqs[len(evidence.rows) : top] if len(evidence.rows) else []
+    places = evidence.places.joined(dict(zip(behind, fetch.known(behind), strict=True)))
     among = range(1, len(evidence.rows) or len(seqs))
     rivals = [i for i in among if places.apart(seqs[0], seqs[i])]
     others = ENOUGH_PLACES

@@ -121,6 +121,7 @@ class Ranking:
     reranked : int
         How many were re-ranked: the first ones.
     places : Places
+        Of those that were re-ranked and of `first`; of all, when none was re-ranked.
     others : int
         Number of other places than the first one's, counted up to `worker.method.places.ENOUGH_PLACES`.
     rival : int or None
@@ -155,7 +156,7 @@ class Evidence:
     candidates : Candidates
     config : RankingConfig
     places : Places
-        Of the candidates.
+        Of the candidates that are re-ranked; of all, when none is.
     terms : dict of term to float32 of shape (candidates,)
         0..1; zero where a candidate was not compared.
     rows : intp of shape (reranked,)

@@ -36,6 +36,10 @@ class Places:
     def __init__(self, known: Mapping[int, KnownView], same_place_m: float) -> None:
         self._known, self._within = known, same_place_m
 
+    def joined(self, known: Mapping[int, KnownView]) -> "Places":
+        """These views and further ones."""
+        return Places({**self._known, **known}, self._within)
+
     def positions(self) -> list[Position]:
         """Positions of all the views."""
         return [view.position for view in self._known.values()]

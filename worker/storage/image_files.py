@@ -101,9 +101,13 @@ class Images:
         return image
 
     def discard(self, digests: Iterable[str]) -> int:
-        """Remove images that no view needs, after their rows were deleted; returns how many."""
+        """Remove images that no view needs, after their rows were deleted; returns how many.
+
+        What is no digest comes from a damaged row and names no image; as a path it could be that of any file.
+        """
         removed = 0
-        for first, group in groupby(sorted(set(digests)), key=lambda digest: digest[:2]):
+        named = {digest for digest in digests if DIGEST.fullmatch(digest)}
+        for first, group in groupby(sorted(named), key=lambda digest: digest[:2]):
             with self._locked(first):
                 removed += self._discard(list(group))
         return removed
@@ -116,10 +120,13 @@ class Images:
                 for unfinished in folder.glob(UNFINISHED + "*"):
                     unfinished.unlink()
                     removed += 1
-                removed += self._discard([path.name for path in folder.glob("[0-9a-f][0-9a-f]/*")])
+                names = (path.name for path in folder.glob("[0-9a-f][0-9a-f]/*"))
+                removed += self._discard([name for name in names if DIGEST.fullmatch(name)])
         return removed
 
     def _path(self, digest: str) -> Path:
+        if not DIGEST.fullmatch(digest):
+            raise ValueError(f"{digest!r} is no SHA-256")
         return self._folder / digest[:2] / digest[2:4] / digest
 
     @contextmanager
