@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.storage.databases import POSTGRES, data_folder, postgres_schema, sqlite_url
+from tests.storage.databases import DATABASES, data_folder, postgres_schema, sqlite_url
 from worker.storage.store import SqlStore, open_store
 
 Open = Callable[[], SqlStore]
@@ -18,14 +18,13 @@ def data() -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(params=["sqlite", "postgresql"] if POSTGRES else ["sqlite"])
+@pytest.fixture(params=DATABASES)
 def database_url(request: pytest.FixtureRequest, data: Path) -> Iterator[str]:
-    """URL of an empty database; PostgreSQL too when REVISIT_TEST_POSTGRES has the URL of one."""
+    """URL of an empty database."""
     if request.param == "sqlite":
         yield sqlite_url(data)
         return
-    assert POSTGRES is not None
-    with postgres_schema(POSTGRES) as url:
+    with postgres_schema() as url:
         yield url
 
 

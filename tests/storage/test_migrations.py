@@ -162,6 +162,7 @@ def test_maps_of_a_build_before_the_first_release_are_refused(database_url: str,
     with database.writing() as connection:
         connection.execute(sa.text("DELETE FROM maps"))
     database.close()
+    migrate(database_url, data)
     open_store(database_url, data).close()
 
 

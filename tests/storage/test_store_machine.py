@@ -23,7 +23,7 @@ from hypothesis.stateful import (
 from schemas.errors import Conflict, LeaseLost
 from schemas.recipe import MapRecipe
 from schemas.records import Claim, Filters, ViewAttributes
-from tests.storage.databases import POSTGRES, data_folder, postgres_schema, sqlite_url
+from tests.storage.databases import data_folder, postgres_schema, sqlite_url
 from tests.storage.material import LEASE, NOW, Follower, enroll, finish, image, recipe, vector
 from worker.storage.store import open_store
 
@@ -274,13 +274,12 @@ class PostgresMachine(StoreMachine):
     """The same life on PostgreSQL."""
 
     def database(self) -> AbstractContextManager[str]:
-        assert POSTGRES is not None
-        return postgres_schema(POSTGRES)
+        return postgres_schema()
 
 
 EXAMPLES = settings(max_examples=10, stateful_step_count=25, deadline=None, suppress_health_check=list(HealthCheck))
 
 
-@pytest.mark.parametrize("machine", [StoreMachine, PostgresMachine] if POSTGRES else [StoreMachine])
+@pytest.mark.parametrize("machine", [StoreMachine, PostgresMachine])
 def test_a_store_and_a_dict_that_live_the_same_life_agree(machine: type[StoreMachine]) -> None:
     run_state_machine_as_test(machine, settings=EXAMPLES)
