@@ -123,6 +123,9 @@ class KeyGate:
     async def _read_once(self) -> KeyRing:
         try:
             return await asyncio.get_running_loop().run_in_executor(self._thread, self._keys.read)
+        except Unavailable as error:  # the disk or the database server, which tells by itself
+            logger.warning("the keys cannot be read: %s", error.detail, extra={"event": "keys_unreadable"})
+            raise
         except Exception:
             logger.exception("the keys cannot be read", extra={"event": "keys_unreadable"})
             raise Unavailable("the keys cannot be read at the moment", UNREADABLE_RETRY_S) from None

@@ -22,18 +22,29 @@ SQLITE_DAMAGED = (11, 26)  # malformed, not a database
 SQLITE_UNREADABLE = (266, 522, 8202, 8458)  # I/O errors in reading: failed, short, checksum, file system
 
 
+_IN_A_MOMENT = {
+    "57P01": "it is being stopped",
+    "57P02": "it crashed",
+    "57P03": "it is starting",
+    "53300": "it has no connection left",
+    "25006": "it is a standby and takes no writes",
+    "40001": "others changed the same rows",
+    "40P01": "others waited for the same rows",
+}
+
+
 def make_engine(url: str) -> sa.Engine:
     """The engine of a database, set up for durable writes and consistent reads.
 
     Parameters
     ----------
     url : str
-        SQLAlchemy URL, ``sqlite:///...`` with a file or ``postgresql+psycopg://...``.
+        ``sqlite:///...`` with a file, or ``postgresql://...``.
 
     Raises
     ------
     SetupError
-        Neither PostgreSQL nor a file of SQLite, or PostgreSQL's driver is not installed.
+        Neither PostgreSQL nor a file of SQLite.
     """
     try:
         parsed = sa.make_url(url)
@@ -47,10 +58,7 @@ def make_engine(url: str) -> sa.Engine:
 
 
 def _postgresql(url: sa.URL) -> sa.Engine:
-    try:
-        return sa.create_engine(url.set(drivername="postgresql+psycopg"), max_overflow=-1, pool_pre_ping=True)
-    except ModuleNotFoundError:
-        raise SetupError("PostgreSQL needs an extra package: pip install 'revisit[postgres]'") from None
+    return sa.create_engine(url.set(drivername="postgresql+psycopg"), max_overflow=-1, pool_pre_ping=True)
 
 
 def _sqlite(url: sa.URL) -> sa.Engine:
@@ -151,6 +159,17 @@ def is_damaged(error: sa.exc.DBAPIError) -> bool:
         or code in SQLITE_UNREADABLE
         or getattr(error.orig, "sqlstate", None) in ("XX001", "XX002")
     )
+
+
+def server_trouble(error: sa.exc.DBAPIError) -> str | None:
+    """Why PostgreSQL cannot do now what it may do in a moment, in words; None for other errors.
+
+    Codes are of appendix A of its manual. An error of a connection that never came about has none.
+    """
+    state = getattr(error.orig, "sqlstate", "")
+    if state is None or error.connection_invalidated:
+        return "there is no connection to it" if isinstance(error, sa.exc.OperationalError) else None
+    return "there is no connection to it" if state[:2] == "08" else _IN_A_MOMENT.get(state)
 
 
 def is_file(engine: sa.Engine) -> bool:

@@ -1,4 +1,4 @@
-"""Errors of the disk, from files and from SQLite, as errors of revisit: it is full, or it cannot be written."""
+"""Errors of the disk and of the database, as errors of revisit: full, not to be written, or away for now."""
 
 import errno
 import os
@@ -24,11 +24,12 @@ DAMAGED = (
     "the file of the database is damaged ({}): whoever runs the service should stop it, then run "
     "`./revisit doctor --repair` or restore a backup"
 )
+AWAY = "the database server cannot be asked: {}; try again in a moment, the service goes on by itself"
 FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
 
 
 def problem_of(error: BaseException, what: str) -> RevisitError | None:
-    """DiskFull, StorageFailed or Damaged when the disk or the file is at fault, else None.
+    """DiskFull, StorageFailed or Damaged when the disk, the file or the server is at fault, else None.
 
     Parameters
     ----------
@@ -41,6 +42,9 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
     if isinstance(error, sa.exc.DBAPIError):
         if dialect.is_damaged(error):
             return Damaged(DAMAGED.format(error.orig))
+        trouble = dialect.server_trouble(error)
+        if trouble is not None:
+            return StorageFailed(AWAY.format(trouble))
         code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF
         return StorageFailed(FAILED.format(what, _SQLITE[code])) if code in _SQLITE else None
     if isinstance(error, OSError) and error.errno in _FILES:
@@ -50,7 +54,7 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
 
 @contextmanager
 def translated(what: str) -> Iterator[None]:
-    """Raise errors of the disk inside the block as DiskFull, StorageFailed or Damaged."""
+    """Raise errors of the disk and of the database inside the block as DiskFull, StorageFailed or Damaged."""
     try:
         yield
     except (OSError, sa.exc.DBAPIError) as error:
