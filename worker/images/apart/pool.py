@@ -12,6 +12,7 @@ import numpy as np
 
 from schemas.errors import BadImage, BodyTooLarge, Busy, RevisitError, Unavailable
 from schemas.image import Image
+from worker.images.apart.buffers import Buffers
 from worker.images.apart.process import DecoderProcess, Died, Hung
 from worker.images.apart.protocol import DECODE, THUMBNAIL
 from worker.images.codec import Limits, check_length
@@ -19,6 +20,9 @@ from worker.images.codec import Limits, check_length
 log = logging.getLogger(__name__)
 
 Made = TypeVar("Made")
+
+LARGEST_KEPT = 64 * 1024 * 1024
+"""Bytes of the largest image whose memory is kept for the next."""
 
 RETRY_S = 1.0
 """Seconds between attempts to start a process for an image that can wait."""
@@ -48,6 +52,7 @@ class DecoderPool:
         for process in reversed(self.processes):
             self._free.put(process)
         self._closed = threading.Event()
+        self._buffers = Buffers(count + 1, LARGEST_KEPT)
 
     @property
     def restarts(self) -> int:
@@ -97,7 +102,7 @@ class DecoderPool:
         if not 0 < size <= len(memory):
             raise Died("its reply makes no sense")
         view = np.frombuffer(memory, np.uint8, size)
-        pixels = view.reshape(height, width, 3).copy()
+        pixels = self._buffers.copy(view.reshape(height, width, 3))
         del view  # a mapping with views cannot be closed
         process.tidy(size)
         return Image(pixels, hashlib.sha256(data).hexdigest(), str(reply["format"]), len(data))
