@@ -77,7 +77,7 @@ async def version(lifecycle: Lifecycles) -> Version:
     return await lifecycle.version()
 
 
-@router.api_route("/openapi.json", methods=["GET", "HEAD"], include_in_schema=False)
+@router.get("/openapi.json", include_in_schema=False)
 async def openapi(request: Request) -> Response:
     """The OpenAPI document."""
     return JSONResponse(document(request.app))
