@@ -345,8 +345,10 @@ class Revisit:
         """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
         return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
 
-    def wait_for_job(self, job_id: str, *, timeout: float = 600.0) -> wire.Job:
-        """Wait until a job is done, at most `timeout` seconds.
+    def wait_for_job(
+        self, job_id: str, *, timeout: float = 600.0, follow: Callable[[wire.Job], None] = lambda job: None
+    ) -> wire.Job:
+        """Wait until a job is done, at most `timeout` seconds; `follow` is called with each state of it on the way.
 
         Raises
         ------
@@ -358,6 +360,7 @@ class Revisit:
         deadline, pause = self._clock() + timeout, 0.05
         while True:
             job = self.job(job_id)
+            follow(job)
             if job.state == "done":
                 return job
             if job.state in ("failed", "cancelled"):

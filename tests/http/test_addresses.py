@@ -60,8 +60,8 @@ def shared() -> CheckedClient:
 def test_no_page_of_another_origin_may_read_unless_it_is_named(client: CheckedClient, shared: CheckedClient) -> None:
     assert not [name for name in client.get("/maps", headers=MUSEUM).headers if name.startswith("access-control")]
     with shared:
-        stranger = shared.get("/maps", headers={"origin": "https://evil.example"})
-        assert "access-control-allow-origin" not in stranger.headers
+        other = shared.get("/maps", headers={"origin": "https://evil.example"})
+        assert "access-control-allow-origin" not in other.headers
         answer = shared.get("/maps", headers=MUSEUM)
         assert answer.headers["access-control-allow-origin"] == MUSEUM["origin"]
         assert answer.headers["vary"] == "Origin"
@@ -97,3 +97,23 @@ def test_what_is_no_origin_is_refused_at_the_start(text: str) -> None:
     with pytest.raises(SetupError, match=r"REVISIT_CORS.*is no origin"):
         read_settings({"REVISIT_CORS": text})
     assert read_settings({"REVISIT_CORS": "*"}).cors_origins == ("*",)
+
+
+@pytest.mark.parametrize("path", ["/", "/docs"])
+def test_the_pages_name_the_address_under_which_they_were_opened(client: CheckedClient, path: str) -> None:
+    page = client.get(path, headers={"host": "places.local:8123"}).text
+    assert "http://places.local:8123/enroll" in page
+    assert ":8000" not in page
+    hostile = client.get(path, headers={"host": "<script>"}).text
+    assert "<script>" not in hostile
+
+
+def test_every_parameter_is_described() -> None:
+    for path, methods in DOCUMENT["paths"].items():
+        for method, operation in methods.items():
+            for parameter in operation.get("parameters", []):
+                assert len(parameter["description"]) > 8, f"{method} {path} {parameter['name']}"
+            for media in operation.get("requestBody", {}).get("content", {}).values():
+                for name, field in media["schema"].get("properties", {}).items():
+                    told = field.get("description") or field.get("items", {}).get("description", "")
+                    assert len(told) > 8, f"{method} {path} {name} has no description"

@@ -27,9 +27,10 @@ _PATCH_SCHEMA: dict[str, Any] = {
     "additionalProperties": False,
     "description": "JSON merge patch (RFC 7396) of the view's attributes; null removes.",
     "properties": {
-        "place": {"type": ["string", "null"]},
+        "place": {"type": ["string", "null"], "description": "Your own name for the place."},
         "position": {
             "type": ["object", "null"],
+            "description": "Metres in the map's frame, or degrees; what is not named stays.",
             "additionalProperties": False,
             "properties": {name: {"type": ["number", "null"]} for name in Position.model_fields},
         },
@@ -37,8 +38,8 @@ _PATCH_SCHEMA: dict[str, Any] = {
             name: {"type": ["number", "null"], "description": "The same as in position, which is then not sent."}
             for name in Position.model_fields
         },
-        "captured_at": {"type": ["string", "null"], "format": "date-time"},
-        "metadata": {"type": ["object", "null"]},
+        "captured_at": {"type": ["string", "null"], "format": "date-time", "description": "RFC 3339 with its zone."},
+        "metadata": {"type": ["object", "null"], "description": "Merged by name: null removes one, or all of it."},
     },
 }
 _FIELDS = ("place", "position", "captured_at", "metadata")
