@@ -28,6 +28,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+LONGEST_ECHO = 100
+"""Characters of a name that a refusal repeats."""
+
+
+def echoed(name: str) -> str:
+    """A name as a refusal repeats it: whole, or its beginning and its length."""
+    return name if len(name) <= LONGEST_ECHO else f"{name[:LONGEST_ECHO]}… ({len(name)} characters)"
+
 
 @dataclass(frozen=True)
 class ParameterError:
@@ -36,13 +44,16 @@ class ParameterError:
     Parameters
     ----------
     parameter : str
-        Its name as the client wrote it, with a path for nested values (``metadata.colour``).
+        Its name as the client wrote it, cut to `LONGEST_ECHO`, with a path for nested values (``metadata.colour``).
     detail : str
         The value seen and what is allowed.
     """
 
     parameter: str
     detail: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameter", echoed(self.parameter))
 
 
 class RevisitError(Exception):
@@ -116,7 +127,7 @@ class NotFound(RevisitError):
     code = "not-found"
 
     def __init__(self, kind: str, name: str, hint: str = "") -> None:
-        super().__init__(f"there is no {kind} {name!r}" + (f"; {hint}" if hint else ""))
+        super().__init__(f"there is no {kind} {echoed(name)!r}" + (f"; {hint}" if hint else ""))
 
 
 class Conflict(RevisitError):

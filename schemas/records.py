@@ -56,12 +56,13 @@ class Position:
 
 @dataclass(frozen=True)
 class ViewAttributes:
-    """Attributes that the user gives to a view."""
+    """Attributes that the user gives to a view; `filename` is the name its image was sent with, without folders."""
 
     place: str | None = None
     position: Position = Position()
     captured_at: datetime | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    filename: str | None = None
 
 
 @dataclass(frozen=True)
@@ -325,7 +326,9 @@ class Filters:
     Parameters
     ----------
     near : (float, float, float) or None
-        (x, y, radius in metres), or (lat, lon, radius in metres) when `geographic`.
+        (x, y, radius in metres) or (lat, lon, radius in metres).
+    geographic : bool or None
+        Whether `near` is in degrees; None: in the frame of the positions that the map has.
     after, before : datetime or None
         Bounds of `captured_at`, both inclusive.
     exclude_last : int or timedelta or None
@@ -335,7 +338,7 @@ class Filters:
     """
 
     near: tuple[float, float, float] | None = None
-    geographic: bool = False
+    geographic: bool | None = None
     after: datetime | None = None
     before: datetime | None = None
     place: str | None = None

@@ -2,16 +2,23 @@
 
 import difflib
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, SecretStr, ValidationError
+from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from schemas.errors import SetupError
 
 MEGA = 1_000_000
+
+_ORIGIN = r"https?://[^\s/?#@*]+"  # as browsers write it: no path, and no slash at its end
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 class Settings(BaseSettings):
@@ -24,6 +31,9 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
     port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
     open: bool = Field(False, description="Allow an address other than loopback although anybody may then call.")
+    cors: str | None = Field(
+        None, description="Origins whose pages may call the service, with commas between; * for any."
+    )
     first_key: bool = Field(
         False, description="Make an admin key and print it once where others may reach a service without keys."
     )
@@ -63,6 +73,19 @@ class Settings(BaseSettings):
     traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
     key: SecretStr | None = Field(None, description="Key that the command line sends; a service does not read it.")
+
+    @field_validator("cors")
+    @classmethod
+    def _origins(cls, text: str | None) -> str | None:
+        for origin in _listed(text or ""):
+            if origin != "*" and not re.fullmatch(_ORIGIN, origin):
+                raise ValueError(f"{origin!r} is no origin such as https://museum.example or http://localhost:5173")
+        return text
+
+    @property
+    def cors_origins(self) -> tuple[str, ...]:
+        """Origins whose pages may call the service."""
+        return _listed(self.cors or "")
 
     @property
     def database_url(self) -> str:

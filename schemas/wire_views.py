@@ -91,6 +91,7 @@ class View(Answer):
     captured_at: Moment | None
     enrolled_at: Moment
     metadata: dict[str, Any]
+    filename: str | None = Field(None, description="The file name that the image was sent with, without folders.")
     image: ImageFacts
     state: Literal["pending", "ready", "failed"]
     failure: Failure | None = None

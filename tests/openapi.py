@@ -32,6 +32,7 @@ class Contract:
         """Raise AssertionError when an answer is not what the document promises."""
         method = response.request.method.lower()
         path = response.request.url.path
+        path = path.removesuffix("/") or path
         assert response.headers.get("x-request-id"), f"{method} {path} has no X-Request-Id"
         if response.status_code == 405 or path in UNDOCUMENTED:
             return

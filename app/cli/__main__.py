@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
+from app.cli.filters import points_joined
 
 GROUPS = (
     "serve",
@@ -54,7 +55,7 @@ def _test(arguments: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     whole = parser()
-    arguments, rest = whole.parse_known_args(argv)
+    arguments, rest = whole.parse_known_args(points_joined(sys.argv[1:] if argv is None else argv))
     if rest and not hasattr(arguments, "rest"):
         whole.error(f"unrecognized arguments: {' '.join(rest)}")
     arguments.rest = rest

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from app.cli.console import DONE, Verbs, say, show, show_json, size, speaks, table
+from app.cli.console import DONE, Verbs, json_object, say, show, show_json, size, speaks, table
+from app.cli.filters import chooses, chosen
 
 
 def add(verbs: Verbs) -> None:
@@ -16,14 +17,19 @@ def add(verbs: Verbs) -> None:
     speaks(maps)
     maps.set_defaults(run=run_maps)
 
-    views = verbs.add_parser("views", help="list views, show or delete one")
+    views = verbs.add_parser("views", help="list views, show, change or delete one")
     views.add_argument("id", nargs="?", help="show this view")
     views.add_argument("--map")
-    views.add_argument("--place")
+    chooses(views)
     views.add_argument("--state", choices=("pending", "ready", "failed"))
     views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
     views.add_argument("--newest", action="store_true", help="newest first")
     views.add_argument("--delete", action="store_true", help="delete the named view and its image")
+    views.add_argument(
+        "--set",
+        metavar="JSON",
+        help='change the named view: {"place": "hall", "x": 1.5, "metadata": {"floor": 2}}; null removes',
+    )
     for kind in ("image", "segmentation", "graph"):
         views.add_argument(f"--{kind}", type=Path, metavar="FILE", help=f"write the named view's {kind} to a file")
     speaks(views)
@@ -83,8 +89,9 @@ def run_views(arguments: argparse.Namespace) -> int:
     from app.cli.query import position_text
 
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
-    if arguments.id is None and (arguments.delete or any(drawn.values())):
-        wrong_use("--delete, --image, --segmentation and --graph need the id of a view")
+    if arguments.id is None and (arguments.delete or arguments.set is not None or any(drawn.values())):
+        wrong_use("--delete, --set, --image, --segmentation and --graph need the id of a view")
+    filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete:
             receipt = revisit.delete(arguments.id)
@@ -102,6 +109,9 @@ def run_views(arguments: argparse.Namespace) -> int:
             if path is not None:
                 path.write_bytes(draw[kind](arguments.id))
                 say(f"{kind}: {path}")
+        if changes is not None:
+            show_json(revisit.patch(arguments.id, **changes).model_dump(mode="json"))
+            return DONE
         if arguments.id is not None:
             # A view has too many fields for a table.
             show_json(revisit.view(arguments.id).model_dump(mode="json"))
@@ -110,15 +120,15 @@ def run_views(arguments: argparse.Namespace) -> int:
             revisit.views(
                 arguments.map,
                 state=arguments.state,
-                place=arguments.place,
                 newest_first=arguments.newest,
                 limit=arguments.limit,
+                **filters,
             )
         )
     if arguments.json:
         show_json([view.model_dump(mode="json") for view in views])
         return DONE
-    heads = ("view", "map", "place", "state", "enrolled", "position", "image")
+    heads = ("view", "map", "place", "state", "enrolled", "position", "file", "image")
     rows = [
         (
             view.id,
@@ -127,6 +137,7 @@ def run_views(arguments: argparse.Namespace) -> int:
             view.state if view.failure is None else f"failed: {view.failure.code}",
             f"{view.enrolled_at:%Y-%m-%d %H:%M:%S}",
             position_text(view.position),
+            view.filename,
             f"{view.image.width} x {view.image.height} {view.image.format}",
         )
         for view in views

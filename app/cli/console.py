@@ -4,9 +4,12 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import count
-from typing import Any, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+
+if TYPE_CHECKING:
+    from revisit_client.wire import Job
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit codes: done, failed, wrong arguments."""
@@ -73,6 +76,44 @@ def size(count: float) -> str:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
         count /= 1000
     return f"{count:.1f} TB"
+
+
+def json_object(option: str, text: str | None, example: str) -> dict[str, Any] | None:
+    """Parse the JSON object of an option, None when it is not given; raises Failure (exit code 2)."""
+    if text is None:
+        return None
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        wrong_use(f"{option} is not JSON: {error}")
+    if not isinstance(value, dict):
+        wrong_use(f"{option} takes a JSON object such as {example}")
+    return value
+
+
+@contextmanager
+def job_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[["Job"], None]]:
+    """Show the progress of a job on stderr, as `progress_bar`: yields a function to call with each state of the job.
+
+    A job that comes to know more to do, or begins another part of its work, begins a new count.
+    """
+    with ExitStack() as bars:
+        step: Callable[[str], None] | None = None
+        total = shown = 0
+
+        def follow(job: "Job") -> None:
+            nonlocal step, total, shown
+            if job.progress is None or job.progress.total == 0:
+                return
+            if step is None or job.progress.total != total or job.progress.done < shown:
+                bars.pop_all().close()
+                total, shown = job.progress.total, 0
+                step = bars.enter_context(progress_bar(total, what, quiet=quiet))
+            while shown < job.progress.done:
+                step("")
+                shown += 1
+
+        yield follow
 
 
 @contextmanager

@@ -6,13 +6,29 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from app.cli import images
-from app.cli.console import DONE, FAILED, Failure, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
+from app.cli.console import (
+    DONE,
+    FAILED,
+    Failure,
+    Verbs,
+    json_object,
+    progress_bar,
+    say,
+    show,
+    show_json,
+    speaks,
+    wrong_use,
+)
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
+
+
+Work: TypeAlias = "tuple[Path, images.Known]"
+"""An image and its attributes."""
 
 
 @dataclass
@@ -22,6 +38,7 @@ class Summary:
     enrolled: int = 0
     already_there: int = 0
     failed: list[dict[str, str]] = field(default_factory=list)
+    skipped: list[dict[str, str]] = field(default_factory=list)
     views: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -42,6 +59,10 @@ def add(verbs: Verbs) -> None:
         "--positions", type=Path, metavar="CSV", help="columns file and x,y[,z] or lat,lon[,alt]; heading, place"
     )
     parser.add_argument("--exif", action="store_true", help="take position, heading and time from the images' EXIF")
+    for name, what in (("x", "metres"), ("y", "metres"), ("heading", "degrees clockwise from north, or from +y")):
+        parser.add_argument(f"--{name}", type=float, metavar="N", help=f"{what}; of all these images")
+    parser.add_argument("--metadata", metavar="JSON", help="kept with all these images")
+    parser.add_argument("--dry-run", action="store_true", help="only say what would be enrolled, and with what")
     parser.add_argument("--parallel", type=int, default=4, metavar="N", help="images sent at once (default: 4)")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -55,28 +76,62 @@ def run(arguments: argparse.Namespace) -> int:
         wrong_use("--parallel takes 1 to 64")
     if arguments.place and arguments.place_from_folder:
         wrong_use("--place and --place-from-folder contradict each other")
-    work = _described(arguments)
+    skipped: list[images.Skipped] = []
+    work = _described(arguments, skipped)
+    left_out = [{"file": str(one.path), "reason": one.reason} for one in skipped]
+    if arguments.dry_run:
+        return _told(work, left_out, arguments)
     with Revisit(arguments.url, key=arguments.key) as revisit:
         summary = _enrolled(revisit, work, arguments.parallel)
+    summary.skipped = left_out
     if arguments.json:
         show_json(asdict(summary))
     else:
-        show(f"{summary.enrolled} enrolled, {summary.already_there} already there, {len(summary.failed)} failed")
+        more = f", {len(left_out)} skipped" if left_out else ""
+        show(f"{summary.enrolled} enrolled, {summary.already_there} already there, {len(summary.failed)} failed{more}")
         for failure in summary.failed:
             say(f"  {failure['file']}: {failure['reason']}")
+        _name_skipped(left_out)
     return FAILED if summary.failed else DONE
 
 
-def _described(arguments: argparse.Namespace) -> list[tuple[Path, images.Known]]:
+def _name_skipped(left_out: Sequence[dict[str, str]]) -> None:
+    for one in left_out:
+        say(f"  skipped {one['file']}: {one['reason']}")
+
+
+def _told(work: "Sequence[Work]", left_out: list[dict[str, str]], arguments: argparse.Namespace) -> int:
+    """Say what would be enrolled; no service is called."""
+    listed = [
+        {"file": str(path), **{name: value for name, value in known.items() if value is not None}}
+        for path, known in work
+    ]
+    if arguments.json:
+        show_json({"would_enroll": listed, "skipped": left_out})
+        return DONE
+    for one in listed:
+        show("  ".join([one["file"], *(f"{name}={value}" for name, value in one.items() if name != "file")]))
+    show(f"{len(listed)} would be enrolled")
+    _name_skipped(left_out)
+    return DONE
+
+
+def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> "list[Work]":
     """Each image with its attributes: the CSV wins over EXIF, both over the options for all images."""
     positions = None if arguments.positions is None else images.Positions(arguments.positions)
     work, unlisted = [], 0
-    for path in images.found(arguments.paths):
+    if (arguments.x is None) != (arguments.y is None):
+        wrong_use("--x and --y are one position: give both")
+    metadata = json_object("--metadata", arguments.metadata, '{"floor": 2}')
+    for path in images.found(arguments.paths, skipped):
         known: images.Known = {"map": arguments.map, "place": arguments.place}
+        given = {"x": arguments.x, "y": arguments.y, "heading": arguments.heading, "metadata": metadata}
+        known |= {name: value for name, value in given.items() if value is not None}
         if arguments.place_from_folder:
             known["place"] = path.resolve().parent.name
         if arguments.exif:
-            known |= images.from_exif(path)
+            seen = images.from_exif(path)
+            known = {name: value for name, value in known.items() if name not in ("x", "y") or "lat" not in seen} | seen
         if positions is not None:
             listed = positions.of(path)
             unlisted += listed is None

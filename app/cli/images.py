@@ -4,6 +4,7 @@ import csv
 import glob
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,18 @@ Known = dict[str, Any]
 """Arguments of `Revisit.enroll` for one image."""
 
 
-def found(paths: Sequence[str]) -> list[Path]:
+@dataclass(frozen=True)
+class Skipped:
+    """A file in a named folder that is not enrolled, and why."""
+
+    path: Path
+    reason: str
+
+
+def found(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Path]:
     """Images that files, folders (with all inside) and globs name, each once; sorted within each argument.
+
+    What a folder has besides is added to `skipped`.
 
     Raises
     ------
@@ -30,7 +41,11 @@ def found(paths: Sequence[str]) -> list[Path]:
     for text in paths:
         path = Path(text)
         if path.is_dir():
-            inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
+            files = sorted(p for p in path.rglob("*") if p.is_file() or p.is_symlink())
+            reasons = {p: _not_taken(p) for p in files}
+            inside = [p for p in files if reasons[p] is None]
+            if skipped is not None:
+                skipped += [Skipped(p, reason) for p, reason in reasons.items() if reason is not None]
         elif path.exists():
             inside = [path]  # a named file: the service judges it by content
         else:
@@ -41,6 +56,18 @@ def found(paths: Sequence[str]) -> list[Path]:
             wrong_use(f"{text}: no images there ({', '.join(sorted(SUFFIXES))})")
         images |= dict.fromkeys(inside)
     return list(images)
+
+
+def _not_taken(path: Path) -> str | None:
+    """Why a file in a folder is not enrolled; None when it is."""
+    if not path.is_file():
+        return "the link leads nowhere, or to a folder" if path.is_symlink() else "it is no file"
+    kind = path.suffix.lower()
+    if kind in SUFFIXES:
+        return None
+    if kind in (".heic", ".heif"):
+        return "HEIC is not read: convert it to JPEG, or let the phone save the most compatible format"
+    return f"{kind or 'a name without an ending'} is no ending of an image"
 
 
 class Positions:
@@ -56,6 +83,8 @@ class Positions:
         self._used: set[str] = set()
         try:
             text = path.read_text(encoding="utf-8-sig")
+        except FileNotFoundError:
+            wrong_use(f"{path}: there is no such file or folder")
         except UnicodeDecodeError:
             wrong_use(f"{path}: not a CSV file in UTF-8")
         reader = csv.DictReader(text.splitlines())

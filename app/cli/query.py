@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table, wrong_use
+from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table
+from app.cli.filters import chooses, chosen
 
 if TYPE_CHECKING:
     from revisit_client.wire import Match, Position, QueryAnswer
@@ -24,10 +25,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
-    parser.add_argument("--place", help="search the views of this place only")
-    parser.add_argument("--near", metavar="X,Y,RADIUS", help="search views near this point only, in metres")
-    parser.add_argument("--geo", action="store_true", help="--near is LAT,LON,RADIUS")
-    parser.add_argument("--exclude-last", metavar="N|30s", help="leave out the newest N views, or seconds")
+    chooses(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -37,6 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Query; returns 0 whether the place is known or not."""
     from revisit_client import Revisit
 
+    filters = chosen(arguments)
     with Revisit(arguments.url, key=arguments.key) as revisit:
         answer = revisit.query(
             arguments.image,
@@ -45,10 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
             candidates=arguments.candidates,
             precision=arguments.precision,
             explain=arguments.explain is not None,
-            place=arguments.place,
-            near=None if arguments.near is None else _near(arguments.near),
-            geographic=arguments.geo,
-            exclude_last=arguments.exclude_last,
+            **filters,
         )
         if arguments.explain is not None and answer.matches:
             arguments.explain.write_bytes(revisit.explanation(answer.query.id))
@@ -60,14 +56,6 @@ def run(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def _near(text: str) -> tuple[float, float, float]:
-    try:
-        first, second, radius = (float(part) for part in text.split(","))
-    except ValueError:
-        wrong_use(f"--near takes three numbers with commas between, not {text!r}")
-    return first, second, radius
-
-
 def told(answer: "QueryAnswer") -> str:
     """The answer as text."""
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
@@ -75,9 +63,9 @@ def told(answer: "QueryAnswer") -> str:
         lines.append(f"{answer.reason.code}: {answer.reason.detail}; {answer.reason.remedy}")
     if answer.reason.rival is not None:
         rival = answer.reason.rival
-        lines.append(f"rival: {rival.view.place or rival.view.id}, score {rival.score:.3f}")
+        lines.append(f"rival: {rival.view.place or rival.view.filename or rival.view.id}, score {rival.score:.3f}")
     if answer.matches:
-        heads = ("rank", "place", "score", "confidence", "inliers", "position", "view")
+        heads = ("rank", "place", "score", "confidence", "inliers", "position", "file", "view")
         lines.append(table(heads, [_row(match) for match in answer.matches]))
     if answer.estimate is not None:
         where = position_text(answer.estimate.position)
@@ -98,6 +86,7 @@ def _row(match: "Match") -> tuple[object, ...]:
         match.confidence,
         inliers,
         position_text(match.view.position),
+        match.view.filename,
         match.view.id,
     )
 

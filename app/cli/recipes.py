@@ -1,14 +1,16 @@
 """``revisit vocabulary train | recipe``: train a map's vocabulary; show or change its recipe and ranking."""
 
 import argparse
-import json
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Verbs, say, show, show_json, speaks, wrong_use
+from app.cli.console import DONE, Verbs, job_progress, json_object, say, show, show_json, speaks, table
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
     from revisit_client.wire import Job
+
+EXAMPLE = '{"candidates": 50}'
 
 
 def add(verbs: Verbs) -> None:
@@ -53,8 +55,8 @@ def run_recipe(arguments: argparse.Namespace) -> int:
     """Show a map's recipe and ranking, change the ranking, or switch the recipe."""
     from revisit_client import Revisit
 
-    parameters = _object("--parameters", arguments.parameters)
-    ranking = _object("--ranking", arguments.ranking)
+    parameters = json_object("--parameters", arguments.parameters, EXAMPLE)
+    ranking = json_object("--ranking", arguments.ranking, EXAMPLE)
     labels, dynamic = _labels(arguments.labels), _labels(arguments.dynamic)
     describes = not (arguments.preset is None and labels is None and dynamic is None and parameters is None)
     with Revisit(arguments.url, key=arguments.key) as revisit:
@@ -69,21 +71,23 @@ def run_recipe(arguments: argparse.Namespace) -> int:
             )
             return _finished(revisit, job, arguments)
         facts = revisit.map(arguments.map) if ranking is None else revisit.change_ranking(arguments.map, **ranking)
+    if arguments.json:
         show_json({"recipe": facts.recipe, "ranking": facts.ranking})
-        return DONE
+    else:
+        show(f"map {facts.name}, preset {facts.ranking.get('preset')}")
+        for title, fields in (("described by", facts.recipe), ("ranked by", facts.ranking)):
+            show(f"\n{title}\n" + table(("parameter", "value"), list(_lines(fields))))
+    return DONE
 
 
-def _object(option: str, text: str | None) -> dict[str, Any] | None:
-    """Parse the JSON object of an option; None when it is not given."""
-    if text is None:
-        return None
-    try:
-        value = json.loads(text)
-    except ValueError as error:
-        wrong_use(f"{option} is not JSON: {error}")
-    if not isinstance(value, dict):
-        wrong_use(f'{option} takes a JSON object such as {{"candidates": 50}}')
-    return value
+def _lines(fields: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Fields of an object as (name with its path, value as text)."""
+    for name, value in fields.items():
+        if isinstance(value, Mapping):
+            yield from _lines(value, f"{prefix}{name}.")
+        else:
+            listed = isinstance(value, list | tuple)
+            yield f"{prefix}{name}", ", ".join(map(str, value)) if listed else "-" if value is None else str(value)
 
 
 def _labels(text: str | None) -> list[str] | None:
@@ -93,7 +97,8 @@ def _labels(text: str | None) -> list[str] | None:
 def _finished(revisit: "Revisit", job: "Job", arguments: argparse.Namespace) -> int:
     if not arguments.no_wait:
         say(f"job {job.id} is running; interrupting this command does not stop it")
-        job = revisit.wait_for_job(job.id, timeout=24 * 3600)
+        with job_progress(f"images, {job.kind} of map {job.map}", quiet=arguments.json) as follow:
+            job = revisit.wait_for_job(job.id, timeout=24 * 3600, follow=follow)
     if arguments.json:
         show_json(job.model_dump(mode="json"))
     else:

@@ -34,8 +34,11 @@ def _page(title: str, body: str) -> str:
     )
 
 
-def console(version: str, maps: Maps | None) -> str:
-    """The landing page: maps with their counts, and links; `maps` is None when they cannot be listed."""
+def console(version: str, maps: Maps | None, host: str) -> str:
+    """The landing page: maps with their counts, and links.
+
+    `maps` is None when they cannot be listed; `host` is how the reader reaches the service, with the port.
+    """
     if maps is None:
         rows = '<p class="quiet">The maps cannot be listed at the moment; see <a href="/readyz">/readyz</a>.</p>'
     elif not maps.maps:
@@ -58,12 +61,12 @@ def console(version: str, maps: Maps | None) -> str:
     return _page(
         "revisit",
         f"<h1>revisit <span class='quiet'>{escape(version)}</span></h1><p>Have I been here before, and where is here?"
-        f"</p><h2>Maps</h2>{rows}<h2>Try</h2><pre>{escape(_CURL.format(host='localhost:8000'))}</pre><p>{links}</p>",
+        f"</p><h2>Maps</h2>{rows}<h2>Try</h2><pre>{escape(_CURL.format(host=host))}</pre><p>{links}</p>",
     )
 
 
-def docs(document: Json) -> str:
-    """The OpenAPI document as one page."""
+def docs(document: Json, host: str) -> str:
+    """The OpenAPI document as one page; `host` as for `console`."""
     by_tag: dict[str, list[str]] = {}
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
@@ -75,7 +78,7 @@ def docs(document: Json) -> str:
     return _page(
         f"{info['title']} API",
         f"<h1>{escape(info['title'])} API <span class='quiet'>{escape(info['version'])}</span></h1>{intro}"
-        f"<pre>{escape(_CURL.format(host='localhost:8000'))}</pre>"
+        f"<pre>{escape(_CURL.format(host=host))}</pre>"
         f"<p>For programs: <a href='/openapi.json'>/openapi.json</a>.</p>{sections}"
         f"<h2>Shapes</h2>{''.join(_shape(n, s) for n, s in sorted(document['components']['schemas'].items()))}",
     )

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from fastapi import FastAPI
 
 from app.http import problems
+from app.http.addresses import Addresses
+from app.http.cors import cors
 from app.http.dependencies import documented_body, once_each
 from app.http.keys import KeyGate
 from app.http.metrics import Metrics
@@ -88,6 +90,9 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     if tracer_provider is not None:
         app.add_middleware(Tracing, provider=tracer_provider, metrics=metrics)
+    app.add_middleware(Addresses)
+    if service.settings.cors_origins:
+        app.add_middleware(cors, origins=service.settings.cors_origins)
     app.add_middleware(
         RequestContext,
         metrics=metrics,

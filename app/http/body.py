@@ -11,8 +11,8 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import Scope
 
-from app.http.values import strict_json
-from schemas.errors import BadBody, BadImage, BodyTooLarge, InvalidParameters, ParameterError, UnexpectedBody
+from app.http.values import file_name, strict_json
+from schemas.errors import BadBody, BadImage, BodyTooLarge, InvalidParameters, ParameterError, UnexpectedBody, echoed
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
@@ -68,7 +68,7 @@ async def refuse_body(request: Request) -> None:
         else:
             return
     sent = f"one of {int(size):,} bytes" if size else "one"
-    raise UnexpectedBody(f"{request.method} {request.url.path} takes no body, and {sent} was sent")
+    raise UnexpectedBody(f"{request.method} {echoed(request.url.path)} takes no body, and {sent} was sent")
 
 
 async def take(request: Request) -> Sent:
@@ -99,7 +99,7 @@ async def take(request: Request) -> Sent:
         raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
     name = kind.decode("latin-1")
     if name and not name.startswith("image/") and name not in _RAW_TYPES:
-        raise BadImage("not-a-picture", f"the content type is {name}; {_REMEDY}")
+        raise BadImage("not-a-picture", f"the content type is {echoed(name)}; {_REMEDY}")
     return Sent([(None, body)], in_url)
 
 
@@ -209,7 +209,7 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> S
         if name == IMAGE_PART:
             if not content:
                 raise BadBody("no-picture", f"the part `image` number {len(images) + 1} is empty")
-            images.append((file, content))
+            images.append((file_name(file), content))
         elif file is not None:
             errors.append(ParameterError(name, "is a file; images are sent as parts named image"))
         elif len(content) > LONGEST_PARAMETER:

@@ -10,6 +10,7 @@ VIEW: dict[str, Any] = {
     "captured_at": "2026-03-01T09:30:00.000000Z",
     "enrolled_at": "2026-03-01T09:30:02.118000Z",
     "metadata": {"camera": "front"},
+    "filename": "IMG_2041.jpg",
     "image": {
         "width": 1280,
         "height": 720,

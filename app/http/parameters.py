@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from app.http import values
 from app.http.validation import Parameters
@@ -63,8 +63,8 @@ class PositionParameters(Parameters):
     lat: Annotated[Finite, Field(ge=-90, le=90)] | None = Field(None, description="Degrees, WGS 84; with lon.")
     lon: Annotated[Finite, Field(ge=-180, le=180)] | None = Field(None, description="Degrees, WGS 84; with lat.")
     alt: Finite | None = Field(None, description="Metres above the ellipsoid; only with lat and lon.")
-    heading: Annotated[Finite, Field(ge=0, lt=360)] | None = Field(
-        None, description="Degrees clockwise from north, or from +y; below 360."
+    heading: Annotated[Finite, Field(ge=0, le=360), AfterValidator(values.whole_turn)] | None = Field(
+        None, description="Degrees clockwise from north, or from +y; 360 is 0."
     )
 
     @classmethod
@@ -86,6 +86,11 @@ class EnrollParameters(PositionParameters):
     metadata: Metadata = Field(
         default_factory=dict, description="A JSON object that is kept with the view; at most 16 KB, 8 levels."
     )
+    filename: Annotated[str, AfterValidator(values.file_name)] | None = Field(
+        None,
+        description="File name to show, for an image that is the body, or instead of the name of its part. Folders and "
+        "control characters are left out, and it is cut to 255 characters.",
+    )
     wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")
 
     def attributes(self) -> ViewAttributes:
@@ -99,9 +104,14 @@ class FilterParameters(Parameters):
     near: Annotated[
         tuple[float, float, float], BeforeValidator(values.near), _text(examples=["12.5,3.0,20"])
     ] | None = Field(
-        None, description="x,y,radius in metres: views within the radius; with frame=geo lat,lon,radius."
+        None,
+        description="x,y,radius or lat,lon,radius, as the map's positions are; the radius in metres: views within it.",
     )  # fmt: skip
-    frame: Literal["map", "geo"] = Field("map", description="Frame of `near`: metres in the map's frame, or degrees.")
+    frame: Literal["map", "geo"] | None = Field(
+        None,
+        description="Frame of `near`: map for metres, geo for degrees. Default: that of the map's positions; a map "
+        "with both needs to be told.",
+    )
     after: Time | None = Field(None, description="Views captured at this time or later.")
     before: Time | None = Field(None, description="Views captured at this time or earlier.")
     place: PlaceName | None = Field(None, description="Views of this place.")
@@ -152,7 +162,7 @@ class FilterParameters(Parameters):
         """The filters as a record."""
         return Filters(
             near=self.near,
-            geographic=self.frame == "geo",
+            geographic=None if self.frame is None else self.frame == "geo",
             after=self.after,
             before=self.before,
             place=self.place,

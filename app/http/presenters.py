@@ -49,6 +49,7 @@ def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
         captured_at=record.attributes.captured_at,
         enrolled_at=record.enrolled_at,
         metadata=dict(record.attributes.metadata),
+        filename=record.attributes.filename,
         image=wire.ImageFacts.model_validate(
             {
                 "width": record.image.width,

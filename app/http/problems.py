@@ -21,6 +21,7 @@ from schemas.errors import (
     RevisitError,
     SetupError,
     Unauthorized,
+    echoed,
 )
 from schemas.wire import Problem, ProblemParameter
 
@@ -168,9 +169,12 @@ async def _http(request: Request, error: Exception) -> Response:
         return internal(error, request_id(request))
     details = {
         "not-found": NotFound("address", request.url.path, "/docs lists all of them").detail,
-        "method-not-allowed": f"{request.url.path} does not answer {request.method}",
+        "method-not-allowed": f"{echoed(request.url.path)} does not answer {echoed(request.method)}",
     }
-    return problem(code, details.get(code, str(error.detail)), request_id(request), headers=error.headers)
+    headers = dict(error.headers or {})
+    if "GET" in (allowed := headers.get("Allow", "").split(", ")) and "HEAD" not in allowed:
+        headers["Allow"] = ", ".join([*allowed, "HEAD"])  # app.http.addresses answers it
+    return problem(code, details.get(code, str(error.detail)), request_id(request), headers=headers)
 
 
 async def _invalid(request: Request, error: Exception) -> Response:

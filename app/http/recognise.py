@@ -68,7 +68,9 @@ class Recogniser:
             static cells, which is kept as a `failed` view.
         """
         until = time.monotonic() + self._wait_s
-        accepted = [await self._submit(data, map_name, attributes, wait) for _, data in images]
+        accepted = [
+            await self._submit(data, map_name, replace(attributes, filename=name), wait) for name, data in images
+        ]
         return [one if isinstance(one, RevisitError) else await self._outcome(one, wait, until) for one in accepted]
 
     async def _submit(

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import unicodedata
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -11,6 +12,10 @@ MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 METADATA_BYTES = 16 * 1024
 METADATA_DEPTH = 8
+
+LONGEST_FILE_NAME = 255
+_LONGEST_ENDING = 10
+_DIRECTIONS = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 _RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)")
 _LOST_PLUS = re.compile(r".*[\d.] \d\d:\d\d")
@@ -41,13 +46,34 @@ def plain_text(text: object) -> str:
     return text
 
 
+def file_name(text: str | None) -> str | None:
+    """The last part of a file name as it was sent, without control characters, at most `LONGEST_FILE_NAME` of it.
+
+    Browsers and tools send what they like, folders included; a name is of use to people alone, so that it is cleaned
+    and never refused. None: nothing is left.
+    """
+    last = re.split(r"[/\\]", text or "")[-1]
+    # What turns the direction of writing makes one name look like another.
+    shown = "".join(c for c in last if unicodedata.category(c) not in ("Cc", "Cs") and c not in _DIRECTIONS).strip()
+    if len(shown) > LONGEST_FILE_NAME:
+        stem, dot, ending = shown.rpartition(".")
+        ending = dot + ending if stem and len(ending) <= _LONGEST_ENDING else ""
+        shown = shown[: LONGEST_FILE_NAME - len(ending) - 1] + "…" + ending
+    return shown if shown.strip(".") else None
+
+
+def whole_turn(degrees: float) -> float:
+    """360 degrees as 0."""
+    return 0.0 if degrees == 360 else degrees
+
+
 def near(text: object) -> tuple[float, float, float]:
-    """Parse ``x,y,radius`` or, with `frame` geo, ``lat,lon,radius``; the radius in metres."""
+    """Parse ``x,y,radius`` or ``lat,lon,radius``; the radius in metres."""
     parts = str(text).split(",")
     try:
         first, second, radius = (float(part) for part in parts)
     except ValueError:
-        raise ValueError("needs three numbers: x,y,radius, or with frame=geo lat,lon,radius") from None
+        raise ValueError("needs three numbers: x,y,radius, or lat,lon,radius") from None
     if not all(map(math.isfinite, (first, second, radius))):
         raise ValueError("needs finite numbers")
     if radius <= 0:

@@ -6,7 +6,6 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import islice
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
 
@@ -15,12 +14,9 @@ import httpx
 from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed
-from revisit_client.parameters import Time, filters, recipe_fields, texts, utc
+from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
 
 DEFAULT_URL = "http://127.0.0.1:8000"
-
-Image = bytes | str | os.PathLike[str]
-"""The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF), or its path."""
 
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
@@ -104,6 +100,7 @@ class Revisit:
         heading: float | None = None,
         captured_at: Time | None = None,
         metadata: Mapping[str, Any] | None = None,
+        filename: str | None = None,
         wait: bool = True,
         idempotency_key: str | None = None,
     ) -> wire.Enrolled:
@@ -126,6 +123,8 @@ class Revisit:
             A datetime without a zone is local time; a string is RFC 3339.
         metadata : mapping or None
             Any JSON object; at most 16 KB, 8 levels.
+        filename : str or None
+            File name to show with the view; None: the last part of the path, none for bytes.
         wait : bool
             True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
         idempotency_key : str or None
@@ -135,9 +134,9 @@ class Revisit:
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
         # One key for all repetitions of this call: the service does the work once even when an answer is lost.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
-        name, data = _read(image)
+        name, data = named(image)
         return self._connection.receive(
-            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (name, data)}, headers=headers
+            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (filename or name, data)}, headers=headers
         )
 
     def query(
@@ -150,7 +149,7 @@ class Revisit:
         precision: float | None = None,
         explain: bool | None = None,
         near: tuple[float, float, float] | None = None,
-        geographic: bool = False,
+        geographic: bool | None = None,
         after: Time | None = None,
         before: Time | None = None,
         place: str | None = None,
@@ -174,8 +173,9 @@ class Revisit:
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
         near : (float, float, float) or None
-            Only views near a point: x, y and radius in metres, or with `geographic` latitude, longitude and radius in
-            metres.
+            Only views near a point: x, y or latitude, longitude, and the radius in metres.
+        geographic : bool or None
+            Whether `near` is in degrees; None: as the map's positions are. A map with both needs to be told.
         after, before : datetime or str or None
             Only views captured from `after` to `before`, both included; as `captured_at` of `enroll`.
         place : str or None
@@ -189,7 +189,7 @@ class Revisit:
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
-        name, data = _read(image)
+        name, data = named(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}
         )
@@ -209,16 +209,18 @@ class Revisit:
         state: Literal["pending", "ready", "failed"] | None = None,
         newest_first: bool = False,
         near: tuple[float, float, float] | None = None,
-        geographic: bool = False,
+        geographic: bool | None = None,
         after: Time | None = None,
         before: Time | None = None,
         place: str | None = None,
         metadata: Mapping[str, str] | None = None,
+        exclude_last: int | str | timedelta | None = None,
+        exclude: Sequence[str] = (),
         limit: int | None = None,
         page: int = 100,
     ) -> Iterator[wire.View]:
         """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed."""
-        chosen = filters(near, geographic, after, before, place, metadata, None, ())
+        chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
         params = texts({"map": map, "state": state, "sort": sort, "limit": page, **chosen})
@@ -231,7 +233,8 @@ class Revisit:
         return self._connection.receive(wire.View, "GET", f"/views/{view_id}")
 
     def patch(self, view_id: str, **attributes: Any) -> wire.View:
-        """Change `place`, `position` (a mapping), `captured_at` or `metadata` of a view; None removes a value."""
+        """Change `place`, `x`, `y`, `z`, `lat`, `lon`, `alt`, `heading`, `position` (a mapping of these), `captured_at`
+        or `metadata` of a view; None removes a value."""
         attributes = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in attributes.items()}
         return self._connection.receive(wire.View, "PATCH", f"/views/{view_id}", json=attributes)
 
@@ -342,8 +345,10 @@ class Revisit:
         """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
         return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
 
-    def wait_for_job(self, job_id: str, *, timeout: float = 600.0) -> wire.Job:
-        """Wait until a job is done, at most `timeout` seconds.
+    def wait_for_job(
+        self, job_id: str, *, timeout: float = 600.0, follow: Callable[[wire.Job], None] = lambda job: None
+    ) -> wire.Job:
+        """Wait until a job is done, at most `timeout` seconds; `follow` is called with each state of it on the way.
 
         Raises
         ------
@@ -355,6 +360,7 @@ class Revisit:
         deadline, pause = self._clock() + timeout, 0.05
         while True:
             job = self.job(job_id)
+            follow(job)
             if job.state == "done":
                 return job
             if job.state in ("failed", "cancelled"):
@@ -387,11 +393,3 @@ class Revisit:
         """The service's OpenAPI document."""
         document: dict[str, Any] = self._connection.send("GET", "/openapi.json").json()
         return document
-
-
-def _read(image: Image) -> tuple[str, bytes]:
-    """File name and bytes of an image."""
-    if isinstance(image, bytes):
-        return "image", image
-    path = Path(image)
-    return path.name, path.read_bytes()

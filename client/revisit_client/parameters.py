@@ -1,13 +1,26 @@
 """Converts arguments of the client's calls into parameters of HTTP requests."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 from revisit_client import wire
 
 Time = datetime | str
+
+Image = bytes | str | os.PathLike[str]
+"""The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF), or its path."""
+
+
+def named(image: Image) -> tuple[str | None, bytes]:
+    """File name, None for bytes, and bytes of an image."""
+    if isinstance(image, bytes):
+        return None, image
+    path = Path(image)
+    return path.name, path.read_bytes()
 
 
 def utc(moment: datetime) -> datetime:
@@ -34,7 +47,7 @@ def texts(values: Mapping[str, Any]) -> dict[str, str]:
 
 def filters(
     near: tuple[float, float, float] | None,
-    geographic: bool,
+    geographic: bool | None,
     after: Time | None,
     before: Time | None,
     place: str | None,
@@ -47,7 +60,7 @@ def filters(
         exclude_last = f"{exclude_last.total_seconds():g}s"
     chosen: dict[str, Any] = {
         "near": None if near is None else ",".join(map(str, near)),
-        "frame": "geo" if geographic else None,
+        "frame": None if near is None or geographic is None else "geo" if geographic else "map",
         "after": after,
         "before": before,
         "place": place,

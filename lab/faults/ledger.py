@@ -177,7 +177,8 @@ def _one_filter(chance: np.random.Generator, of: KnownMap) -> Narrowed:
             float(chance.integers(-20, 20)),
             int(chance.integers(1, 20)) + 0.5,
         )
-        return _each({"near": f"{x},{y},{radius}"}, lambda view: _metres(view.attributes.position, x, y) <= radius)
+        metric = {"near": f"{x},{y},{radius}", "frame": "map"}  # the maps have positions in both frames
+        return _each(metric, lambda view: _metres(view.attributes.position, x, y) <= radius)
     if kind == 3:
         lat, lon, reach = round(float(chance.uniform(51, 51.01)), 7), 6.01, float(chance.uniform(50, 900))
         geographic = {"near": f"{lat},{lon},{reach}", "frame": "geo"}

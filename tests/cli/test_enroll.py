@@ -54,7 +54,7 @@ def test_images_are_enrolled_and_counted(service: FakeService, folder: Path, cap
 
     assert main(["enroll", str(folder), "--map", "campus", "--place", "gate", "--parallel", "1"]) == 0
 
-    assert capsys.readouterr().out == "2 enrolled, 1 already there, 0 failed\n"
+    assert capsys.readouterr().out == "2 enrolled, 1 already there, 0 failed, 1 skipped\n"
     assert len(service.requests) == 3
     assert all(b"campus" in body and b"gate" in body for _, body in service.requests)
 
@@ -80,6 +80,58 @@ def test_a_service_that_is_gone_stops_it_and_says_how_to_go_on(folder: Path, cap
     assert main(["enroll", str(folder)]) == 1
 
     assert "run the same command again" in capsys.readouterr().err
+
+
+def test_what_is_skipped_is_named_with_its_reason(service: FakeService, folder: Path, capsys: Out) -> None:
+    (folder / "IMG_1.HEIC").write_bytes(b"....ftypheic")
+    (folder / "gone.png").symlink_to(folder / "nowhere.png")
+    service.replies["POST /enroll"] = 201, answers.enrolled()
+
+    assert main(["enroll", str(folder)]) == 0
+
+    told = capsys.readouterr()
+    assert told.out == "3 enrolled, 0 already there, 0 failed, 3 skipped\n"
+    assert f"skipped {folder / 'notes.txt'}: .txt is no ending of an image" in told.err
+    assert f"skipped {folder / 'IMG_1.HEIC'}: HEIC is not read: convert it to JPEG" in told.err
+    assert f"skipped {folder / 'gone.png'}: the link leads nowhere" in told.err
+    assert main(["enroll", str(folder), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["skipped"]) == 3
+
+
+def test_a_position_and_metadata_for_all_and_a_dry_run(service: FakeService, folder: Path, capsys: Out) -> None:
+    service.replies["POST /enroll"] = 201, answers.enrolled()
+    argv = [
+        "enroll",
+        str(folder / "b.png"),
+        "--x",
+        "-1.5",
+        "--y",
+        "2",
+        "--heading",
+        "360",
+        "--metadata",
+        '{"floor": 2}',
+    ]
+
+    assert main([*argv, "--dry-run"]) == 0
+    assert service.requests == []
+    assert capsys.readouterr().out.splitlines() == [
+        f"{folder / 'b.png'}  x=-1.5  y=2.0  heading=360.0  metadata={{'floor': 2}}",
+        "1 would be enrolled",
+    ]
+    assert main(argv) == 0
+    body = service.requests[0][1]
+    assert all(part in body for part in (b"-1.5", b"360.0", b'{"floor": 2}'))
+    assert main(["enroll", str(folder), "--x", "1"]) == 2
+    assert main(["enroll", str(folder), "--metadata", "floor 2"]) == 2
+
+
+def test_a_missing_file_and_a_missing_table_are_both_wrong_use(folder: Path, capsys: Out) -> None:
+    told = []
+    for argv in ([str(folder / "none.png")], [str(folder), "--positions", str(folder / "none.csv")]):
+        assert main(["enroll", *argv]) == 2
+        told.append(capsys.readouterr().err.partition(": ")[2].partition(": ")[2])
+    assert told == ["there is no such file or folder\n"] * 2
 
 
 def test_the_folder_can_name_the_place(service: FakeService, folder: Path) -> None:

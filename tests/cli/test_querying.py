@@ -56,6 +56,37 @@ def test_why_is_drawn_into_a_file(service: FakeService, image: Path, tmp_path: P
     assert (tmp_path / "why.png").read_bytes() == b"a png"
 
 
+def test_a_point_in_the_south_and_every_filter_are_sent(service: FakeService, image: Path) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match())
+    service.replies["GET /views"] = 200, {"views": [], "next": None}
+    argv = ["--near", "-27.4,153.0,50", "--after", "2026-03-01T09:30:00Z", "--before", "2026-03-02T09:30:00Z"]
+    argv += ["--metadata", "floor=2", "--metadata", "a=b=c", "--exclude-last", "30s", "--exclude", "v1, v2"]
+
+    assert main(["query", str(image), *argv]) == 0
+    assert main(["views", *argv, "--geo"]) == 0
+
+    (_, body), (listed, _) = service.requests
+    for part in (b"-27.4,153.0,50.0", b'"metadata.floor"', b'"metadata.a"', b"b=c", b"30s", b"v1,v2", b"2026-03-02T"):
+        assert part in body
+    assert b'name="frame"' not in body
+    for text in ("near=-27.4%2C153.0%2C50.0", "frame=geo", "metadata.floor=2", "exclude=v1%2Cv2", "exclude_last=30s"):
+        assert text in listed
+
+
+def test_a_view_is_changed(service: FakeService, capsys: Out) -> None:
+    service.replies["PATCH /views/v1"] = 200, answers.view("v1", place="hall")
+
+    assert main(["views", "v1", "--set", '{"place": "hall", "x": 1.5, "captured_at": null}']) == 0
+    assert json.loads(service.requests[0][1]) == {"place": "hall", "x": 1.5, "captured_at": None}
+    assert json.loads(capsys.readouterr().out)["place"] == "hall"
+    assert main(["views", "--set", "{}"]) == main(["views", "v1", "--set", "[]"]) == 2
+
+
+@pytest.mark.parametrize("argv", [["--geo"], ["--metadata", "floor"]])
+def test_filters_that_say_nothing_are_wrong_use(image: Path, argv: list[str]) -> None:
+    assert main(["query", str(image), *argv]) == 2
+
+
 @pytest.mark.parametrize("argv", [["--near", "1,2"], ["--near", "a,b,c"]])
 def test_a_point_needs_three_numbers(image: Path, argv: list[str]) -> None:
     assert main(["query", str(image), *argv]) == 2
@@ -141,19 +172,23 @@ def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, caps
     service.replies["POST /maps/default/recipe"] = 202, answers.job("waiting", kind="recipe")
     service.replies[f"GET /jobs/{answers.JOB}"] = 200, answers.job("done", kind="recipe")
 
-    assert main(["recipe"]) == 0
+    assert main(["recipe", "--map", "default"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("map default, preset default\n\ndescribed by\n")
+    assert "{" not in text
+    assert main(["recipe", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["ranking"]["preset"] == "default"
     assert shown["recipe"] == facts["recipe"]
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
-    assert json.loads(service.requests[1][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
+    assert json.loads(service.requests[2][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
 
 
 def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> None:
     service.replies["PATCH /maps/default"] = 200, answers.map_facts()
 
-    assert main(["recipe", "--ranking", '{"candidates": 100}']) == 0
+    assert main(["recipe", "--ranking", '{"candidates": 100}', "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["ranking"]["id"] == "def"
     assert [json.loads(body) for _, body in service.requests] == [{"ranking": {"candidates": 100}}]
 
@@ -162,6 +197,23 @@ def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> N
 @pytest.mark.parametrize("text", ["{", "[1]"])
 def test_parameters_need_to_be_a_json_object(option: str, text: str) -> None:
     assert main(["recipe", option, text]) == 2
+
+
+def test_a_job_shows_its_progress(service: FakeService, capsys: Out) -> None:
+    seen = iter([(1, 4), (2, 4), (4, 4), (0, 2), (2, 2)])
+
+    def reply(_: bytes) -> tuple[int, object]:
+        done, total = next(seen)
+        state = "done" if (done, total) == (2, 2) else "running"
+        return 200, answers.job(state, kind="vocabulary") | {"progress": {"done": done, "total": total}}
+
+    service.replies["POST /maps/default/vocabulary"] = 202, answers.job("waiting", kind="vocabulary")
+    service.replies[f"GET /jobs/{answers.JOB}"] = reply
+
+    assert main(["vocabulary", "train"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "images" in line]
+    what = "images, vocabulary of map default"
+    assert lines == [*(f"{n}/4 {what}" for n in (1, 2, 3, 4)), *(f"{n}/2 {what}" for n in (1, 2))]
 
 
 def test_a_vocabulary_that_cannot_be_trained_says_why(service: FakeService, capsys: Out) -> None:

@@ -5,7 +5,7 @@ It keeps views in dictionaries, checks images with the real codec, and fails on 
 
 import asyncio
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, cast
 
@@ -58,6 +58,7 @@ class Kept:
             captured_at=self.attributes.captured_at,
             enrolled_at=NOW,
             metadata=dict(self.attributes.metadata),
+            filename=self.attributes.filename,
             image=wire.ImageFacts(
                 width=self.facts.width,
                 height=self.facts.height,
@@ -99,7 +100,7 @@ class FakeRecogniser:
         self.enrolments += 1
         if self.hold is not None:
             await self.hold.wait()
-        return [self._enroll(data, map_name, attributes, wait) for _, data in images]
+        return [self._enroll(data, map_name, replace(attributes, filename=name), wait) for name, data in images]
 
     def _enroll(
         self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool
@@ -108,7 +109,8 @@ class FakeRecogniser:
             self._may_fail("enroll_one")
             seen = facts(decode(data, self.limits))
             known = next((k for k in self.kept.values() if (k.map, k.facts.sha256) == (map_name, seen.sha256)), None)
-            if known is not None and known.attributes != attributes and attributes != ViewAttributes():
+            told = replace(attributes, filename=None)
+            if known is not None and replace(known.attributes, filename=None) != told and told != ViewAttributes():
                 raise Conflict("these bytes are in the map already, with something else said about them")
         except RevisitError as error:
             return error

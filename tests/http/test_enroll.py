@@ -258,7 +258,7 @@ ERRORS: list[tuple[dict[str, str], list[str]]] = [
     ({"x": "inf", "y": "-Infinity"}, ["x", "y"]),
     ({"x": "a", "y": "1"}, ["x"]),
     ({"lat": "90.1", "lon": "-180.1"}, ["lat", "lon"]),
-    ({"heading": "360"}, ["heading"]),
+    ({"heading": "360.5"}, ["heading"]),
     ({"heading": "-1"}, ["heading"]),
     ({"captured_at": "2026-03-01T09:30:00"}, ["captured_at"]),
     ({"captured_at": "1700000000"}, ["captured_at"]),

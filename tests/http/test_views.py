@@ -122,6 +122,7 @@ ATTRIBUTES = ViewAttributes(
     Position(x=1.0, y=2.0),
     datetime(2026, 3, 1, 9, 30, tzinfo=UTC),
     {"camera": "front", "lens": {"mm": 4, "f": 2}},
+    "upload",
 )
 
 
@@ -138,6 +139,10 @@ def attributes(**changes: Any) -> ViewAttributes:
         ({"position": {"heading": 90}}, attributes(position=Position(x=1.0, y=2.0, heading=90.0))),
         ({"position": {"x": 5.5, "z": 1}}, attributes(position=Position(x=5.5, y=2.0, z=1.0))),
         ({"position": None}, attributes(position=Position())),
+        ({"x": 5.5, "z": 1}, attributes(position=Position(x=5.5, y=2.0, z=1.0))),
+        ({"x": None, "y": None, "lat": 48, "lon": 11}, attributes(position=Position(lat=48.0, lon=11.0))),
+        ({"lat": 48, "lon": 11, "position": None}, attributes(position=Position(lat=48.0, lon=11.0))),
+        ({"heading": 360}, attributes(position=Position(x=1.0, y=2.0, heading=0.0))),
         (
             {"position": {"x": None, "y": None, "lat": 48, "lon": 11}},
             attributes(position=Position(lat=48.0, lon=11.0)),
@@ -170,7 +175,12 @@ def test_a_patch_changes_what_it_names_and_nothing_else(
         ({"position": {"x": None}}, ["position.x"]),
         ({"position": {"lat": 48, "lon": 11}}, ["position.x"]),
         ({"position": {"height": 3}}, ["position.height"]),
-        ({"position": {"heading": 360}}, ["position.heading"]),
+        ({"position": {"heading": 360.5}}, ["position.heading"]),
+        ({"x": "1"}, ["x"]),
+        ({"x": None}, ["x"]),
+        ({"lat": 48, "lon": 11}, ["position.x"]),
+        ({"x": 1, "position": {"y": 3}}, ["x"]),
+        ({"filename": "b.jpg"}, ["filename"]),
         ({"captured_at": 17}, ["captured_at"]),
         ({"captured_at": "noon"}, ["captured_at"]),
         ({"metadata": []}, ["metadata"]),

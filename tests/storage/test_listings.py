@@ -55,8 +55,8 @@ def test_near_in_metres_is_a_circle_with_its_edge(store: SqlStore) -> None:
     seqs = [enroll(store, str(spot), attributes=ViewAttributes(position=Position(*spot))).view.seq for spot in spots]
     enroll(store, "nowhere")
     enroll(store, "on the globe", attributes=ViewAttributes(position=Position(lat=0.0, lon=0.0)))
-    assert chosen(store, Filters(near=(0.0, 0.0, 5.0))) == {seqs[0], seqs[1], seqs[3]}
-    assert chosen(store, Filters(near=(3.1, 4.0, 0.0))) == {seqs[2]}
+    assert chosen(store, Filters(near=(0.0, 0.0, 5.0), geographic=False)) == {seqs[0], seqs[1], seqs[3]}
+    assert chosen(store, Filters(near=(3.1, 4.0, 0.0), geographic=False)) == {seqs[2]}
 
 
 def test_near_in_degrees_is_a_circle_on_the_globe_across_the_antimeridian_and_at_the_poles(store: SqlStore) -> None:

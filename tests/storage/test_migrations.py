@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -305,6 +306,7 @@ def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> No
         for name in ("maps", "comparisons", "jobs", "tombstones", "calls"):
             connection.exec_driver_sql(f"DROP INDEX {name}_unsealed")
         connection.exec_driver_sql("DROP TABLE keys")  # of a later version
+        connection.exec_driver_sql("ALTER TABLE views DROP COLUMN filename")  # likewise
         for name in [table.name for table in METADATA.sorted_tables if "checksum" in table.c and table.name != "keys"]:
             connection.exec_driver_sql(f"ALTER TABLE {name} DROP COLUMN checksum")
     set_revision(database, "0006")
@@ -313,4 +315,29 @@ def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> No
 
     migrate(database_url, data)
 
+    assert list(examine(database_url, data)) == []
+
+
+# 0009: file names
+
+
+def test_views_of_before_file_names_stay_whole_and_new_ones_have_theirs(database_url: str, data: Path) -> None:
+    store = open_store(database_url, data)
+    before = enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=2.0))).view
+    store.close()
+    database = Database(database_url)
+    with database.writing() as connection:
+        connection.exec_driver_sql("ALTER TABLE views DROP COLUMN filename")
+    set_revision(database, "0008")
+    database.close()
+
+    migrate(database_url, data)
+
+    assert list(examine(database_url, data)) == []
+    store = open_store(database_url, data)
+    after = enroll(store, "yard", attributes=ViewAttributes("yard", filename="IMG_1.jpg")).view
+    assert (store.views.get(before.id).state, store.views.get(before.id).attributes) == ("pending", before.attributes)
+    assert store.views.get(after.id).attributes.filename == "IMG_1.jpg"
+    assert store.views.change(before.id, lambda had: replace(had, place="gates")).attributes.filename is None
+    store.close()
     assert list(examine(database_url, data)) == []

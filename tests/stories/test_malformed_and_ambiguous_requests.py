@@ -85,6 +85,17 @@ def test_requests_in_a_row_are_answered_in_their_order(service: RunningService) 
     assert [answer.status for answer in found] == [200, 200, 404, 422, 200, 200]
 
 
+def test_head_is_answered_without_a_body_and_the_connection_goes_on(service: RunningService) -> None:
+    paths = (b"/maps", b"/docs", b"/views/none", b"/openapi.json")
+    heads = b"".join(b"HEAD %s HTTP/1.1\r\nHost: a\r\n\r\n" % path for path in paths)
+    with connect(service) as connection:
+        connection.sendall(heads + b"GET /livez HTTP/1.1\r\nHost: a\r\n" + END)
+        raw = read_all(connection)
+    *starts, last = [part.split(b"\r\n")[0] for part in raw.split(b"\r\n\r\n")]
+    assert [start.split()[1] for start in starts] == [b"200", b"200", b"404", b"200", b"200"]
+    assert last == b"ok\n"
+
+
 def test_nothing_is_read_as_a_request_behind_a_refused_body(service: RunningService) -> None:
     """The body looks like a request; behind the refusal it is thrown away."""
     inner = b"DELETE /maps/campus HTTP/1.1\r\nHost: a\r\n\r\n"

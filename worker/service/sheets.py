@@ -131,8 +131,9 @@ def sheet(
 
 
 def name_of(view: ViewRecord) -> str:
-    """How a view is called on a drawing: its place, the file that its metadata names, or its id."""
-    named = view.attributes.place or view.attributes.metadata.get("file")
+    """How a view is called on a drawing: its place, its file name, the file that its metadata names, or its id."""
+    attributes = view.attributes
+    named = attributes.place or attributes.filename or attributes.metadata.get("file")
     return named if isinstance(named, str) and named else view.id
 
 

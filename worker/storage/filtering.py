@@ -44,11 +44,28 @@ def _text(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
-def allowing(filters: Filters) -> list[Clause]:
-    """Conditions on `views` of all filters but the exclusions; a view must fulfil all of them."""
+def allowing(connection: sa.Connection, filters: Filters, scope: Sequence[Clause]) -> list[Clause]:
+    """Conditions on `views` of all filters but the exclusions; a view must fulfil all of them.
+
+    Parameters
+    ----------
+    connection : Connection
+    filters : Filters
+    scope : sequence of conditions
+        The views that are filtered: their positions say in which frame `near` is, where the filters do not.
+
+    Raises
+    ------
+    InvalidParameters
+        The views have positions in both frames, or `near` is not a point of theirs.
+    """
     conditions: list[Clause] = []
     if filters.near is not None:
-        conditions += (_near_degrees if filters.geographic else _near_metres)(*map(float, filters.near))
+        first, second, radius = map(float, filters.near)
+        geographic = filters.geographic
+        if geographic is None:
+            geographic = _are_in_degrees(connection, first, second, scope)
+        conditions += (_near_degrees if geographic else _near_metres)(first, second, radius)
     if filters.after is not None:
         conditions.append(VIEWS.c.captured_at >= filters.after)
     if filters.before is not None:
@@ -101,9 +118,28 @@ def _refuse_unknown(connection: sa.Connection, ids: Sequence[str], scope: Sequen
         raise InvalidParameters.of("exclude", f"{where} no views {listed} ({len(unknown)} of {len(ids)} ids)")
 
 
-def fitting(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Clause]:
-    """Conditions on `views` of all filters; a view must fulfil all of them."""
-    return allowing(filters) + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
+def fitting(
+    connection: sa.Connection, filters: Filters, map_id: int | None, scope: Sequence[Clause] = ()
+) -> list[Clause]:
+    """Conditions on `views` of all filters; a view must fulfil all of them. `scope`: as in `allowing`."""
+    allowed = allowing(connection, filters, scope or ([] if map_id is None else [VIEWS.c.map_id == map_id]))
+    return allowed + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
+
+
+def _are_in_degrees(connection: sa.Connection, first: float, second: float, scope: Sequence[Clause]) -> bool:
+    """Whether positions are in degrees, of which `first` and `second` then have to be a latitude and a longitude."""
+    metres, degrees = (
+        connection.scalar(sa.select(VIEWS.c.seq).where(column.is_not(None), *scope).limit(1)) is not None
+        for column in (VIEWS.c.x, VIEWS.c.globe_z)
+    )
+    if metres and degrees:
+        raise InvalidParameters.of(
+            "frame", "is needed: there are positions in metres and in degrees; frame=map or frame=geo says which"
+        )
+    if degrees and (abs(first) > 90 or abs(second) > 180):
+        needed = "needs a latitude within ±90 and a longitude within ±180, as positions here are"
+        raise InvalidParameters.of("near", f"{needed} (got {first:g},{second:g})")
+    return degrees
 
 
 def _near_metres(x: float, y: float, radius: float) -> list[Clause]:

@@ -28,9 +28,10 @@ class Listings(Part):
         """The views of a map that filters select, as sequence numbers; raises NotFound."""
         with self._database.reading() as connection:
             map_id = find_map(connection, name).id
-            seqs = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id)
+            of_map = VIEWS.c.map_id == map_id
+            seqs = sa.select(VIEWS.c.seq).where(of_map)
             only = None
-            allowed = allowing(filters)
+            allowed = allowing(connection, filters, [of_map])
             if allowed:
                 only = _ascending(connection.scalars(seqs.where(*allowed)))
             # Each by itself: a search that leaves out the newest views comes with every frame of a robot.

@@ -241,7 +241,7 @@ def _view_of_id() -> sa.Select[Any]:
 def attributes_of(row: sa.Row[Any]) -> ViewAttributes:
     """Attributes from the row of a view."""
     position = Position(row.x, row.y, row.z, row.lat, row.lon, row.alt, row.heading)
-    return ViewAttributes(row.place, position, row.captured_at, json.loads(row.metadata))
+    return ViewAttributes(row.place, position, row.captured_at, json.loads(row.metadata), row.filename)
 
 
 def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:
@@ -256,6 +256,7 @@ def attribute_columns(attributes: ViewAttributes) -> dict[str, Any]:
     columns["place"] = attributes.place
     columns["captured_at"] = attributes.captured_at
     columns["metadata"] = as_json(dict(attributes.metadata))
+    columns["filename"] = attributes.filename
     return columns
 
 

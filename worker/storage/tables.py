@@ -89,6 +89,7 @@ VIEWS = sa.Table(
     sa.Column("globe_z", sa.Double),
     sa.Column("captured_at", UtcDateTime),
     sa.Column("metadata", sa.Text, nullable=False),  # JSON
+    sa.Column("filename", sa.Text),  # last part of the name the image was sent with
     sa.Column("enrolled_at", UtcDateTime, nullable=False),
     sa.Column("sha256", sa.Text, nullable=False),
     sa.Column("width", sa.Integer, nullable=False),

@@ -73,14 +73,15 @@ class Views(Part):
             page = page.where(VIEWS.c.seq < last if newest_first else VIEWS.c.seq > last)
         if state is not None:
             page = page.where(VIEWS.c.state == state)
-        if among is not None:
-            page = page.where(VIEWS.c.map_id.in_(maps_named(among)))
+        scope = [] if among is None else [VIEWS.c.map_id.in_(maps_named(among))]
+        page = page.where(*scope)
         with self._database.reading() as connection:
             map_id = None
             if name is not None:
                 map_id = find_map(connection, name).id
                 page = page.where(VIEWS.c.map_id == map_id)
-            rows = [*connection.execute(page.where(*fitting(connection, filters, map_id)))]
+                scope.append(VIEWS.c.map_id == map_id)
+            rows = [*connection.execute(page.where(*fitting(connection, filters, map_id, scope)))]
         following = cursor_after(order, rows[limit - 1].seq) if len(rows) > limit else None
         return self._records(rows[:limit]), following
 

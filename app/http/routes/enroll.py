@@ -17,7 +17,7 @@ from app.http.parameters import EnrollParameters
 from app.http.problems import KINDS, URN, code_of
 from app.http.rate_limits import charge_images
 from app.http.validation import read
-from schemas.errors import Busy, InvalidParameters, RevisitError
+from schemas.errors import Busy, InvalidParameters, ParameterError, RevisitError
 from schemas.wire import Enrolled, EnrolledMany, EnrolmentError, ProblemParameter
 
 router = APIRouter(tags=["enrol and query"])
@@ -69,11 +69,15 @@ async def enroll(
     """Enrol one or several images in a map."""
     sent = await take(request)
     charge_images(request, len(sent.images))
-    params = read(EnrollParameters, sent.parameters, sent.errors)
+    errors = list(sent.errors)
+    if len(sent.images) > 1 and any(name == "filename" for name, _ in sent.parameters):
+        errors.append(ParameterError("filename", f"names one image; each of {len(sent.images)} has its part's name"))
+    params = read(EnrollParameters, sent.parameters, errors)
     check_map(access, params.map)
+    images = [(params.filename or name, data) for name, data in sent.images]
 
     async def work() -> Response:
-        outcomes = await recogniser.enroll(sent.images, params.map, params.attributes(), params.wait)
+        outcomes = await recogniser.enroll(images, params.map, params.attributes(), params.wait)
         for outcome in outcomes:
             if isinstance(outcome, Enrolled):
                 metrics.stages("enroll", outcome.timing_ms)

@@ -77,7 +77,7 @@ async def version(lifecycle: Lifecycles) -> Version:
     return await lifecycle.version()
 
 
-@router.api_route("/openapi.json", methods=["GET", "HEAD"], include_in_schema=False)
+@router.get("/openapi.json", include_in_schema=False)
 async def openapi(request: Request) -> Response:
     """The OpenAPI document."""
     return JSONResponse(document(request.app))
@@ -86,14 +86,16 @@ async def openapi(request: Request) -> Response:
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
 async def docs(request: Request) -> Response:
     """API documentation: one page that loads nothing from other hosts."""
-    return _page(pages.docs(document(request.app)))
+    return _page(pages.docs(document(request.app), request.url.netloc))
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
 async def console(request: Request, lifecycle: Lifecycles, curator: Curates, access: Accesses) -> Response:
     """The console: the maps, and links to everything else."""
     maps = await _maps(lifecycle, curator)
-    return _page(pages.console(request.app.version, None if maps is None else allowed(maps, access)))
+    return _page(
+        pages.console(request.app.version, None if maps is None else allowed(maps, access), request.url.netloc)
+    )
 
 
 def _shown(readiness: Readiness, access: Access) -> Readiness:

@@ -1,6 +1,7 @@
 """`/views`: list, show, correct and delete views."""
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -26,17 +27,23 @@ _PATCH_SCHEMA: dict[str, Any] = {
     "additionalProperties": False,
     "description": "JSON merge patch (RFC 7396) of the view's attributes; null removes.",
     "properties": {
-        "place": {"type": ["string", "null"]},
+        "place": {"type": ["string", "null"], "description": "Your own name for the place."},
         "position": {
             "type": ["object", "null"],
+            "description": "Metres in the map's frame, or degrees; what is not named stays.",
             "additionalProperties": False,
             "properties": {name: {"type": ["number", "null"]} for name in Position.model_fields},
         },
-        "captured_at": {"type": ["string", "null"], "format": "date-time"},
-        "metadata": {"type": ["object", "null"]},
+        **{
+            name: {"type": ["number", "null"], "description": "The same as in position, which is then not sent."}
+            for name in Position.model_fields
+        },
+        "captured_at": {"type": ["string", "null"], "format": "date-time", "description": "RFC 3339 with its zone."},
+        "metadata": {"type": ["object", "null"], "description": "Merged by name: null removes one, or all of it."},
     },
 }
 _FIELDS = ("place", "position", "captured_at", "metadata")
+_KNOWN = frozenset((*_FIELDS, *Position.model_fields))
 
 
 @router.get("/views", response_model=Views, responses=refusals("not-found"))
@@ -79,7 +86,7 @@ async def get_view(view_id: ViewId, curator: Curates) -> View:
     responses={**_VIEW, **refusals("malformed-body", "not-found", "body-too-large", "disk-full")},
 )
 async def patch_view(view_id: ViewId, request: Request, curator: Curates) -> View:
-    """Change attributes of a view: place, position, captured_at, metadata."""
+    """Change attributes of a view: place, position (or its fields by themselves), captured_at, metadata."""
     patch = await json_object(request)
     return await curator.patch_view(view_id, lambda attributes: _patched(attributes, patch))
 
@@ -94,7 +101,7 @@ async def delete_view(view_id: ViewId, curator: Curates) -> Deleted:
 
 def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttributes:
     """The attributes after the merge patch; raises InvalidParameters."""
-    unknown = [ParameterError(name, "cannot be changed") for name in patch if name not in _FIELDS]
+    unknown = [ParameterError(name, "cannot be changed") for name in patch if name not in _KNOWN]
     if not within_depth(patch, METADATA_DEPTH + 1):
         raise InvalidParameters.of("metadata", f"must not be nested deeper than {METADATA_DEPTH} levels")
     document: dict[str, Any] = {
@@ -109,16 +116,22 @@ def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttribute
         raise InvalidParameters.of("position", 'needs to be an object such as {"x": 1.5, "y": 2}, or null')
     stray = position.keys() - Position.model_fields.keys()
     unknown += [ParameterError(f"position.{name}", "is unknown") for name in sorted(stray)]
+    flat = [name for name in Position.model_fields if name in patch]
+    sent = patch.get("position")
+    if flat and sent is not None:
+        unknown.append(ParameterError(flat[0], "was given beside position: send one or the other"))
+    position = merge(position, {name: patch[name] for name in flat})
     known = {name: value for name, value in merged.items() if name in _FIELDS and value is not None}
     located = {name: value for name, value in position.items() if name not in stray}
     try:
-        return validated(AttributesDocument, {**known, **located}, unknown).attributes()
+        changed = validated(AttributesDocument, {**known, **located}, unknown).attributes()
     except InvalidParameters as error:
-        raise InvalidParameters([_in_document(one) for one in error.errors]) from None
+        raise InvalidParameters([_in_document(one, flat) for one in error.errors]) from None
+    return replace(changed, filename=attributes.filename)
 
 
-def _in_document(error: ParameterError) -> ParameterError:
-    """The mistake, with its path in the view as its name."""
-    if error.parameter in Position.model_fields:
+def _in_document(error: ParameterError, flat: Sequence[str]) -> ParameterError:
+    """The mistake, with its path in the view as its name, unless it was sent `flat`."""
+    if error.parameter in Position.model_fields and error.parameter not in flat:
         return ParameterError(f"position.{error.parameter}", error.detail)
     return error

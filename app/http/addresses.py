@@ -1,0 +1,37 @@
+"""Middleware that lets every address be asked for in the ways that HTTP libraries and people use."""
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+
+class Addresses:
+    """HEAD is answered as GET without the body (RFC 9110, 9.3.2), and ``/views/`` as ``/views``.
+
+    A slash is not answered with a redirect, for which a client would have to send its image again.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        path: str = scope["path"]
+        if len(path) > 1 and path.endswith("/"):
+            scope["path"] = path[:-1]
+            scope["raw_path"] = scope.get("raw_path", b"").removesuffix(b"/")
+        if scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+        inner = {**scope, "method": "GET"}
+
+        async def send_head(message: Message) -> None:
+            if message["type"] == "http.response.body":
+                message = {**message, "body": b""}
+            await send(message)
+
+        try:
+            await self._app(inner, receive, send_head)
+        finally:
+            scope.update({name: inner[name] for name in ("route", "path_params") if name in inner})  # for the log
