@@ -237,6 +237,8 @@ class Comparison:
         Sequence numbers of views that show the same spot, whatever the user said of them.
     among, others : int
         Number of views of the map at that time, and of those of other places among them.
+    rival, own : int or None, float or None
+        Sequence number of the view that scores `level`; score of the best other view of its own place, 0..1.
     """
 
     seq: int
@@ -245,6 +247,8 @@ class Comparison:
     same_spot: tuple[int, ...]
     among: int
     others: int
+    rival: int | None = None
+    own: float | None = None
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,15 @@ from .wire_calibration import (
 from .wire_calibration import (
     PrecisionThreshold as PrecisionThreshold,
 )
+from .wire_health import (
+    HealthCode as HealthCode,
+)
+from .wire_health import (
+    HealthFinding as HealthFinding,
+)
+from .wire_health import (
+    MapHealth as MapHealth,
+)
 from .wire_query import (
     ChannelMatch as ChannelMatch,
 )

@@ -28,6 +28,7 @@ from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
+from worker.service.health import HealthService
 from worker.service.jobs import JobService
 from worker.service.keys import KeyService
 from worker.service.maps import MapService
@@ -54,6 +55,7 @@ class Services:
     maps: MapService
     jobs: JobService
     calibration: CalibrationService
+    health: HealthService
     keys: KeyService
 
 
@@ -354,6 +356,12 @@ def _services(
         ),
         jobs=JobService(store.jobs),
         keys=KeyService(store.keys),
+        health=HealthService(
+            maps=store.maps,
+            comparisons=store.comparisons,
+            descriptions=store.descriptions,
+            calibration=calibration_of,
+        ),
         calibration=CalibrationService(
             maps=store.maps,
             views=store.views,

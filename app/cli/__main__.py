@@ -15,6 +15,7 @@ GROUPS = (
     "browse",
     "recipes",
     "calibrate",
+    "map_health",
     "health",
     "keys",
     "care",

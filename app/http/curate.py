@@ -7,12 +7,15 @@ from functools import partial
 from typing import Any, Protocol
 
 from app.http import presenters
+from app.http.health_report import map_health
 from schemas import wire
+from schemas.health import Code as HealthCode
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PostCalibration, PutMap
 from worker.description.presets import Wanted
 from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
+from worker.service.health import HealthService
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.renderings import RenderingService
@@ -53,6 +56,7 @@ class Curator:
     maps : MapService
     jobs : JobService
     calibrations : CalibrationService
+    health : HealthService
     calls : Calls
         Answers of calls with an Idempotency-Key.
     """
@@ -64,10 +68,11 @@ class Curator:
         maps: MapService,
         jobs: JobService,
         calibrations: CalibrationService,
+        health: HealthService,
         calls: Calls,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
-        self._calibrations = calibrations
+        self._calibrations, self._health = calibrations, health
 
     # views
 
@@ -186,6 +191,10 @@ class Curator:
         """Return a map to the shipped calibration."""
         await asyncio.to_thread(self._calibrations.forget, name)
         return await self.map(name)
+
+    async def health(self, name: str, code: HealthCode | None, limit: int) -> wire.MapHealth:
+        """What a map lacks or suffers from: at most `limit` findings of each kind, or of the kind `code`."""
+        return map_health(await asyncio.to_thread(self._health.of, name), code, limit)
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""

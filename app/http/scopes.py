@@ -24,6 +24,7 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/queries/{query_id}/explanation.png"),
     ("GET", "/maps"),
     ("GET", "/maps/{map}"),
+    ("GET", "/maps/{map}/health"),
     ("GET", "/places"),
     ("GET", "/jobs"),
     ("GET", "/jobs/{job_id}"),

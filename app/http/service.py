@@ -53,6 +53,7 @@ class Service:
                 services.maps,
                 services.jobs,
                 services.calibration,
+                services.health,
                 runtime.store.calls,
             ),
             lifecycle,

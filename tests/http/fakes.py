@@ -14,7 +14,7 @@ from uuid6 import uuid7
 
 from app.http.application import application
 from app.http.curate import Curator
-from app.http.examples import MATCH, QUERY_ANSWER, VIEW
+from app.http.examples import MAP_HEALTH, MATCH, QUERY_ANSWER, VIEW
 from app.http.keys import Keys, NoKeys
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
@@ -243,6 +243,11 @@ class FakeRecogniser:
             extent=None,
             created_at=NOW,
         )
+
+    async def health(self, name: str, code: str | None, limit: int) -> wire.MapHealth:
+        await self.map(name)
+        self.given = {"map": name, "code": code, "limit": limit}
+        return wire.MapHealth.model_validate({**MAP_HEALTH, "map": name})
 
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         if any(kept.map == name for kept in self.kept.values()):

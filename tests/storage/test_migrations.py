@@ -303,7 +303,9 @@ def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> No
     with database.writing() as connection:
         for name in ("maps", "comparisons", "jobs", "tombstones", "calls"):
             connection.exec_driver_sql(f"DROP INDEX {name}_unsealed")
-        connection.exec_driver_sql("DROP TABLE keys")  # of a later version
+        connection.exec_driver_sql("DROP TABLE keys")  # of later versions, as the two columns
+        for name in ("rival", "own"):
+            connection.exec_driver_sql(f"ALTER TABLE comparisons DROP COLUMN {name}")
         for name in [table.name for table in METADATA.sorted_tables if "checksum" in table.c and table.name != "keys"]:
             connection.exec_driver_sql(f"ALTER TABLE {name} DROP COLUMN checksum")
     set_revision(database, "0006")
