@@ -1,4 +1,4 @@
-"""Records of a map's health: what is read of its views, and what is found in them."""
+"""Records of a map's health: which views are compared for it, what is read of them, and what is found."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -9,6 +9,16 @@ Code = Literal["twins", "duplicates", "missing-directions", "single-view", "gap"
 
 CODES: tuple[Code, ...] = ("twins", "duplicates", "missing-directions", "single-view", "gap")
 """Kinds of findings, those that make answers wrong first."""
+
+
+@dataclass(frozen=True)
+class Uncompared:
+    """Views of a map whose comparison is missing or was made when the map was less than half as large."""
+
+    map: str
+    recipe: str
+    seqs: tuple[int, ...]
+    among: int
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,7 @@ class MapRecord:
     ranking: RankingConfig
     created_at: datetime
     calibration: str | None = None
+    keep_queries: int = 0  # at most, of those that matched nothing
 
     @property
     def recipe(self) -> MapRecipe:
@@ -238,7 +239,7 @@ class Comparison:
     among, others : int
         Number of views of the map at that time, and of those of other places among them.
     rival, own : int or None, float or None
-        Sequence number of the view that scores `level`; score of the best other view of its own place, 0..1.
+        The view that scores `level`, by sequence number; score of the best other view of the own place, 0..1.
     """
 
     seq: int
@@ -249,16 +250,6 @@ class Comparison:
     others: int
     rival: int | None = None
     own: float | None = None
-
-
-@dataclass(frozen=True)
-class Uncompared:
-    """Views of a map whose comparison is missing or was made when the map was less than half as large."""
-
-    map: str
-    recipe: str
-    seqs: tuple[int, ...]
-    among: int
 
 
 @dataclass(frozen=True)
@@ -367,11 +358,12 @@ class Replay:
 
 @dataclass(frozen=True)
 class Removal:
-    """Result of a deletion: numbers of views and image files removed, and the map's revision, if it still exists."""
+    """Result of a deletion: numbers removed, and the map's revision, if it still exists."""
 
     views: int
     images: int
     revision: int | None
+    queries: int = 0  # kept ones
 
 
 @dataclass(frozen=True, eq=False)

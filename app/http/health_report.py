@@ -1,8 +1,12 @@
-"""Turns a report of a map's health into its model on the wire."""
+"""Turns a map's health and its unknown places into their models on the wire."""
 
 from app.http.presenters import position
 from schemas import wire
 from schemas.health import CODES, Code, HealthReport
+from schemas.inbox import Inbox
+
+SHOWN = 20
+"""Queries of an unknown place that are listed at most."""
 
 
 def map_health(report: HealthReport, code: Code | None, limit: int) -> wire.MapHealth:
@@ -28,5 +32,27 @@ def map_health(report: HealthReport, code: Code | None, limit: int) -> wire.MapH
             )
             for found in of.values()
             for one in found[:limit]
+        ],
+    )
+
+
+def unknown_places(name: str, inbox: Inbox, limit: int) -> wire.UnknownPlaces:
+    """The unknown places of a map, at most `limit`."""
+    return wire.UnknownPlaces(
+        map=name,
+        keep_queries=inbox.keep_queries,
+        kept=inbox.kept,
+        examined=inbox.examined,
+        count=len(inbox.places),
+        places=[
+            wire.UnknownPlace(
+                id=place.queries[0],
+                count=len(place.queries),
+                queries=list(place.queries[:SHOWN]),
+                first_at=place.first_at,
+                last_at=place.last_at,
+                links={"image": f"/maps/{name}/unknown/{place.queries[0]}/image"},
+            )
+            for place in inbox.places[:limit]
         ],
     )

@@ -243,6 +243,12 @@ class HealthParameters(Parameters):
     limit: int = Field(20, ge=1, le=500, description="Findings of each kind at most.")
 
 
+class UnknownParameters(Parameters):
+    """Parameters of `GET /maps/{map}/unknown`."""
+
+    limit: int = Field(20, ge=1, le=500, description="Places at most.")
+
+
 class ThumbnailParameters(Parameters):
     """Parameters of `GET /views/{id}/thumbnail`."""
 

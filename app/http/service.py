@@ -54,6 +54,7 @@ class Service:
                 services.jobs,
                 services.calibration,
                 services.health,
+                services.inbox,
                 runtime.store.calls,
             ),
             lifecycle,

@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from schemas.description import Description
 from schemas.errors import NotFound
+from schemas.health import Uncompared
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import Candidates, Comparison, Selection, Uncompared
+from schemas.records import Candidates, Comparison, Selection
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone

@@ -71,9 +71,12 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
     responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
 )
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
-    """Change the ranking config of a map, from the next query on; nothing is described anew."""
+    """Change the ranking of a map, or how many of its queries are kept, from the next query on."""
     changes = await _body(request, PatchMap)
-    return await curator.change_ranking(name, changes.ranking)
+    facts = None if changes.keep_queries is None else await curator.keep_queries(name, changes.keep_queries)
+    if changes.ranking is not None or facts is None:
+        return await curator.change_ranking(name, changes.ranking or {})
+    return facts
 
 
 @router.delete("/maps/{map}", response_model=Deleted, responses=refusals("not-found"))

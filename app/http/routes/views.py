@@ -114,10 +114,10 @@ def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttribute
     try:
         return validated(AttributesDocument, {**known, **located}, unknown).attributes()
     except InvalidParameters as error:
-        raise InvalidParameters([_in_document(one) for one in error.errors]) from None
+        raise InvalidParameters([in_document(one) for one in error.errors]) from None
 
 
-def _in_document(error: ParameterError) -> ParameterError:
+def in_document(error: ParameterError) -> ParameterError:
     """The mistake, with its path in the view as its name."""
     if error.parameter in Position.model_fields:
         return ParameterError(f"position.{error.parameter}", error.detail)
