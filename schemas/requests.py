@@ -46,12 +46,6 @@ class PatchMap(BaseModel):
         "`GET /maps/{map}/unknown`; the oldest are dropped. 0 deletes those that are kept.",
     )
 
-    @model_validator(mode="after")
-    def _something_changes(self) -> Self:
-        if self.ranking is None and self.keep_queries is None:
-            raise ValueError("ranking or keep_queries is needed")
-        return self
-
 
 class PostUnknown(BaseModel):
     """The name of an unknown place, and where it is."""

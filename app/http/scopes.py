@@ -26,7 +26,7 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/maps/{map}"),
     ("GET", "/maps/{map}/health"),
     ("GET", "/maps/{map}/unknown"),
-    ("GET", "/maps/{map}/unknown/{query_id}/image"),
+    ("GET", "/maps/{map}/unknown/{place_id}/image"),
     ("GET", "/places"),
     ("GET", "/jobs"),
     ("GET", "/jobs/{job_id}"),

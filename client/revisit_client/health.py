@@ -36,7 +36,8 @@ class HealthCalls:
     ) -> wire.NamedPlace:
         """Name an unknown place: its images become views, which are described in the background."""
         body = {"place": place, "position": None if position is None else dict(position)}
-        return self._connection.receive(wire.NamedPlace, "POST", f"/maps/{name}/unknown/{place_id}", json=body)
+        path = f"/maps/{name}/unknown/{place_id}"
+        return self._connection.receive(wire.NamedPlace, "POST", path, json=body, repeat=False)
 
     def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
         """Delete the queries of an unknown place, and their images."""

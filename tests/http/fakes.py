@@ -249,6 +249,22 @@ class FakeRecogniser:
         self.given = {"map": name, "code": code, "limit": limit}
         return wire.MapHealth.model_validate({**MAP_HEALTH, "map": name})
 
+    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"keep_queries": count})
+
+    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
+        await self.map(name)
+        return wire.UnknownPlaces(map=name, keep_queries=0, kept=0, examined=0, count=0, places=[])
+
+    async def unknown_image(self, name: str, query_id: str) -> bytes:
+        raise NotFound("kept query", query_id)
+
+    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
+        raise NotFound("unknown place", place_id)
+
+    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        return wire.DismissedPlace(queries=3)
+
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         if any(kept.map == name for kept in self.kept.values()):
             raise Conflict(f"the map {name!r} has views; POST /maps/{name}/recipe describes them anew")

@@ -12,6 +12,7 @@ from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.validation import validated
+from schemas.errors import InvalidParameters
 from schemas.keys import Access
 from schemas.requests import PatchMap, PostCalibration, PutMap
 from schemas.wire import CalibrationReport, Deleted, Job, MapFacts, Maps
@@ -73,9 +74,12 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
     """Change the ranking of a map, or how many of its queries are kept, from the next query on."""
     changes = await _body(request, PatchMap)
-    facts = None if changes.keep_queries is None else await curator.keep_queries(name, changes.keep_queries)
-    if changes.ranking is not None or facts is None:
-        return await curator.change_ranking(name, changes.ranking or {})
+    if changes.ranking is None and changes.keep_queries is None:
+        raise InvalidParameters.of("ranking", "is missing: ranking, keep_queries or both are needed")
+    if changes.ranking is not None:  # first: it may be refused
+        facts = await curator.change_ranking(name, changes.ranking)
+    if changes.keep_queries is not None:
+        facts = await curator.keep_queries(name, changes.keep_queries)
     return facts
 
 

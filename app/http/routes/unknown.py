@@ -27,16 +27,18 @@ async def list_unknown(name: MapName, params: Annotated[UnknownParameters, Query
 
 
 @router.get(
-    "/maps/{map}/unknown/{query_id}/image",
+    "/maps/{map}/unknown/{place_id}/image",
     response_class=Response,
     dependencies=[no_parameters],
     responses={**answers_bytes("image/jpeg", description="The image, small and upright."), **refusals("not-found")},
 )
 async def unknown_image(
-    name: MapName, query_id: Annotated[str, Path(description="Id of a kept query.")], curator: Curates
+    name: MapName,
+    place_id: Annotated[str, Path(description="Id of an unknown place, or of any of its queries.")],
+    curator: Curates,
 ) -> Response:
     """A small image of a query that matched nothing."""
-    return Response(await curator.unknown_image(name, query_id), media_type="image/jpeg")
+    return Response(await curator.unknown_image(name, place_id), media_type="image/jpeg")
 
 
 @router.post(
