@@ -75,6 +75,7 @@ class MapRecord:
     ranking: RankingConfig
     created_at: datetime
     calibration: str | None = None
+    keep_queries: int = 0  # at most, of those that matched nothing
 
     @property
     def recipe(self) -> MapRecipe:
@@ -238,6 +239,8 @@ class Comparison:
         Sequence numbers of views that show the same spot, whatever the user said of them.
     among, others : int
         Number of views of the map at that time, and of those of other places among them.
+    rival, own : int or None, float or None
+        The view that scores `level`, by sequence number; score of the best other view of the own place, 0..1.
     """
 
     seq: int
@@ -246,16 +249,8 @@ class Comparison:
     same_spot: tuple[int, ...]
     among: int
     others: int
-
-
-@dataclass(frozen=True)
-class Uncompared:
-    """Views of a map whose comparison is missing or was made when the map was less than half as large."""
-
-    map: str
-    recipe: str
-    seqs: tuple[int, ...]
-    among: int
+    rival: int | None = None
+    own: float | None = None
 
 
 @dataclass(frozen=True)
@@ -366,11 +361,12 @@ class Replay:
 
 @dataclass(frozen=True)
 class Removal:
-    """Result of a deletion: numbers of views and image files removed, and the map's revision, if it still exists."""
+    """Result of a deletion: numbers removed, and the map's revision, if it still exists."""
 
     views: int
     images: int
     revision: int | None
+    queries: int = 0  # kept ones
 
 
 @dataclass(frozen=True, eq=False)

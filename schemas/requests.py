@@ -4,6 +4,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from schemas.wire_views import Position
+
 
 class PutMap(BaseModel):
     """Recipe of a map; fields left out take the service's defaults.
@@ -31,13 +33,27 @@ class PutMap(BaseModel):
 
 
 class PatchMap(BaseModel):
-    """Changes of a map that take effect at once: its ranking."""
+    """Changes of a map that take effect at once: its ranking, or how many queries are kept."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    ranking: dict[str, Any] = Field(
-        description="Ranking parameters to change; the others stay.", examples=[{"candidates": 100}]
+    ranking: dict[str, Any] | None = Field(
+        None, description="Ranking parameters to change; the others stay.", examples=[{"candidates": 100}]
     )
+    keep_queries: Annotated[int, Field(ge=0, le=10_000)] | None = Field(
+        None,
+        description="How many queries that matched nothing are kept at most, with a small image of each, for "
+        "`GET /maps/{map}/unknown`; the oldest are dropped. 0 deletes those that are kept.",
+    )
+
+
+class PostUnknown(BaseModel):
+    """The name of an unknown place, and where it is."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    place: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Your own name for the place.")
+    position: Position | None = None
 
 
 class _Label(BaseModel):

@@ -16,6 +16,27 @@ from .wire_calibration import (
 from .wire_calibration import (
     PrecisionThreshold as PrecisionThreshold,
 )
+from .wire_health import (
+    HealthCode as HealthCode,
+)
+from .wire_health import (
+    HealthFinding as HealthFinding,
+)
+from .wire_health import (
+    MapHealth as MapHealth,
+)
+from .wire_inbox import (
+    DismissedPlace as DismissedPlace,
+)
+from .wire_inbox import (
+    NamedPlace as NamedPlace,
+)
+from .wire_inbox import (
+    UnknownPlace as UnknownPlace,
+)
+from .wire_inbox import (
+    UnknownPlaces as UnknownPlaces,
+)
 from .wire_query import (
     ChannelMatch as ChannelMatch,
 )
@@ -181,6 +202,7 @@ class MapFacts(Answer):
     recipe: dict[str, Any] = Field(description="Description recipe, with its `id`.")
     ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
     decision: MapDecision
+    keep_queries: int = Field(0, description="How many queries that matched nothing are kept at most.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None
@@ -223,6 +245,7 @@ class Deleted(Answer):
     views: int
     images: int = Field(description="Image files removed; a file is kept while another view has the same bytes.")
     revision: int | None
+    queries: int = Field(0, description="Kept queries removed, with the images that were kept of them.")
 
 
 class JobProgress(Answer):

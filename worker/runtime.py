@@ -28,6 +28,8 @@ from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
+from worker.service.health import HealthService
+from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.keys import KeyService
 from worker.service.maps import MapService
@@ -54,6 +56,8 @@ class Services:
     maps: MapService
     jobs: JobService
     calibration: CalibrationService
+    health: HealthService
+    inbox: InboxService
     keys: KeyService
 
 
@@ -297,21 +301,23 @@ def _services(
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
+    enroll = EnrollService(
+        maps=store.maps,
+        enrolment=store.enrolment,
+        views=store.views,
+        removals=store.removals,
+        queue=store.jobs,
+        settlements=settlements,
+        decode=decoder.decode,
+        default_recipe=default_recipe,
+        limit=settings.queue,
+        pace_s=lambda: scheduler.pace_s,
+        wake=_nothing if loop is None else loop.wake,
+        workers=lambda: attendance.alive,
+    )
     return Services(
-        enroll=EnrollService(
-            maps=store.maps,
-            enrolment=store.enrolment,
-            views=store.views,
-            removals=store.removals,
-            queue=store.jobs,
-            settlements=settlements,
-            decode=decoder.decode,
-            default_recipe=default_recipe,
-            limit=settings.queue,
-            pace_s=lambda: scheduler.pace_s,
-            wake=_nothing if loop is None else loop.wake,
-            workers=lambda: attendance.alive,
-        ),
+        enroll=enroll,
+        inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
         query=QueryService(
             maps=store.maps,
             views=store.views,
@@ -325,6 +331,8 @@ def _services(
             decode=decoder.decode,
             shrink=codec.shrink,
             look_for_problem=lambda image: quality.problem(image.pixels),
+            thumbnail=decoder.thumbnail,
+            kept=store.kept_queries,
             calibration=calibration_of,
             explanations=explanations,
             product=product,
@@ -354,6 +362,12 @@ def _services(
         ),
         jobs=JobService(store.jobs),
         keys=KeyService(store.keys),
+        health=HealthService(
+            maps=store.maps,
+            comparisons=store.comparisons,
+            descriptions=store.descriptions,
+            calibration=calibration_of,
+        ),
         calibration=CalibrationService(
             maps=store.maps,
             views=store.views,

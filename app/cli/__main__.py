@@ -16,6 +16,7 @@ GROUPS = (
     "browse",
     "recipes",
     "calibrate",
+    "map_health",
     "health",
     "keys",
     "care",

@@ -7,12 +7,16 @@ from functools import partial
 from typing import Any, Protocol
 
 from app.http import presenters
+from app.http.health_report import map_health, unknown_places
 from schemas import wire
+from schemas.health import Code as HealthCode
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PostCalibration, PutMap
 from worker.description.presets import Wanted
 from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
+from worker.service.health import HealthService
+from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.renderings import RenderingService
@@ -53,6 +57,8 @@ class Curator:
     maps : MapService
     jobs : JobService
     calibrations : CalibrationService
+    health : HealthService
+    inbox : InboxService
     calls : Calls
         Answers of calls with an Idempotency-Key.
     """
@@ -64,10 +70,12 @@ class Curator:
         maps: MapService,
         jobs: JobService,
         calibrations: CalibrationService,
+        health: HealthService,
+        inbox: InboxService,
         calls: Calls,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
-        self._calibrations = calibrations
+        self._calibrations, self._health, self._inbox = calibrations, health, inbox
 
     # views
 
@@ -186,6 +194,31 @@ class Curator:
         """Return a map to the shipped calibration."""
         await asyncio.to_thread(self._calibrations.forget, name)
         return await self.map(name)
+
+    async def health(self, name: str, code: HealthCode | None, limit: int) -> wire.MapHealth:
+        """What a map lacks or suffers from: at most `limit` findings of each kind, or of the kind `code`."""
+        return map_health(await asyncio.to_thread(self._health.of, name), code, limit)
+
+    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
+        """Keep at most `count` of a map's queries that matched nothing."""
+        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count))
+
+    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
+        """Queries that matched nothing, by spot: at most `limit` spots."""
+        return unknown_places(name, await asyncio.to_thread(self._inbox.of, name), limit)
+
+    async def unknown_image(self, name: str, query_id: str) -> bytes:
+        """A small JPEG of a kept query."""
+        return await asyncio.to_thread(self._inbox.image, name, query_id)
+
+    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
+        """Enrol images of an unknown place as views with these attributes."""
+        enrolled, removed = await asyncio.to_thread(self._inbox.name, name, place_id, attributes)
+        return wire.NamedPlace(views=[presenters.enrolled(one).view for one in enrolled], queries=removed)
+
+    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        """Delete the queries of an unknown place."""
+        return wire.DismissedPlace(queries=await asyncio.to_thread(self._inbox.dismiss, name, place_id))
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""

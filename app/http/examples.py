@@ -152,6 +152,27 @@ CALIBRATION_REPORT: dict[str, Any] = {
     "thresholds": [{"precision": 0.97, "threshold": 0.81, "matched_share": 0.7}],
 }
 
+MAP_HEALTH: dict[str, Any] = {
+    "map": "campus",
+    "revision": 43,
+    "views": 1730,
+    "examined": 1730,
+    "compared": 1730,
+    "counts": {"twins": 0, "duplicates": 0, "missing-directions": 1, "single-view": 0, "gap": 0},
+    "findings": [
+        {
+            "code": "missing-directions",
+            "detail": "'library, east door' is not seen towards south and west",
+            "remedy": "stand at 'library, east door' (x 12.5, y 3.0), photograph south (180°) and west (270°)",
+            "places": ["library, east door"],
+            "views": [VIEW["id"]],
+            "count": 1,
+            "position": VIEW["position"],
+            "headings": [180.0, 270.0],
+        }
+    ],
+}
+
 PROBLEM_DETAILS: dict[str, str] = {
     "damaged": "the file pictures/9f/86/9f86d081 of its image is empty; enrol the image again, or restore the file "
     "from a backup",

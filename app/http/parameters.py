@@ -10,6 +10,7 @@ from app.http import values
 from app.http.validation import Parameters
 from schemas.errors import ParameterError
 from schemas.records import Filters, Position, ViewAttributes
+from schemas.wire import HealthCode
 
 METADATA_FILTER = "metadata.KEY"
 """Name of the metadata filters in the OpenAPI document; KEY stands for any key."""
@@ -243,6 +244,19 @@ class ListPlaces(Parameters):
     map: MapName | None = None
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
     limit: int = Field(50, ge=1, le=500, description="Places a page.")
+
+
+class HealthParameters(Parameters):
+    """Parameters of `GET /maps/{map}/health`."""
+
+    code: HealthCode | None = Field(None, description="Only findings of this kind.")
+    limit: int = Field(20, ge=1, le=500, description="Findings of each kind at most.")
+
+
+class UnknownParameters(Parameters):
+    """Parameters of `GET /maps/{map}/unknown`."""
+
+    limit: int = Field(20, ge=1, le=500, description="Places at most.")
 
 
 class ThumbnailParameters(Parameters):

@@ -109,7 +109,7 @@ def job(record: JobRecord) -> wire.Job:
 
 def removal(receipt: Removal) -> wire.Deleted:
     """What a deletion removed."""
-    return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision)
+    return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision, queries=receipt.queries)
 
 
 def map_facts(state: MapState) -> wire.MapFacts:
@@ -143,6 +143,7 @@ def map_facts(state: MapState) -> wire.MapFacts:
             "dimensions": {name: channel.length for name, channel in channels},
         },
         decision=_map_decision(state),
+        keep_queries=record.keep_queries,
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),
         created_at=record.created_at,
     )

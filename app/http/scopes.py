@@ -24,6 +24,9 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/queries/{query_id}/explanation.png"),
     ("GET", "/maps"),
     ("GET", "/maps/{map}"),
+    ("GET", "/maps/{map}/health"),
+    ("GET", "/maps/{map}/unknown"),
+    ("GET", "/maps/{map}/unknown/{place_id}/image"),
     ("GET", "/places"),
     ("GET", "/jobs"),
     ("GET", "/jobs/{job_id}"),
@@ -34,6 +37,8 @@ READ: tuple[tuple[str, str], ...] = (
 )
 WRITE: tuple[tuple[str, str], ...] = (
     ("POST", "/enroll"),
+    ("POST", "/maps/{map}/unknown/{place_id}"),
+    ("DELETE", "/maps/{map}/unknown/{place_id}"),
     ("PATCH", "/views/{view_id}"),
     ("DELETE", "/views/{view_id}"),
     ("DELETE", "/views"),

@@ -53,6 +53,8 @@ class Service:
                 services.maps,
                 services.jobs,
                 services.calibration,
+                services.health,
+                services.inbox,
                 runtime.store.calls,
             ),
             lifecycle,

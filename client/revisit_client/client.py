@@ -14,6 +14,7 @@ import httpx
 from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed
+from revisit_client.health import HealthCalls
 from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
 
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -21,7 +22,7 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
 
-class Revisit:
+class Revisit(HealthCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters

@@ -14,7 +14,7 @@ from uuid6 import uuid7
 
 from app.http.application import application
 from app.http.curate import Curator
-from app.http.examples import MATCH, QUERY_ANSWER, VIEW
+from app.http.examples import MAP_HEALTH, MATCH, QUERY_ANSWER, VIEW
 from app.http.keys import Keys, NoKeys
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
@@ -245,6 +245,27 @@ class FakeRecogniser:
             extent=None,
             created_at=NOW,
         )
+
+    async def health(self, name: str, code: str | None, limit: int) -> wire.MapHealth:
+        await self.map(name)
+        self.given = {"map": name, "code": code, "limit": limit}
+        return wire.MapHealth.model_validate({**MAP_HEALTH, "map": name})
+
+    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"keep_queries": count})
+
+    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
+        await self.map(name)
+        return wire.UnknownPlaces(map=name, keep_queries=0, kept=0, examined=0, count=0, places=[])
+
+    async def unknown_image(self, name: str, query_id: str) -> bytes:
+        raise NotFound("kept query", query_id)
+
+    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
+        raise NotFound("unknown place", place_id)
+
+    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        return wire.DismissedPlace(queries=3)
 
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         if any(kept.map == name for kept in self.kept.values()):

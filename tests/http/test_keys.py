@@ -49,7 +49,7 @@ class Locked:
 
     def call(self, method: str, path: str, key: str | None) -> httpx.Response:
         """A call that would be answered without keys: the map is ``belfry`` wherever one can be named."""
-        path = path.format(view_id=self.view, map="belfry", job_id="j1", query_id="q1")
+        path = path.format(view_id=self.view, map="belfry", job_id="j1", query_id="q1", place_id="u1")
         options: dict[str, Any] = {"headers": {} if key is None else {"authorization": f"Bearer {key}"}}
         if path in ("/enroll", "/query"):
             path += "?map=belfry"
@@ -57,7 +57,7 @@ class Locked:
             options["headers"] |= IMAGE
         if (method, path) == ("DELETE", "/views"):
             path += "?map=belfry&all=true"
-        if method in ("PUT", "PATCH") or path.endswith(("/recipe", "/calibration")):
+        if method in ("PUT", "PATCH") or path.endswith(("/recipe", "/calibration", "/unknown/u1")):
             options |= {"json": {}} if method != "DELETE" else {}
         response: httpx.Response = self.client.request(method, path, **options)
         return response

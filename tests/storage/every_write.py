@@ -18,7 +18,7 @@ from schemas.errors import DiskFull, NotFound, StorageFailed
 from schemas.records import Filters, Replay, ViewAttributes
 from tests.failing_writes import FailingWrites
 from tests.storage.databases import sqlite_url
-from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, finish, image, recipe
+from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, facts, finish, image, recipe
 from worker.storage.store import SqlStore, open_store
 
 Operation = Callable[[SqlStore], object]
@@ -34,7 +34,14 @@ def prepared(folder: Path) -> None:
     describe_all(store)
     enroll(store, "stairs")
     store.calls.begin("runs", "f", NOW)
+    store.maps.keep_queries("campus", 1)
+    keep_query(store, "dock")
     store.close()
+
+
+def keep_query(store: SqlStore, name: str) -> None:
+    """Keep a query that matched nothing."""
+    store.kept_queries.keep("campus", name, RECIPE.description, description(1), image(name), NOW)
 
 
 def state(folder: Path) -> State:
@@ -75,6 +82,8 @@ OPERATIONS: dict[str, Operation] = {
     "switch the recipe": lambda store: store.jobs.switch_recipe("campus", recipe("paper"), NOW),
     "begin a call": lambda store: store.calls.begin("new", "f", NOW),
     "end a call": lambda store: store.calls.end("runs", Replay(201, {}, b"{}"), NOW),
+    "keep a query": lambda store: keep_query(store, "tower"),
+    "keep no queries": lambda store: store.maps.keep_queries("campus", 0),
     "recover": lambda store: store.recover(),
 }
 

@@ -12,7 +12,7 @@ ID = RECIPE.description.id
 
 
 def compared(seq: int, among: int, level: float = 0.3, same_spot: tuple[int, ...] = ()) -> Comparison:
-    return Comparison(seq, level, 0.04, same_spot, among, among - 1)
+    return Comparison(seq, level, 0.04, same_spot, among, among - 1, rival=seq)
 
 
 def described(store: SqlStore, *names: str) -> list[int]:
@@ -120,3 +120,25 @@ def test_a_whole_description_is_read_back_as_it_was_stored(store: SqlStore) -> N
     changes = store.descriptions.since("campus", 0)
     assert [v for values in whole.vectors.values() for v in values.tolist()] == changes.vectors[0].tolist()
     assert store.descriptions.whole(seq + 1, RECIPE.description) is None
+
+
+def test_a_comparison_that_does_not_name_its_rival_is_made_again(store: SqlStore) -> None:
+    """Those that an earlier version made."""
+    one, two, three = described(store, "gate", "pond", "stairs")
+    nameless = [compared(one, 3), compared(two, 3), Comparison(three, None, None, (), 3, 0)]
+    store.comparisons.keep("campus", ID, [replace(nameless[0], rival=None), *nameless[1:]], NOW)
+    assert due(store) == {one}
+    assert store.comparisons.levels("campus").compared == 2
+
+
+def test_a_survey_has_the_newest_views_with_their_comparisons(store: SqlStore) -> None:
+    one, two, three = described(store, "gate", "pond", "stairs")
+    made = replace(compared(two, 3, same_spot=(one,)), rival=three, own=0.4)
+    store.comparisons.keep("campus", ID, [made], NOW)
+
+    views, described_views = store.comparisons.survey("campus", 2)
+
+    assert described_views == 3
+    assert [(view.seq, view.comparison) for view in views] == [(two, made), (three, None)]
+    assert views[0].known.same_spot == {one}
+    assert views[0].id == store.views.at([two])[two].id

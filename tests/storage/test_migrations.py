@@ -288,6 +288,8 @@ def _old_job(number: int, map_id: int, seq: int, recipe: str, state: str) -> dic
 
 # 0007: checksums
 
+LATER = ("keys", "kept_queries")
+
 
 def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> None:
     """The same rows as this version writes, and so no finding: written without checksums, then migrated."""
@@ -305,9 +307,12 @@ def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> No
     with database.writing() as connection:
         for name in ("maps", "comparisons", "jobs", "tombstones", "calls"):
             connection.exec_driver_sql(f"DROP INDEX {name}_unsealed")
-        connection.exec_driver_sql("DROP TABLE keys")  # of a later version
-        connection.exec_driver_sql("ALTER TABLE views DROP COLUMN filename")  # likewise
-        for name in [table.name for table in METADATA.sorted_tables if "checksum" in table.c and table.name != "keys"]:
+        connection.exec_driver_sql("DROP TABLE keys")  # of later versions, as what follows
+        connection.exec_driver_sql("DROP TABLE kept_queries")
+        for table, name in (("views", "filename"), ("comparisons", "rival"), ("comparisons", "own"), ("maps", "keep_queries")):
+            connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")
+        tables = [table.name for table in METADATA.sorted_tables if "checksum" in table.c]
+        for name in [name for name in tables if name not in LATER]:
             connection.exec_driver_sql(f"ALTER TABLE {name} DROP COLUMN checksum")
     set_revision(database, "0006")
     database.close()

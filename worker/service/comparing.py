@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from schemas.description import Description
 from schemas.errors import NotFound
+from schemas.health import Uncompared
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import Candidates, Comparison, Selection, Uncompared
+from schemas.records import Candidates, Comparison, Selection
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone
@@ -152,23 +153,26 @@ class MapComparer:
             spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
             own = {seq} | spot
             near = own
+            places = _places(seq, found, fetcher, config)
+            scored = zip(ranking.seqs, ranking.scores, strict=True)
+            best = max((float(score) for other, score in scored if places.same(seq, int(other))), default=None)
             for _ in range(WIDENED):
                 seqs = [int(other) for other in found.seqs]
-                known = dict(zip([seq, *seqs], fetcher.known([seq, *seqs]), strict=True))
-                places = Places(known, config.same_place_m)
                 own = own | {other for other in seqs if places.same(seq, other)}
                 near = near | {other for other in seqs if not places.apart(seq, other)}
                 left_out = near if among - len(near) >= ENOUGH_VIEWS else own
                 if left_out.isdisjoint(seqs):
                     break
                 found = self._search(index, query, config, left_out)
+                places = _places(seq, found, fetcher, config)
             others = self._rank(query, found, recipe, config, fetcher)
         except ViewGone:
             return None
         level = float(others.scores[0]) if len(others.seqs) else None
         rival = others.rival
         gap = None if level is None or rival is None else level - float(others.scores[rival])
-        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched)
+        taken_for = None if level is None else int(others.seqs[0])
+        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best)
 
     def _search(self, index: Index, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
         return index.search(query.vectors, max(2, config.searched), Selection(None, np.array(sorted(never))))
@@ -182,6 +186,12 @@ class MapComparer:
         fetcher: Fetcher,
     ) -> Ranking:
         return cascade.rank(query, found, recipe, config, fetcher, top=2, product=self._product)
+
+
+def _places(seq: int, found: Candidates, fetcher: Fetcher, config: RankingConfig) -> Places:
+    """Places of a view and of its candidates."""
+    seqs = [seq, *(int(other) for other in found.seqs)]
+    return Places(dict(zip(seqs, fetcher.known(seqs), strict=True)), config.same_place_m)
 
 
 def _same_spot(ranking: Ranking) -> npt.NDArray[np.intp]:

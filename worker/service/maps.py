@@ -95,6 +95,10 @@ class MapService:
         """
         return self._state(self._maps.change_ranking(name, lambda recipe: changed_ranking(recipe, changes)))
 
+    def keep_queries(self, name: str, count: int) -> MapState:
+        """Keep at most `count` of a map's queries that matched nothing, 0 for none; raises NotFound."""
+        return self._state(self._maps.keep_queries(name, count))
+
     def delete(self, name: str) -> Removal:
         """Remove a map and all its views; raises NotFound."""
         receipt = self._removals.delete_map(name)

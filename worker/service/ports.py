@@ -40,6 +40,10 @@ class Maps(Protocol):
         """Size of a map; raises NotFound."""
         ...
 
+    def keep_queries(self, name: str, count: int) -> MapRecord:
+        """Keep at most `count` queries that matched nothing; raises NotFound."""
+        ...
+
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
         """Create a map, or replace the recipe of an empty one; raises Conflict when it has views and another recipe."""
         ...

@@ -1,15 +1,16 @@
 """Query a map: which of its views show the place of an image, with what confidence."""
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 
 import numpy as np
 from uuid6 import uuid7
 
 from schemas.description import Description
-from schemas.errors import Unavailable
+from schemas.errors import RevisitError, Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, MapLevels, MapRecord, Selection
@@ -27,13 +28,19 @@ from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
 from worker.service.explanations import Explained, Explanations, headline
+from worker.service.inbox import KeptQueries
 from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView
 from worker.service.sheets import cells_of
 
+log = logging.getLogger("revisit.service")
+
 ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
 
+
+KEPT_SIZE = 1024
+"""Longer side of the image that is kept of a query that matched nothing, pixels."""
 
 MOSTLY_MOVES = 0.2
 """Share of static cells below which an image shows too little of its place."""
@@ -92,6 +99,10 @@ class QueryService:
         Image to a smaller one, which is kept for its explanation.
     look_for_problem : function
         What is wrong with an image, in words, or None.
+    thumbnail : function
+        Bytes and length of the longer side to a small JPEG.
+    kept : KeptQueries
+        Where queries that matched nothing are kept, if their map says so.
     calibration : function
         Map to the calibration of its confidences.
     explanations : Explanations
@@ -115,6 +126,8 @@ class QueryService:
         decode: Callable[[bytes], Image],
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
+        thumbnail: Callable[[bytes, int], bytes],
+        kept: KeptQueries,
         calibration: Callable[[MapRecord], Calibration],
         explanations: Explanations,
         product: Product,
@@ -124,6 +137,7 @@ class QueryService:
         self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
         self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
         self._levels: dict[str, tuple[tuple[datetime, int], MapLevels]] = {}
+        self._thumbnail, self._kept = thumbnail, kept
         self._calibration, self._explanations, self._product = calibration, explanations, product
 
     def query(
@@ -177,6 +191,9 @@ class QueryService:
         if decision.status != "matched":
             decision = blame_image(decision, self._problem(image, described.value))
         query_id = str(uuid7())
+        whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
+        if results.keep_queries and whole and decision.status == "no_match" and decision.reason.code != "poor-picture":
+            self._keep_unknown(map_name, query_id, results.recipe.description, described.value, data)
         differs: tuple[Region, ...] = ()
         if explain:
             shown = replace(results, views=results.views[:top])
@@ -218,6 +235,16 @@ class QueryService:
             kept = (record.created_at, levels.revision), levels
             self._levels[record.name] = kept
         return kept[1]
+
+    def _keep_unknown(
+        self, map_name: str, query_id: str, recipe: DescriptionRecipe, description: Description, data: bytes
+    ) -> None:
+        """Keep a query that matched nothing; that it cannot be kept is logged, and its answer is given all the same."""
+        try:
+            small = self._thumbnail(data, KEPT_SIZE)
+            self._kept.keep(map_name, query_id, recipe, description, small, datetime.now(UTC))
+        except RevisitError as error:
+            log.error("the query %s of map %s is not kept: %s", query_id, map_name, error.detail)
 
     def _problem(self, image: Image, description: Description) -> str | None:
         """What may keep the image from being recognised, in words; None when nothing is seen."""
@@ -321,6 +348,7 @@ class QueryService:
                 calibration=self._calibration(record),
                 searched=found.searched,
                 timing_ms=watch.timing_ms(),
+                keep_queries=record.keep_queries,
             )
         raise Unavailable("the map is being emptied faster than it can be searched; query again", 1)
 

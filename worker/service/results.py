@@ -40,6 +40,8 @@ class RankedResults:
         Number of views searched.
     timing_ms : mapping of stage to milliseconds
         ``search``, ``rerank``, ``verify``.
+    keep_queries : int
+        How many queries that matched nothing the map keeps.
     """
 
     views: tuple[ScoredView, ...]
@@ -52,3 +54,4 @@ class RankedResults:
     calibration: Calibration
     searched: int
     timing_ms: Mapping[str, float]
+    keep_queries: int = 0

@@ -8,7 +8,8 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.records import Comparison, KnownView, MapLevels, Uncompared
+from schemas.health import SurveyedView, Uncompared
+from schemas.records import Comparison, KnownView, MapLevels
 from worker.storage import checksums, clock
 from worker.storage.part import Part
 from worker.storage.rows import attributes_of, batches, find_map, has_whole_attributes, log
@@ -42,7 +43,8 @@ class Comparisons(Part):
         with self._database.reading() as connection:
             for row in connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.id)):
                 among = connection.scalar(_ready(row)) or 0
-                fresh = (*_of(row), COMPARISONS.c.among * 2 > among)
+                named = COMPARISONS.c.level.is_(None) | COMPARISONS.c.rival.is_not(None)  # since migration 0010
+                fresh = (*_of(row), COMPARISONS.c.among * 2 > among, named)
                 done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
                 left = min(count, min(among, sample) - done)
                 if among < 2 or left <= 0:
@@ -73,6 +75,8 @@ class Comparisons(Part):
                     "gap": one.gap,
                     "made_at": now,
                     "same_spot": json.dumps([int(seq) for seq in one.same_spot]),
+                    "rival": one.rival,
+                    "own": one.own,
                 }
                 for one in comparisons
                 if one.seq in left
@@ -97,6 +101,20 @@ class Comparisons(Part):
             count, latest, *mean = connection.execute(found).one()
         own_level, own_gap, others = (float(value or 0) for value in mean)
         return MapLevels(count, own_level, own_gap, others, latest, row.revision)
+
+    def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:
+        """The newest `most` described views of a map with their comparisons, and how many views are described.
+
+        Ascending by sequence number; damaged views are left out. Raises NotFound.
+        """
+        with self._database.reading() as connection:
+            row = find_map(connection, name)
+            described = connection.scalar(_ready(row)) or 0
+            newest = sa.select(DESCRIPTIONS.c.seq).where(*_described(row)).order_by(DESCRIPTIONS.c.seq.desc())
+            wanted = sa.select(VIEWS, *_compared_columns()).outerjoin(COMPARISONS, _compared_by())
+            wanted = wanted.where(VIEWS.c.seq.in_(newest.limit(most)))
+            rows = [of for of in connection.execute(wanted, {"recipe": row.recipe}) if has_whole_attributes(of)]
+        return sorted((_surveyed(of) for of in rows), key=lambda view: view.seq), described
 
     def known(self, seqs: Sequence[int], recipe: str) -> dict[int, KnownView]:
         """Name, position and comparison of views by sequence number; deleted and damaged views are absent."""
@@ -128,16 +146,40 @@ def _ready(row: sa.Row[Any]) -> sa.Select[Any]:
 @cache
 def _known() -> sa.Select[Any]:
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
+    return sa.select(VIEWS, *_compared_columns()).outerjoin(COMPARISONS, _compared_by()).where(VIEWS.c.seq.in_(seqs))
+
+
+def _compared_columns() -> list[sa.Label[Any]]:
+    return [COMPARISONS.c[name].label(f"compared_{name}") for name in (*_COVERED, "checksum")]
+
+
+def _compared_by() -> sa.ColumnElement[bool]:
+    """The comparison of a view by the recipe in the parameter ``recipe``."""
     recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
-    compared = (COMPARISONS.c.seq == VIEWS.c.seq) & (COMPARISONS.c.recipe == recipe)
-    own = [COMPARISONS.c[name].label(f"compared_{name}") for name in (*_COVERED, "checksum")]
-    return sa.select(VIEWS, *own).outerjoin(COMPARISONS, compared).where(VIEWS.c.seq.in_(seqs))
+    return (COMPARISONS.c.seq == VIEWS.c.seq) & (COMPARISONS.c.recipe == recipe)
+
+
+def _surveyed(row: sa.Row[Any]) -> SurveyedView:
+    attributes, same_spot = attributes_of(row), _whole_same_spot(row)
+    known = KnownView(attributes.place, attributes.position, same_spot or NOTHING)
+    if same_spot is None:
+        return SurveyedView(row.id, row.seq, known, None)
+    spots = tuple(sorted(same_spot))
+    facts = (getattr(row, f"compared_{name}") for name in ("among", "others", "rival", "own"))
+    return SurveyedView(
+        row.id, row.seq, known, Comparison(row.seq, row.compared_level, row.compared_gap, spots, *facts)
+    )
 
 
 def _same_spot(row: sa.Row[Any]) -> frozenset[int]:
     """Views of the same spot by the comparison in a row of `_known`; nothing when there is none, or it is damaged."""
+    return _whole_same_spot(row) or NOTHING
+
+
+def _whole_same_spot(row: sa.Row[Any]) -> frozenset[int] | None:
+    """As `_same_spot`; None when there is no comparison, or it is damaged."""
     if row.compared_same_spot is None:
-        return NOTHING
+        return None
     mapping = row._mapping
     try:
         if checksums.of_values((name, mapping[f"compared_{name}"]) for name in _COVERED) != row.compared_checksum:
@@ -145,4 +187,4 @@ def _same_spot(row: sa.Row[Any]) -> frozenset[int]:
         return frozenset(json.loads(row.compared_same_spot)) if row.compared_same_spot else NOTHING
     except (ValueError, OverflowError):
         log.error("view %s: its stored comparison with its map is damaged; it is left out", row.id)
-        return NOTHING
+        return None

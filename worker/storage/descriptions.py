@@ -101,6 +101,10 @@ class Descriptions(Part):
         self._quarantine.descriptions(damaged, row.recipe)
         return Changes(row.revision, row.recipe, numbers, rows, np.array(gone, np.int64))
 
+    def vectors(self, seqs: Sequence[int], recipe: str) -> dict[int, Floats]:
+        """Histogram vectors, the channels concatenated, by sequence number; deleted views are absent."""
+        return self._parts(VECTORS, seqs, recipe, packing.unpack_floats)
+
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
         """Cells at half size, graphs and extents by sequence number; deleted views are absent."""
         return self._parts(APPEARANCES, seqs, recipe, _appearance)

@@ -22,6 +22,7 @@ from worker.storage.tables import (
     COMPARISONS,
     DESCRIPTIONS,
     JOBS,
+    KEPT_QUERIES,
     KEYS,
     MAPS,
     METADATA_PAIRS,
@@ -34,6 +35,7 @@ from worker.storage.tables import (
 DISPENSABLE = {  # what it means that such a row is removed
     COMPARISONS: "it is made again in the background",
     JOBS: "what it had to do is queued again where it is needed",
+    KEPT_QUERIES: "that query is no longer among the unknown ones",
     TOMBSTONES: "indexes are built anew at the next start",
     CALLS: "a repetition of that call is carried out instead of replayed",
 }

@@ -9,6 +9,7 @@ from schemas.errors import Conflict, Damaged, NotFound
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
+from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
 from worker.storage.rows import COORDINATES, find_map, keep_recipe, log, map_by, map_record, recipe_of
 from worker.storage.tables import MAPS, RECIPES, VIEWS
@@ -118,6 +119,14 @@ class Maps(Part):
                 switching.set_ranking(connection, row, ranking)
             if row.next_ranking is not None:  # a running recipe switch must not undo the change
                 connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
+            return map_record(connection, find_map(connection, name))
+
+    def keep_queries(self, name: str, count: int) -> MapRecord:
+        """Keep at most `count` queries of a map from now on, and delete the oldest beyond; raises NotFound."""
+        with self._database.writing(frees=count == 0) as connection:
+            row = find_map(connection, name)
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(keep_queries=count or None))
+            drop_oldest(connection, row.id, count)
             return map_record(connection, find_map(connection, name))
 
     def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:

@@ -10,6 +10,7 @@ from schemas.records import Filters, Removal
 from worker.storage import clock, switching
 from worker.storage.damage import bury
 from worker.storage.filtering import fitting
+from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_view
 from worker.storage.tables import JOBS, MAPS, VIEWS
@@ -81,8 +82,11 @@ class Removals(Part):
                 break
             portion = self._remove(map_id, seqs)
             views, images = views + portion.views, images + portion.images
+        queries = 0
+        while portion_of := self._database.freeing(lambda connection: drop_oldest(connection, map_id, 0, PORTION)):
+            queries += portion_of
         self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
-        return Removal(views, images, revision=None)
+        return Removal(views, images, None, queries)
 
     def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
         """Delete views of a map, then the images that no view needs."""

@@ -17,6 +17,7 @@ from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
 from worker.storage.image_files import Images
+from worker.storage.kept_queries import KeptQueries
 from worker.storage.keys import Keys
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
@@ -70,6 +71,7 @@ class SqlStore:
         self.listings = Listings(database, images)
         self.descriptions = Descriptions(database, images)
         self.comparisons = Comparisons(database, images)
+        self.kept_queries = KeptQueries(database, images)
         self.vocabularies = Vocabularies(database, images)
         self.calls = Calls(database, images)
         self.keys = Keys(database, images)

@@ -7,7 +7,7 @@
     maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints, comparisons
                                     ├───── metadata_pairs
                                     └───── jobs
-                               ── tombstones
+                               ── tombstones, kept_queries
     vocabularies    calls    keys    workers      without references
 
 Dependent rows are deleted with their row (ON DELETE CASCADE). The wide columns of a description have tables of their
@@ -65,6 +65,7 @@ MAPS = sa.Table(
     sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision is rebuilt
     sa.Column("created_at", UtcDateTime, nullable=False),
     sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
+    sa.Column("keep_queries", sa.Integer),  # how many queries are kept at most; NULL: none
     _seal(),
     _unsealed("maps", "id"),
     sqlite_autoincrement=True,
@@ -166,6 +167,8 @@ COMPARISONS = sa.Table(  # of a view with the other views of its map; see schema
     sa.Column("level", sa.Double),
     sa.Column("gap", sa.Double),
     sa.Column("same_spot", sa.Text, nullable=False),  # JSON: sequence numbers
+    sa.Column("rival", sa.BigInteger),  # sequence number of the view with the score `level`
+    sa.Column("own", sa.Double),
     sa.Column("made_at", UtcDateTime, nullable=False),
     _seal(),
     sa.ForeignKeyConstraint(
@@ -214,6 +217,21 @@ TOMBSTONES = sa.Table(
     _seal(),
     _unsealed("tombstones", "seq"),
     sa.Index("tombstones_by_revision", "map_id", "revision"),
+)
+
+KEPT_QUERIES = sa.Table(  # queries that matched nothing; see kept_queries.py
+    "kept_queries",
+    METADATA,
+    sa.Column("id", sa.Text, primary_key=True),  # of the query: sortable by time
+    sa.Column("map_id", sa.BigInteger, sa.ForeignKey("maps.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("recipe", sa.Text, nullable=False),  # of the description
+    sa.Column("queried_at", UtcDateTime, nullable=False),
+    sa.Column("vectors", Body, nullable=False),  # as those of views
+    sa.Column("keypoints", Body),
+    sa.Column("image", Body, nullable=False),  # JPEG, small
+    _seal(),
+    _unsealed("kept_queries", "id"),
+    sa.Index("kept_queries_by_map", "map_id", "id"),
 )
 
 VOCABULARIES = sa.Table(

@@ -12,6 +12,7 @@ from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.validation import validated
+from schemas.errors import InvalidParameters
 from schemas.keys import Access
 from schemas.requests import PatchMap, PostCalibration, PutMap
 from schemas.wire import CalibrationReport, Deleted, Job, MapFacts, Maps
@@ -71,9 +72,15 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
     responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
 )
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
-    """Change the ranking config of a map, from the next query on; nothing is described anew."""
+    """Change the ranking of a map, or how many of its queries are kept, from the next query on."""
     changes = await _body(request, PatchMap)
-    return await curator.change_ranking(name, changes.ranking)
+    if changes.ranking is None and changes.keep_queries is None:
+        raise InvalidParameters.of("ranking", "is missing: ranking, keep_queries or both are needed")
+    if changes.ranking is not None:  # first: it may be refused
+        facts = await curator.change_ranking(name, changes.ranking)
+    if changes.keep_queries is not None:
+        facts = await curator.keep_queries(name, changes.keep_queries)
+    return facts
 
 
 @router.delete("/maps/{map}", response_model=Deleted, responses=refusals("not-found"))

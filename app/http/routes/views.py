@@ -126,11 +126,11 @@ def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttribute
     try:
         changed = validated(AttributesDocument, {**known, **located}, unknown).attributes()
     except InvalidParameters as error:
-        raise InvalidParameters([_in_document(one, flat) for one in error.errors]) from None
+        raise InvalidParameters([in_document(one, flat) for one in error.errors]) from None
     return replace(changed, filename=attributes.filename)
 
 
-def _in_document(error: ParameterError, flat: Sequence[str]) -> ParameterError:
+def in_document(error: ParameterError, flat: Sequence[str] = ()) -> ParameterError:
     """The mistake, with its path in the view as its name, unless it was sent `flat`."""
     if error.parameter in Position.model_fields and error.parameter not in flat:
         return ParameterError(f"position.{error.parameter}", error.detail)

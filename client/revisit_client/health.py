@@ -1,0 +1,44 @@
+"""The client's calls about the health of maps and their unknown places."""
+
+from collections.abc import Mapping
+
+from revisit_client import wire
+from revisit_client.connection import Connection
+from revisit_client.parameters import texts
+
+
+class HealthCalls:
+    """Calls of `Revisit` about the health of maps and their unknown places."""
+
+    _connection: Connection
+
+    def health(self, name: str, *, code: str | None = None, limit: int | None = None) -> wire.MapHealth:
+        """What makes a map's answers wrong or missing: `limit` findings of each kind, or of the kind `code` alone."""
+        params = texts({"code": code, "limit": limit})
+        return self._connection.receive(wire.MapHealth, "GET", f"/maps/{name}/health", params=params)
+
+    def keep_queries(self, name: str, count: int) -> wire.MapFacts:
+        """Keep at most `count` queries of a map that matched nothing; 0 deletes those that are kept."""
+        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"keep_queries": count})
+
+    def unknown(self, name: str, *, limit: int | None = None) -> wire.UnknownPlaces:
+        """Queries that matched nothing, by spot."""
+        return self._connection.receive(
+            wire.UnknownPlaces, "GET", f"/maps/{name}/unknown", params=texts({"limit": limit})
+        )
+
+    def unknown_image(self, name: str, query_id: str) -> bytes:
+        """A small JPEG of a query that matched nothing."""
+        return self._connection.send("GET", f"/maps/{name}/unknown/{query_id}/image").content
+
+    def name_unknown(
+        self, name: str, place_id: str, place: str, *, position: Mapping[str, float] | None = None
+    ) -> wire.NamedPlace:
+        """Name an unknown place: its images become views, which are described in the background."""
+        body = {"place": place, "position": None if position is None else dict(position)}
+        path = f"/maps/{name}/unknown/{place_id}"
+        return self._connection.receive(wire.NamedPlace, "POST", path, json=body, repeat=False)
+
+    def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        """Delete the queries of an unknown place, and their images."""
+        return self._connection.receive(wire.DismissedPlace, "DELETE", f"/maps/{name}/unknown/{place_id}")

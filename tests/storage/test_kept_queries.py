@@ -1,0 +1,98 @@
+"""What a store keeps of queries that matched nothing."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from schemas.errors import NotFound
+from tests.storage.material import NOW, RECIPE, description, enroll
+from worker.storage.database import Database
+from worker.storage.examining import Finding
+from worker.storage.store import SqlStore
+from worker.storage.tables import KEPT_QUERIES
+
+
+def keep(store: SqlStore, *ids: str, map: str = "campus") -> None:
+    for i, query_id in enumerate(ids):
+        made = description(sum(query_id.encode()))
+        store.kept_queries.keep(map, query_id, RECIPE.description, made, query_id.encode(), NOW + timedelta(seconds=i))
+
+
+def kept(store: SqlStore, most: int = 100, map: str = "campus") -> list[str]:
+    return [query.id for query in store.kept_queries.newest(map, most)[0]]
+
+
+def test_a_map_keeps_as_many_as_it_is_told_and_drops_the_oldest(store: SqlStore) -> None:
+    enroll(store, "gate")
+    keep(store, "a")
+    assert kept(store) == []
+    store.maps.keep_queries("campus", 3)
+    assert store.maps.get("campus").keep_queries == 3
+    keep(store, "b", "c", "d", "e")
+    assert kept(store) == ["c", "d", "e"]
+    assert kept(store, most=2) == ["d", "e"]
+    assert store.kept_queries.newest("campus", 2)[1] == 3
+    store.maps.keep_queries("campus", 1)
+    assert kept(store) == ["e"]
+    store.maps.keep_queries("campus", 0)
+    assert (kept(store), store.maps.get("campus").keep_queries) == ([], 0)
+    keep(store, "f", map="moon")
+
+
+def test_what_is_kept_is_what_was_described(store: SqlStore) -> None:
+    enroll(store, "gate")
+    store.maps.keep_queries("campus", 3)
+    keep(store, "a")
+    [query] = store.kept_queries.newest("campus", 3)[0]
+    made = description(97)
+    assert made.keypoints is not None
+    assert query.keypoints is not None
+    assert query.vectors.tolist() == [*made.vectors["semantic"], *made.vectors["detail"]]
+    assert query.keypoints.descriptors.tolist() == made.keypoints.descriptors.tolist()
+    assert (query.recipe, query.queried_at) == (RECIPE.description.id, NOW)
+    assert store.kept_queries.image("campus", "a") == b"a"
+
+
+def test_queries_of_another_map_are_out_of_reach(store: SqlStore) -> None:
+    enroll(store, "gate")
+    enroll(store, "gate", map="harbour")
+    store.maps.keep_queries("campus", 3)
+    keep(store, "a")
+    assert store.kept_queries.delete("harbour", ["a"]) == 0
+    with pytest.raises(NotFound):
+        store.kept_queries.image("harbour", "a")
+    assert store.kept_queries.delete("campus", ["a", "b"]) == 1
+    with pytest.raises(NotFound):
+        store.kept_queries.newest("moon", 1)
+
+
+def test_a_deleted_map_takes_its_queries_with_it_and_says_how_many(store: SqlStore) -> None:
+    enroll(store, "gate")
+    enroll(store, "gate", map="harbour")
+    for name in ("campus", "harbour"):
+        store.maps.keep_queries(name, 300)
+    keep(store, *(f"{i:04}" for i in range(250)))
+    keep(store, "x", map="harbour")
+    assert store.removals.delete_map("campus").queries == 250
+    assert kept(store, map="harbour") == ["x"]
+
+
+def test_a_damaged_query_is_left_out_and_the_doctor_removes_it(store: SqlStore, database_url: str, data: Path) -> None:
+    from worker.storage.examining import examine
+
+    enroll(store, "gate")
+    store.maps.keep_queries("campus", 3)
+    keep(store, "a", "b")
+    database = Database(database_url)
+    with database.writing() as connection:
+        values = {"image": b"other bytes", "checksum": KEPT_QUERIES.c.checksum}
+        connection.execute(sa.update(KEPT_QUERIES).where(KEPT_QUERIES.c.id == "a").values(**values))
+    database.close()
+
+    assert kept(store) == ["b"]
+    with pytest.raises(NotFound):
+        store.kept_queries.image("campus", "a")
+    found: list[Finding] = [one for one in examine(database_url, data) if "kept_queries" in one.where]
+    assert [one.where for one in found] == ["row a of kept_queries"]

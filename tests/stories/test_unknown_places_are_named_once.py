@@ -1,0 +1,149 @@
+"""The inbox: photos of places that a map lacks come back as a short list, and the owner names each once."""
+
+import sqlite3
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.http.application import create_app
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.sample_images import encoded
+from worker.runtime import build
+
+JPEG = {"content-type": "image/jpeg"}
+KNOWN = ("mill lane", "station road", "rose garden", "market street", "castle park")
+
+
+def photo(name: str, quality: int = 92) -> bytes:
+    """A wall of coloured tiles, other ones for another name."""
+    tiles = np.random.default_rng(list(name.encode())).integers(0, 256, (12, 16, 3), np.uint8)
+    return encoded(tiles.repeat(20, axis=0).repeat(20, axis=1), "jpeg", quality=quality)
+
+
+class Town:
+    """A service with the map ``town`` of five places, which keeps queries."""
+
+    def __init__(self, client: CheckedClient, data: Path) -> None:
+        self.client, self.data = client, data
+        for name in KNOWN:
+            params = {"map": "town", "place": name}
+            assert client.post("/enroll", params=params, content=photo(name), headers=JPEG).status_code == 201
+
+    def keep(self, count: int) -> Any:
+        answer = self.client.patch("/maps/town", json={"keep_queries": count})
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def query(self, name: str, quality: int = 92, **params: Any) -> str:
+        """The status of the answer to a photo of a place."""
+        answer = self.client.post(
+            "/query", params={"map": "town", **params}, content=photo(name, quality), headers=JPEG
+        )
+        assert answer.status_code == 200, answer.text
+        return str(answer.json()["status"])
+
+    def unknown(self, **params: Any) -> Any:
+        answer = self.client.get("/maps/town/unknown", params=params)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Iterator[Town]:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    with CheckedClient(create_app(runtime)) as client:
+        yield Town(client, tmp_path)
+
+
+def test_nothing_is_kept_unless_the_map_says_so(town: Town) -> None:
+    assert town.query("dock") == "no_match"
+    assert (town.unknown()["keep_queries"], town.unknown()["kept"]) == (0, 0)
+    assert town.client.get("/maps/town").json()["keep_queries"] == 0
+    for wrong in (-1, 10_001, "many", None, True):
+        assert town.client.patch("/maps/town", json={"keep_queries": wrong}).status_code == 422
+    assert town.client.get("/maps/moon/unknown").status_code == 404
+
+
+def test_a_place_seen_thrice_is_named_once_and_known_from_then_on(town: Town) -> None:
+    assert town.keep(100)["keep_queries"] == 100
+    for quality in (92, 80, 70):
+        assert town.query("dock", quality) == "no_match"
+    assert town.query("mill lane") == "matched"
+    assert town.query("tower") == "no_match"
+    assert town.query("chapel", place="mill lane") == "no_match"  # said of a part of the map
+
+    inbox = town.unknown()
+    assert (inbox["kept"], inbox["examined"], inbox["count"]) == (4, 4, 2)
+    dock, tower = inbox["places"]
+    assert (dock["count"], tower["count"]) == (3, 1)
+    assert len(town.unknown(limit=1)["places"]) == 1
+    image = town.client.get(dock["links"]["image"])
+    assert (image.status_code, image.headers["content-type"]) == (200, "image/jpeg")
+
+    named = town.client.post(
+        f"/maps/town/unknown/{dock['id']}", json={"place": "dock", "position": {"x": 4.0, "y": 5.0}}
+    ).json()
+    assert named["queries"] == 3
+    assert [(view["place"], view["position"]["x"]) for view in named["views"]] == [("dock", 4.0)] * 3
+    for view in named["views"]:
+        assert town.client.get(view["links"]["image"]).status_code == 200
+    wait_until_described(town, 8)
+    assert town.query("dock", 85) == "matched"
+
+    [left] = town.unknown()["places"]
+    assert left["id"] == tower["id"]
+    assert town.client.delete(f"/maps/town/unknown/{tower['id']}").json() == {"queries": 1}
+    assert town.unknown()["places"] == []
+    for method, path in (("POST", tower["id"]), ("DELETE", dock["id"]), ("GET", f"{dock['id']}/image")):
+        body = {"json": {"place": "a"}} if method == "POST" else {}
+        answer = town.client.request(method, f"/maps/town/unknown/{path}", **body)
+        assert answer.status_code == 404, (method, path)
+
+
+def wait_until_described(town: Town, views: int) -> None:
+    until = time.monotonic() + 30
+    while town.client.get("/maps/town").json()["views"]["ready"] < views:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def test_a_name_is_checked_before_anything_is_enrolled(town: Town) -> None:
+    town.keep(10)
+    town.query("dock")
+    [dock] = town.unknown()["places"]
+    for body, wrong in (
+        ({}, "place"),
+        ({"place": "dock", "position": {"x": 1}}, "position.y"),
+        ({"place": "dock", "position": {"x": 1, "y": 1, "lat": 1, "lon": 1}}, "position.x"),
+        ({"place": "dock", "colour": "red"}, "colour"),
+    ):
+        answer = town.client.post(f"/maps/town/unknown/{dock['id']}", json=body)
+        assert answer.status_code == 422, answer.text
+        assert wrong in [error["parameter"] for error in answer.json()["errors"]]
+    assert town.unknown()["kept"] == 1
+    assert town.client.get("/maps/town").json()["views"] == {"pending": 0, "ready": 5, "failed": 0}
+
+
+def test_the_oldest_are_dropped_and_nothing_is_left_of_a_deleted_map(town: Town) -> None:
+    town.keep(2)
+    for name in ("dock", "tower", "chapel"):
+        assert town.query(name) == "no_match"
+    kept = town.unknown()
+    assert (kept["kept"], kept["count"]) == (2, 2)
+
+    town.keep(1)
+    assert town.unknown()["kept"] == 1
+    assert town.unknown()["places"][0]["id"] == kept["places"][1]["id"]
+    assert town.client.get("/maps/town/unknown", params={"limit": 0}).status_code == 422
+
+    town.query("dock")
+    town.keep(3)
+    town.query("tower")
+    assert town.client.delete("/maps/town").json() == {"views": 5, "images": 5, "queries": 2, "revision": None}
+    with sqlite3.connect(town.data / "revisit.db") as database:
+        assert database.execute("SELECT count(*) FROM kept_queries").fetchone() == (0,)

@@ -1,0 +1,107 @@
+"""Coverage of a map: its spots, the directions in which they were photographed, and the gaps between them."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+Points = npt.NDArray[np.float64]
+
+QUARTERS = {"north": 0.0, "east": 90.0, "south": 180.0, "west": 270.0}
+"""Directions in which a place should have been photographed, degrees clockwise from north or +y."""
+
+REACH_DEG = 60.0
+"""A view covers the directions up to this far from its own: a quarter is missed by headings that leave it out by more
+than the field of a usual camera."""
+
+LONG = 3.0
+"""A gap is longer than this many times the median step."""
+
+
+def spots(points: Points, within: float) -> list[list[int]]:
+    """Points by spot: each point that none holds yet founds one, and takes all later points near it.
+
+    Parameters
+    ----------
+    points : float64 of shape (n, 2)
+        Metres, in the order of enrolment.
+    within : float
+        Radius of a spot, at least 0, metres.
+
+    Returns
+    -------
+    list of list of int
+        Indices into `points`, ascending; each point is in one spot.
+    """
+    side = max(within, 1e-6)
+    cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+    columns = np.floor(points / side).astype(np.int64).tolist()
+    for i, (column, row) in enumerate(columns):
+        cells[column, row].append(i)
+    taken = np.zeros(len(points), np.bool_)
+    found = []
+    for i, (column, row) in enumerate(columns):
+        if taken[i]:
+            continue
+        around = [j for dx, dy in product((-1, 0, 1), repeat=2) for j in cells.get((column + dx, row + dy), ())]
+        near = [j for j in around if not taken[j] and np.hypot(*(points[j] - points[i])) <= within]
+        taken[near] = True
+        found.append(sorted({i, *near}))
+        taken[i] = True
+    return found
+
+
+def missing_directions(headings: Sequence[float]) -> list[str]:
+    """The `QUARTERS` that no heading (degrees) comes within `REACH_DEG` of; none when there is no heading."""
+    if not len(headings):
+        return []
+    given = np.asarray(headings, np.float64)
+    away = {name: np.abs((given - wanted + 180) % 360 - 180).min() for name, wanted in QUARTERS.items()}
+    return [name for name, least in away.items() if least > REACH_DEG]
+
+
+def gaps(points: Points, least: float) -> list[tuple[int, int, float]]:
+    """Where points are further apart than is usual among them.
+
+    Parameters
+    ----------
+    points : float64 of shape (n, 2)
+        Metres.
+    least : float
+        Shorter gaps are none, metres.
+
+    Returns
+    -------
+    list of (int, int, float)
+        The two points at the ends of each gap and its length, longest first.
+
+    Notes
+    -----
+    Edges of the minimum spanning tree (Prim) that are longer than `least` and than `LONG` times the median edge. Such a
+    tree joins every point to the others by the shortest hops, whatever the order of enrolment was.
+    """
+    if len(points) < 3:
+        return []
+    edges = _spanning_tree(points)
+    usual = float(np.median([length for *_, length in edges]))
+    long = [edge for edge in edges if edge[2] > max(least, LONG * usual)]
+    return sorted(long, key=lambda edge: (-edge[2], edge[:2]))
+
+
+def _spanning_tree(points: Points) -> list[tuple[int, int, float]]:
+    count, x, y = len(points), points[:, 0].copy(), points[:, 1].copy()
+    nearest = np.full(count, np.inf)  # squared distance to the tree; infinite for its own points
+    parent = np.zeros(count, np.int64)
+    outside = np.ones(count, np.bool_)
+    edges, last = [], 0
+    for _ in range(count - 1):
+        outside[last] = False
+        nearest[last] = np.inf
+        away = (x - x[last]) ** 2 + (y - y[last]) ** 2
+        closer = outside & (away < nearest)
+        nearest[closer], parent[closer] = away[closer], last
+        last = int(np.argmin(nearest))
+        edges.append((int(parent[last]), last, float(np.sqrt(nearest[last]))))
+    return edges

@@ -1,0 +1,51 @@
+"""Near-duplicates: views whose descriptions hardly differ, so that all but one add nothing to their map."""
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas.description import Floats, Int8s
+
+BLOCK = 512
+"""Views compared with all others at a time: bounds the memory."""
+
+
+def alike(vectors: Floats, within: float, most: int) -> list[list[int]]:
+    """For each row its nearest later rows, at most `within` away.
+
+    Parameters
+    ----------
+    vectors : float32 of shape (n, dimensions)
+    within : float
+        Euclidean distance.
+    most : int
+        Later rows of each row at most.
+
+    Returns
+    -------
+    list of list of int
+        n lists, nearest first.
+    """
+    squares = np.einsum("ij,ij->i", vectors, vectors)
+    found: list[list[int]] = []
+    for start in range(0, len(vectors), BLOCK):
+        block = vectors[start : start + BLOCK]
+        distances = squares[start : start + BLOCK, None] + squares[start:] - 2 * block @ vectors[start:].T
+        near = np.triu(distances <= within**2, 1)
+        for row, away in zip(near, distances, strict=True):
+            hits = np.flatnonzero(row)
+            found.append((hits[np.argsort(away[hits], kind="stable")[:most]] + start).tolist())
+    return found
+
+
+def similarity(one: Int8s, other: Int8s) -> float:
+    """Mean cosine of the dense cells of two views at the same places, -1..1; 0 when their grids differ.
+
+    Cells are int8 of shape (rows, columns, dimensions); those of zeros, which are dynamic in either, do not count.
+    """
+    if one.shape != other.shape or one.size == 0:
+        return 0.0
+    a, b = (cells.reshape(-1, cells.shape[-1]).astype(np.float32) for cells in (one, other))
+    lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    static = lengths > 0
+    cosines: npt.NDArray[np.float32] = (a * b).sum(axis=1)[static] / lengths[static]
+    return float(cosines.mean()) if len(cosines) else 0.0

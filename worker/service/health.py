@@ -1,0 +1,257 @@
+"""Health of a map: what makes its answers wrong or late to come, and what to do about it.
+
+Everything is read from what is stored; no image is described for it.
+"""
+
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from datetime import datetime
+from typing import Protocol
+
+import numpy as np
+
+from schemas.description import Appearance, Floats
+from schemas.health import CODES, HealthFinding, HealthReport, SurveyedView
+from schemas.records import MapLevels, MapRecord, Position
+from worker.method import coverage
+from worker.method.calibration import Calibration
+from worker.method.estimate import is_known, metres
+from worker.method.near_duplicates import alike, similarity
+from worker.method.places import NEIGHBOURHOOD
+from worker.service.ports import Maps
+from worker.service.twins import SHOWN, find_twins
+
+EXAMINED = 20_000
+"""Views of a map that are examined at most, the newest: bounds time and memory."""
+
+NEAR, SAME = 0.65, 0.94
+"""Histogram distance up to which views may be duplicates, and mean cosine of their cells from which they are. The same
+photo, saved again with much loss or at three quarters of the size, has at least .942; the next frame of a walk along a
+corridor at most .933 (encoder `compact`)."""
+
+NEAREST = 10
+"""Later views that a view is compared with at most."""
+
+PORTION = 100
+"""Views whose cells are read together with those of their nearest later views."""
+
+KEPT = 8
+"""Maps whose report is kept until they change."""
+
+
+class Surveys(Protocol):
+    """Views of a map with their comparisons."""
+
+    def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:
+        """The newest `most` described views and their number; raises NotFound."""
+        ...
+
+    def levels(self, name: str) -> MapLevels:
+        """What wrong answers get in a map."""
+        ...
+
+
+class Descriptions(Protocol):
+    """Parts of descriptions. Deleted views are absent."""
+
+    def vectors(self, seqs: Sequence[int], recipe: str) -> dict[int, Floats]:
+        """Histogram vectors."""
+        ...
+
+    def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
+        """Cells at half size, graphs and extents."""
+        ...
+
+
+class HealthService:
+    """The use-case `health`. A report is made when it is asked for, one at a time, and kept until its map changes.
+
+    Parameters
+    ----------
+    maps, comparisons, descriptions
+        Parts of the store.
+    calibration : function
+        Map to the calibration of its confidences.
+    """
+
+    def __init__(
+        self,
+        *,
+        maps: Maps,
+        comparisons: Surveys,
+        descriptions: Descriptions,
+        calibration: Callable[[MapRecord], Calibration],
+    ) -> None:
+        self._maps, self._comparisons, self._descriptions = maps, comparisons, descriptions
+        self._calibration = calibration
+        self._kept: dict[str, tuple[tuple[datetime, int], HealthReport]] = {}
+        self._lock = threading.Lock()
+
+    def of(self, name: str) -> HealthReport:
+        """The health of a map; raises NotFound."""
+        self._maps.get(name)  # an unknown map is refused without waiting for the report of another
+        with self._lock:
+            record = self._maps.get(name)
+            state = record.created_at, record.revision
+            kept = self._kept.pop(name, None)
+            if kept is None or kept[0] != state:
+                kept = state, self._examine(record)
+            self._kept[name] = kept
+            while len(self._kept) > KEPT:
+                del self._kept[next(iter(self._kept))]
+            return kept[1]
+
+    def _examine(self, record: MapRecord) -> HealthReport:
+        views, described = self._comparisons.survey(record.name, EXAMINED)
+        levels, ranking = self._comparisons.levels(record.name), record.ranking
+        found = [
+            *find_twins(
+                views, ranking.same_place_m, ranking.precision, levels, self._calibration(record), _label
+            ),
+            *self._duplicates(views, record.description.id),
+            *_narrow(views, ranking.same_place_m),
+        ]  # fmt: skip
+        found.sort(key=lambda finding: (CODES.index(finding.code), -finding.weight, finding.views))
+        compared = sum(view.comparison is not None for view in views)
+        return HealthReport(record.name, record.revision, described, len(views), compared, tuple(found))
+
+    def _duplicates(self, views: Sequence[SurveyedView], recipe: str) -> Iterator[HealthFinding]:
+        vectors = self._descriptions.vectors([view.seq for view in views], recipe)
+        rows = [view for view in views if view.seq in vectors]
+        if len(rows) < 2:
+            return
+        near = alike(np.stack([vectors[view.seq] for view in rows]), NEAR, NEAREST)
+        del vectors
+        taken: set[int] = set()
+        for start in range(0, len(rows), PORTION):
+            portion = {i: near[i] for i in range(start, min(start + PORTION, len(rows))) if near[i] and i not in taken}
+            wanted = sorted({rows[j].seq for i, later in portion.items() for j in (i, *later)})
+            cells = self._descriptions.appearances(wanted, recipe)
+            for i, later in portion.items():
+                own = cells.get(rows[i].seq)
+                if i in taken or own is None:
+                    continue
+                others = [(j, cells.get(rows[j].seq)) for j in sorted(later) if j not in taken]
+                same = [j for j, of in others if of is not None and similarity(own.coarse, of.coarse) >= SAME]
+                if same:
+                    taken.update(same)
+                    yield _duplicate([rows[i], *(rows[j] for j in same)])
+
+
+def _duplicate(views: Sequence[SurveyedView]) -> HealthFinding:
+    names = sorted({view.known.name for view in views if view.known.name is not None})
+    first = views[0].id
+    detail = f"{len(views)} views are nearly the same image; all but one add nothing"
+    remedy = f"keep {first}, the first one, and delete the others (DELETE /views/{{id}})"
+    if len(names) > 1:
+        detail = f"{len(views)} views are nearly the same image, and are enrolled as {_listed(names)}"
+        remedy = "delete those that are enrolled as the wrong place, or give all of them one place (PATCH /views/{id})"
+    ids = tuple(view.id for view in views)
+    return HealthFinding(
+        "duplicates", detail, remedy, len(views) + 1000.0 * (len(names) > 1), tuple(names), ids[:SHOWN], len(views)
+    )
+
+
+def _narrow(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[HealthFinding]:
+    """Places seen from one side or once only, and stretches without views."""
+    named: defaultdict[str, list[SurveyedView]] = defaultdict(list)
+    unnamed = [view for view in views if view.known.name is None]
+    for view in views:
+        if view.known.name is not None:
+            named[view.known.name].append(view)
+    groups = list(named.values())
+    for geographic in (False, True):
+        groups += _by_spot(_in_frame(unnamed, geographic), same_place_m)
+        yield from _gaps(_in_frame(views, geographic), same_place_m)
+    for group in groups:
+        yield from _directions(group)
+        if len(group) == 1:
+            [view] = group
+            yield HealthFinding(
+                "single-view",
+                f"{_label(view)} has one view only",
+                "enrol it once more, in other light or from a few steps aside",
+                0.0,
+                _names(group),
+                (view.id,),
+                1,
+                _known_position(view),
+            )
+
+
+def _directions(group: Sequence[SurveyedView]) -> Iterator[HealthFinding]:
+    headings = [view.known.position.heading for view in group if view.known.position.heading is not None]
+    missing = coverage.missing_directions(headings)
+    if missing:
+        where = _known_position(group[0])
+        stand = f"stand at {_label(group[0])}" + (f" ({_coordinates(where)})" if where and group[0].known.name else "")
+        towards = _listed([f"{name} ({coverage.QUARTERS[name]:.0f}°)" for name in missing])
+        yield HealthFinding(
+            "missing-directions",
+            f"{_label(group[0])} is not seen towards {_listed(missing)}",
+            f"{stand}, photograph {towards}",
+            len(missing) + min(len(group), 1000) / 1001,
+            _names(group),
+            tuple(view.id for view in group[:SHOWN]),
+            len(group),
+            where,
+            tuple(coverage.QUARTERS[name] for name in missing),
+        )
+
+
+def _gaps(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[HealthFinding]:
+    firsts = [group[0] for group in _by_spot(views, same_place_m)]
+    for one, other, length in coverage.gaps(_points(firsts), NEIGHBOURHOOD * same_place_m):
+        ends = firsts[one], firsts[other]
+        yield HealthFinding(
+            "gap",
+            f"between {_label(ends[0])} and {_label(ends[1])} there are {length:.0f} m without a view, much more than "
+            "is usual in this map",
+            "if one can go from one to the other, enrol views along the way",
+            length,
+            tuple(sorted({*_names(ends[:1]), *_names(ends[1:])})),
+            (ends[0].id, ends[1].id),
+            2,
+            _known_position(ends[0]),
+        )
+
+
+def _in_frame(views: Sequence[SurveyedView], geographic: bool) -> list[SurveyedView]:
+    return [
+        view for view in views if is_known(view.known.position) and (view.known.position.lat is not None) == geographic
+    ]
+
+
+def _points(views: Sequence[SurveyedView]) -> coverage.Points:
+    return np.array([metres(view.known.position, views[0].known.position)[:2] for view in views]).reshape(-1, 2)
+
+
+def _by_spot(views: Sequence[SurveyedView], within: float) -> list[list[SurveyedView]]:
+    return [[views[i] for i in spot] for spot in coverage.spots(_points(views), within)]
+
+
+def _names(group: Sequence[SurveyedView]) -> tuple[str, ...]:
+    return () if group[0].known.name is None else (group[0].known.name,)
+
+
+def _known_position(view: SurveyedView) -> Position | None:
+    return view.known.position if is_known(view.known.position) else None
+
+
+def _label(view: SurveyedView) -> str:
+    """How a finding names the place of a view."""
+    if view.known.name is not None:
+        return repr(view.known.name)
+    where = _known_position(view)
+    return f"the view {view.id}" if where is None else f"the spot at {_coordinates(where)}"
+
+
+def _coordinates(position: Position) -> str:
+    if position.lat is not None:
+        return f"lat {position.lat:.6f}, lon {position.lon:.6f}"
+    return f"x {position.x:.1f}, y {position.y:.1f}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"

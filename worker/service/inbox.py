@@ -1,0 +1,136 @@
+"""Inbox: queries that matched nothing, by spot, to be named once or dismissed."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Protocol
+
+import numpy as np
+
+from schemas.description import Description
+from schemas.errors import NotFound
+from schemas.inbox import Inbox, KeptQuery, UnknownPlace
+from schemas.recipe import DescriptionRecipe
+from schemas.records import ViewAttributes
+from worker.method.near_duplicates import alike
+from worker.method.verification import verify
+from worker.service.comparing import SAME_SPOT_INLIERS
+from worker.service.enroll import Enrolled, EnrollService
+from worker.service.ports import Maps
+
+EXAMINED = 1000
+"""Kept queries that are grouped at most, the newest."""
+
+NEAREST = 20
+"""Later queries that a query is compared with at most, by the distance of their histograms."""
+
+NEAR = 0.45
+"""Histogram distance up to which queries show one spot where their recipe has no local features."""
+
+ENROLLED = 10
+"""Images of an unknown place that become views when it is named, spread evenly: more add little."""
+
+
+class KeptQueries(Protocol):
+    """Queries that matched nothing."""
+
+    def keep(
+        self, name: str, query_id: str, recipe: DescriptionRecipe, description: Description, image: bytes, now: datetime
+    ) -> None:
+        """Keep a query, and drop the oldest beyond what the map keeps."""
+        ...
+
+    def newest(self, name: str, most: int) -> tuple[list[KeptQuery], int]:
+        """The newest `most` queries of a map, oldest first, and how many are kept; raises NotFound."""
+        ...
+
+    def image(self, name: str, query_id: str) -> bytes:
+        """The small image of a kept query, a JPEG; raises NotFound."""
+        ...
+
+    def delete(self, name: str, query_ids: Sequence[str]) -> int:
+        """Delete kept queries; returns how many there were."""
+        ...
+
+
+class InboxService:
+    """The use-cases around queries that matched nothing.
+
+    Parameters
+    ----------
+    maps, kept
+        Parts of the store.
+    enroll : EnrollService
+    """
+
+    def __init__(self, *, maps: Maps, kept: KeptQueries, enroll: EnrollService) -> None:
+        self._maps, self._kept, self._enroll = maps, kept, enroll
+
+    def of(self, name: str) -> Inbox:
+        """The unknown places of a map; raises NotFound."""
+        record = self._maps.get(name)
+        queries, count = self._kept.newest(name, EXAMINED)
+        places = sorted(grouped(queries), key=lambda place: (-len(place.queries), place.queries))
+        return Inbox(tuple(places), count, len(queries), record.keep_queries)
+
+    def image(self, name: str, query_id: str) -> bytes:
+        """The small image of a kept query, a JPEG; raises NotFound."""
+        return self._kept.image(name, query_id)
+
+    def name(self, name: str, place_id: str, attributes: ViewAttributes) -> tuple[list[Enrolled], int]:
+        """Enrol images of an unknown place as views with these attributes, and remove its queries.
+
+        Returns the views, which are described in the background, and the number of queries removed. Each query is
+        removed after its image is durable as a view: repeated after a crash, the call goes on where it stopped.
+
+        Raises
+        ------
+        NotFound, Busy, Conflict, DiskFull, StorageFailed
+        """
+        place = self._find(name, place_id)
+        count = len(place.queries)
+        spread = {place.queries[i] for i in np.linspace(0, count - 1, min(count, ENROLLED)).round().astype(int)}
+        enrolled = []
+        for query_id in sorted(spread):
+            accepted = self._enroll.submit(self._kept.image(name, query_id), name, attributes)
+            enrolled.append(self._enroll.outcome(accepted))
+            self._kept.delete(name, [query_id])
+        return enrolled, len(spread) + self._kept.delete(name, [one for one in place.queries if one not in spread])
+
+    def dismiss(self, name: str, place_id: str) -> int:
+        """Remove the queries of an unknown place; returns how many; raises NotFound."""
+        return self._kept.delete(name, self._find(name, place_id).queries)
+
+    def _find(self, name: str, place_id: str) -> UnknownPlace:
+        for place in self.of(name).places:
+            if place.queries[0] == place_id:
+                return place
+        raise NotFound("unknown place", place_id, f"GET /maps/{name}/unknown lists them")
+
+
+def grouped(queries: Sequence[KeptQuery]) -> list[UnknownPlace]:
+    """Queries by spot: each that shows none of the spots before founds one, and takes all later ones that show it."""
+    by_recipe: dict[str, list[KeptQuery]] = {}
+    for query in queries:
+        by_recipe.setdefault(query.recipe, []).append(query)
+    places = []
+    for alike_described in by_recipe.values():
+        near = alike(np.stack([query.vectors for query in alike_described]), np.inf, NEAREST)
+        taken: set[int] = set()
+        for i, query in enumerate(alike_described):
+            if i not in taken:
+                later = [j for j in sorted(near[i]) if j not in taken]
+                shown = _same(query, [alike_described[j] for j in later])
+                same = [j for j, shows in zip(later, shown, strict=True) if shows]
+                taken.update(same)
+                members = [query, *(alike_described[j] for j in same)]
+                ids = tuple(member.id for member in members)
+                places.append(UnknownPlace(ids, members[0].queried_at, members[-1].queried_at))
+    return places
+
+
+def _same(query: KeptQuery, others: Sequence[KeptQuery]) -> list[bool]:
+    """Which of the others show the spot of a query."""
+    features = [other.keypoints for other in others if other.keypoints is not None]
+    if query.keypoints is None or len(features) < len(others):
+        return [float(np.linalg.norm(query.vectors - other.vectors)) <= NEAR for other in others]
+    return [found.inliers >= SAME_SPOT_INLIERS for found in verify(query.keypoints, features)]

@@ -1,0 +1,107 @@
+"""Twins: pairs of places that a map takes for each other, from the comparisons of its views with one another."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from schemas.health import HealthFinding, SurveyedView
+from schemas.records import MapLevels
+from worker.method.calibration import Calibration
+from worker.method.decision import expected_levels, features, floor
+from worker.method.estimate import distance
+from worker.method.places import NEIGHBOURHOOD, Places
+
+SHOWN = 10
+"""Views that a finding names at most."""
+
+REMEDY = (
+    "look at the views: if it is one place, give both the same place (PATCH /views/{id}); if not, enrol both where "
+    "they differ, and narrow queries there with near or place"
+)
+
+
+@dataclass
+class _Pair:
+    """What speaks for a pair of places being twins."""
+
+    one_spot: int = 0
+    fooled: int = 0
+    score: float = 0.0
+    views: list[str] = field(default_factory=list)
+
+    def add(self, score: float, *views: str) -> None:
+        self.score = max(self.score, score)
+        self.views += [view for view in views if view not in self.views]
+
+
+def find_twins(
+    views: Sequence[SurveyedView],
+    same_place_m: float,
+    precision: float,
+    levels: MapLevels,
+    calibration: Calibration,
+    label: Callable[[SurveyedView], str],
+) -> Iterator[HealthFinding]:
+    """Twins among the views.
+
+    Two views of places that the user tells apart, by name or by position, make twins of these when the map's own
+    comparison says that both show one spot; or when the map, queried with one of them, finds the other before any
+    further view of its own place; or when it would be `matched` with the other if its own place were not in the map.
+    """
+    usual, threshold = expected_levels(levels), calibration.threshold(precision)
+    of = {view.seq: view for view in views}
+    places = Places({view.seq: view.known for view in views}, same_place_m)
+    pairs: defaultdict[tuple[str, str], _Pair] = defaultdict(_Pair)
+
+    def told_apart(one: SurveyedView, other: SurveyedView) -> bool:
+        gap = distance(one.known.position, other.known.position)
+        named = one.known.name is not None and other.known.name is not None
+        far = gap > NEIGHBOURHOOD * same_place_m
+        return not places.same(one.seq, other.seq) and (far if gap < float("inf") else named)
+
+    def pair(one: SurveyedView, other: SurveyedView) -> _Pair:
+        first, second = sorted((label(one), label(other)))
+        return pairs[first, second]
+
+    for view in views:
+        compared = view.comparison
+        if compared is None:
+            continue
+        for seq in compared.same_spot:
+            other = of.get(seq)
+            if other is not None and told_apart(view, other):
+                found = pair(view, other)
+                found.one_spot += 1
+                found.add(compared.own or 0.0, view.id, other.id)
+        rival = None if compared.rival is None else of.get(compared.rival)
+        if rival is None or compared.level is None or not told_apart(view, rival):
+            continue
+        wins = compared.own is not None and compared.level >= compared.own
+        if not wins:
+            next_best = 0.0 if compared.gap is None else compared.level - compared.gap
+            read = features(compared.level, max(next_best, floor(compared.others, usual)), usual)
+            wins = calibration.probabilities([read])[0] >= threshold
+        if wins:
+            found = pair(view, rival)
+            found.fooled += 1
+            found.add(compared.level, view.id, rival.id)
+    for (first, second), found in pairs.items():
+        seen = [of_views for of_views in (_one_spot(found.one_spot), _fooled(found.fooled)) if of_views]
+        names = {view.known.name for view in views if view.id in found.views} - {None}
+        yield HealthFinding(
+            "twins",
+            f"the map takes {first} and {second} for each other: {' and '.join(seen)}",
+            REMEDY,
+            found.one_spot + found.fooled + min(found.score, 1.0) / 2,
+            tuple(sorted(name for name in names if name is not None)),
+            tuple(found.views[:SHOWN]),
+            len(found.views),
+        )
+
+
+def _one_spot(count: int) -> str:
+    return f"its own comparison says {count} times that a view of each show one spot" if count else ""
+
+
+def _fooled(count: int) -> str:
+    return f"{count} view{'s' * (count != 1)} of one would be answered with the other" if count else ""
