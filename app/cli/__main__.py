@@ -18,6 +18,7 @@ GROUPS = (
     "health",
     "keys",
     "care",
+    "snapshots",
     "doctor",
     "study",
     "weights",

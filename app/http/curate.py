@@ -4,9 +4,10 @@ import asyncio
 from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from functools import partial
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
 
-from app.http import presenters
+from app.http import presenters, snapshot_presenters
 from schemas import wire
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PostCalibration, PutMap
@@ -16,6 +17,7 @@ from worker.service.calibrating import CalibrationService, LabelledView, Observe
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.renderings import RenderingService
+from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
 
 
@@ -53,6 +55,7 @@ class Curator:
     maps : MapService
     jobs : JobService
     calibrations : CalibrationService
+    snapshots : SnapshotService
     calls : Calls
         Answers of calls with an Idempotency-Key.
     """
@@ -64,10 +67,11 @@ class Curator:
         maps: MapService,
         jobs: JobService,
         calibrations: CalibrationService,
+        snapshots: SnapshotService,
         calls: Calls,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
-        self._calibrations = calibrations
+        self._calibrations, self._snapshots = calibrations, snapshots
 
     # views
 
@@ -223,6 +227,43 @@ class Curator:
     async def cancel_job(self, job_id: str) -> wire.Job:
         """Cancel a job."""
         return presenters.job(await asyncio.to_thread(self._jobs.cancel, job_id))
+
+    # snapshots
+
+    async def make_snapshot(self, name: str) -> wire.Job:
+        """Make a snapshot of a map, in the background."""
+        return presenters.job(await asyncio.to_thread(self._snapshots.queue, name))
+
+    async def snapshots(self) -> wire.Snapshots:
+        """All snapshots."""
+        kept = await asyncio.to_thread(self._snapshots.all)
+        return wire.Snapshots(snapshots=[snapshot_presenters.snapshot(record) for record in kept])
+
+    async def snapshot(self, snapshot_id: str) -> wire.Snapshot:
+        """One snapshot."""
+        return snapshot_presenters.snapshot(await asyncio.to_thread(self._snapshots.get, snapshot_id))
+
+    async def open_snapshot(self, snapshot_id: str) -> tuple[wire.Snapshot, BinaryIO]:
+        """One snapshot, and its file for reading."""
+        facts = await self.snapshot(snapshot_id)
+        return facts, await asyncio.to_thread(self._snapshots.open, snapshot_id)
+
+    async def delete_snapshot(self, snapshot_id: str) -> wire.Snapshot:
+        """Remove a snapshot."""
+        return snapshot_presenters.snapshot(await asyncio.to_thread(self._snapshots.delete, snapshot_id))
+
+    async def receiving(self, name: str, size: int) -> Path:
+        """Where a snapshot of `size` bytes is kept while it is received and restored; raises DiskFull."""
+        await self.admit(size)
+        return await asyncio.to_thread(self._snapshots.receiving, name)
+
+    async def admit(self, size: int) -> None:
+        """Raise DiskFull unless there is room for so many bytes."""
+        await asyncio.to_thread(self._snapshots.admit, size)
+
+    async def restore(self, path: Path, name: str | None, allow: Callable[[str], None]) -> wire.RestoredMap:
+        """Make a map from a snapshot; see `SnapshotService.restore`."""
+        return snapshot_presenters.restored(await asyncio.to_thread(self._snapshots.restore, path, name, allow))
 
     # repeated calls
 

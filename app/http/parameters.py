@@ -219,12 +219,20 @@ class ListJobs(Parameters):
     """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
-    kind: Literal["describe", "recipe", "vocabulary"] | None = Field(None, description="Only jobs of this kind.")
+    kind: Literal["describe", "recipe", "vocabulary", "snapshot"] | None = Field(
+        None, description="Only jobs of this kind."
+    )
     state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(
         None, description="Only jobs in this state."
     )
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
     limit: int = Field(50, ge=1, le=500, description="Jobs a page.")
+
+
+class RestoreParameters(Parameters):
+    """Parameters of `POST /restore`."""
+
+    as_: MapName | None = Field(None, alias="as", description="Name of the new map. Default: the name that it had.")
 
 
 class ListPlaces(Parameters):

@@ -53,6 +53,7 @@ class Service:
                 services.maps,
                 services.jobs,
                 services.calibration,
+                services.snapshots,
                 runtime.store.calls,
             ),
             lifecycle,

@@ -16,6 +16,7 @@ from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed
 from revisit_client.parameters import Time, filters, recipe_fields, texts, utc
+from revisit_client.snapshots import SnapshotCalls
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
@@ -25,7 +26,7 @@ Image = bytes | str | os.PathLike[str]
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
 
-class Revisit:
+class Revisit(SnapshotCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters

@@ -19,7 +19,10 @@ from tests.stories.running import RunningService
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "client" / "revisit_client"
-WIRE = [ROOT / "schemas" / name for name in ("wire.py", "wire_calibration.py", "wire_query.py", "wire_views.py")]
+WIRE = [
+    ROOT / "schemas" / name
+    for name in ("wire.py", "wire_calibration.py", "wire_query.py", "wire_snapshots.py", "wire_views.py")
+]
 
 SERVER = {
     "app",

@@ -33,6 +33,7 @@ from schemas.statistics import (
     ServiceStatistics,
     StoreStatistics,
 )
+from tests.http.fake_snapshots import FakeSnapshots
 from worker.images.codec import Limits, decode, facts, thumbnail
 
 NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
@@ -72,7 +73,7 @@ class Kept:
 
 
 @dataclass
-class FakeRecogniser:
+class FakeRecogniser(FakeSnapshots):
     """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))

@@ -78,6 +78,11 @@ class Images:
                     self._discard([digest])
                 raise
 
+    def add(self, digest: str, image: bytes) -> None:
+        """Write an image durably whose row, of a map without a name yet, is committed; raises DiskFull."""
+        with self._locked(digest[:2]):
+            self._write(digest, image)
+
     def read(self, digest: str) -> bytes:
         """The bytes of an image.
 
