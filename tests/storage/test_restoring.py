@@ -150,11 +150,12 @@ def test_a_failure_in_the_middle_leaves_nothing(
     add = elsewhere._images.add
     count = iter(range(100))
 
-    def failing(digest: str, body: bytes) -> None:
+    def failing(images: dict[str, bytes]) -> None:
         if next(count) == 3:
             raise DiskFull("no room")
-        add(digest, body)
+        add(images)
 
+    monkeypatch.setattr("worker.storage.restoring.MOST_IMAGES", 1)
     monkeypatch.setattr(elsewhere._images, "add", failing)
     with pytest.raises(DiskFull):
         elsewhere.restoring.restore(made(store), None, NOW)
@@ -168,8 +169,10 @@ import os, sys
 from pathlib import Path
 from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW
+from worker.storage import restoring
 from worker.storage.store import open_store
 folder, snapshot, after = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+restoring.MOST_IMAGES = 1
 store = open_store(sqlite_url(folder), folder)
 steps = 0
 def dying(call):
@@ -204,7 +207,7 @@ def test_a_kill_at_any_step_leaves_no_map_and_nothing_after_a_start(store: SqlSt
         )
         with closing(open_store(sqlite_url(folder), folder)) as after_kill:
             if after == 100:
-                assert done.stdout == "restored 9\n"
+                assert done.stdout == "restored 10\n"
                 assert contents(after_kill) == contents(store)
                 continue
             assert done.returncode == -9, done.stderr

@@ -11,8 +11,8 @@ import hashlib
 import os
 import re
 import uuid
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from itertools import groupby
 from pathlib import Path
 
@@ -78,10 +78,35 @@ class Images:
                     self._discard([digest])
                 raise
 
-    def add(self, digest: str, image: bytes) -> None:
-        """Write an image durably whose row, of a map without a name yet, is committed; raises DiskFull."""
-        with self._locked(digest[:2]):
-            self._write(digest, image)
+    def add(self, images: Mapping[str, bytes]) -> None:
+        """Write images, by their digests, durably whose rows are committed: nobody removes them meanwhile.
+
+        Raises
+        ------
+        DiskFull
+        """
+        written: list[tuple[Path, Path, int]] = []
+        with translated("images"), ExitStack() as stack:
+            for digest, image in images.items():
+                path = self._path(digest)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                unfinished = path.parent.parent / f"{UNFINISHED}{uuid.uuid4().hex}"
+                stack.callback(unfinished.unlink, missing_ok=True)
+                file = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+                stack.callback(os.close, file)
+                written.append((unfinished, path, file))
+                rest = memoryview(image)
+                while rest:
+                    rest = rest[os.write(file, rest) :]
+            os.sync()  # for all at once; then each of them is quick, and reports its own errors
+            for _, _, file in written:
+                os.fsync(file)
+            for unfinished, path, _ in written:
+                unfinished.rename(path)
+            os.sync()
+            for folder in {folder for _, path, _ in written for folder in (path.parent, path.parent.parent)}:
+                sync_folder(folder)
+            sync_folder(self._folder)
 
     def read(self, digest: str) -> bytes:
         """The bytes of an image.

@@ -31,6 +31,9 @@ from worker.storage.tables import COMPARISONS, MAPS, VIEWS, VOCABULARIES
 
 TAKEN = "the map {!r} exists already; restore under another name (`as`), or delete that map first"
 
+MOST_IMAGES, MOST_BYTES = 256, 32 * 1024 * 1024
+"""Images that are written together: so many, or as many as have so many bytes."""
+
 
 class Restoring(Part):
     """Makes maps from snapshots.
@@ -186,11 +189,15 @@ class _Restoration:
         for part in reader.parts(VIEW_PARTS):
             views = read_lines(part.name, part.body, self._recipe)
             with self._database.writing() as connection:
-                for view in views:
-                    self._store_view(connection, view)
+                self._store_views(connection, views)
         # The rows are there, so that nobody removes an image that another map gives up meanwhile.
+        batch: dict[str, bytes] = {}
         for part in reader.parts(IMAGE):
-            self._images.add(part.name.removeprefix(IMAGE), part.body)
+            batch[part.name.removeprefix(IMAGE)] = part.body
+            if len(batch) >= MOST_IMAGES or sum(map(len, batch.values())) >= MOST_BYTES:
+                self._images.add(batch)
+                batch.clear()
+        self._images.add(batch)
         for part in reader.parts(COMPARISON_PARTS):
             self._store_comparisons(part.name, part.body)
 
@@ -235,7 +242,16 @@ class _Restoration:
         self._elapsed_us = 0 if newest is None else newest.elapsed_us
         self._last_id = None if newest is None else newest.id
 
-    def _store_view(self, connection: sa.Connection, view: SnapshotView) -> None:
+    def _store_views(self, connection: sa.Connection, views: list[SnapshotView]) -> None:
+        rows: dict[sa.Table, list[dict[str, Any]]] = {}
+        for view in views:
+            for table, row in self._store_view(connection, view).items():
+                rows.setdefault(table, []).append(row)
+        for table, together in rows.items():
+            connection.execute(inserting(table), together)
+
+    def _store_view(self, connection: sa.Connection, view: SnapshotView) -> dict[sa.Table, dict[str, Any]]:
+        """Store a view; returns the rows of its description."""
         assert self.map_id is not None
         if self._shift_us is None:  # time since the last enrolment goes on from what this service has counted
             self._shift_us = self._elapsed_us - view.elapsed_us
@@ -258,12 +274,11 @@ class _Restoration:
         if said.metadata:
             keep_pairs(connection, seq, said)
         rows = description_rows(view, seq, self.map_id, self._recipe.id, self._revision)
-        for table, row in rows.items():
-            connection.execute(inserting(table), row)
         if not rows:
             self._undescribed.add(view.number)
         if view.state == "pending":
             self._pending.append(seq)
+        return rows
 
     def _store_comparisons(self, name: str, body: bytes) -> None:
         rows = [
