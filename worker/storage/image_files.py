@@ -12,6 +12,7 @@ import os
 import re
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from itertools import groupby
 from pathlib import Path
@@ -25,6 +26,9 @@ UNFINISHED = ".writing-"
 DIGEST = re.compile("[0-9a-f]{64}")
 
 LOST = "the file {} of its image {}; enrol the image again, or restore the file from a backup"
+
+SYNCS = 16
+"""Files whose bytes are waited for at a time: the disk serves them together."""
 
 Owned = Callable[[list[str]], set[str]]
 """From digests to those that some view still needs."""
@@ -86,7 +90,7 @@ class Images:
         DiskFull
         """
         written: list[tuple[Path, Path, int]] = []
-        with translated("images"), ExitStack() as stack:
+        with translated("images"), ThreadPoolExecutor(SYNCS, "revisit-sync") as pool, ExitStack() as stack:
             for digest, image in images.items():
                 path = self._path(digest)
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -99,13 +103,11 @@ class Images:
                 while rest:
                     rest = rest[os.write(file, rest) :]
             os.sync()  # for all at once; then each of them is quick, and reports its own errors
-            for _, _, file in written:
-                os.fsync(file)
+            list(pool.map(os.fsync, [file for _, _, file in written]))
             for unfinished, path, _ in written:
                 unfinished.rename(path)
             os.sync()
-            for folder in {folder for _, path, _ in written for folder in (path.parent, path.parent.parent)}:
-                sync_folder(folder)
+            list(pool.map(sync_folder, {at for _, path, _ in written for at in (path.parent, path.parent.parent)}))
             sync_folder(self._folder)
 
     def read(self, digest: str) -> bytes:
