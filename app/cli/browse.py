@@ -20,6 +20,7 @@ def add(verbs: Verbs) -> None:
     views.add_argument("id", nargs="?", help="show this view")
     views.add_argument("--map")
     views.add_argument("--place")
+    views.add_argument("--words", help="labels such as fence,pole+sign: views of --map by how much of them these are")
     views.add_argument("--state", choices=("pending", "ready", "failed"))
     views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
     views.add_argument("--newest", action="store_true", help="newest first")
@@ -112,6 +113,7 @@ def run_views(arguments: argparse.Namespace) -> int:
                 state=arguments.state,
                 place=arguments.place,
                 newest_first=arguments.newest,
+                words=arguments.words,
                 limit=arguments.limit,
             )
         )

@@ -97,6 +97,14 @@ class Curator:
         views, following = await asyncio.to_thread(page, map_name, filters)
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
 
+    async def views_with_words(
+        self, map_name: str, filters: Filters, words: str, *, cursor: str | None, limit: int
+    ) -> wire.Views:
+        """A page of views by how much of them some labels are."""
+        page = partial(self._views.with_words, map_name, filters, words, cursor=cursor, limit=limit)
+        views, following = await asyncio.to_thread(page)
+        return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
+
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         """Replace the attributes of a view by `change` of them; the store does both in one transaction."""
         return presenters.labelled_view(await asyncio.to_thread(self._views.change, view_id, change))

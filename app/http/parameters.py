@@ -192,8 +192,29 @@ class ListViews(FilterParameters):
     map: MapName | None = None
     state: Literal["pending", "ready", "failed"] | None = Field(None, description="Only views in this state.")
     sort: Literal["enrolled_at", "-enrolled_at"] = Field("enrolled_at", description="- for newest first.")
+    words: Annotated[str, BeforeValidator(values.plain_text)] | None = Field(
+        None,
+        max_length=1000,
+        description="Labels of the map, with commas between: its described views by how much of them these are, most "
+        "first, those without any left out. pole+fence: views where both are, the more the better.",
+        examples=["fence,tree"],
+    )
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
     limit: int = Field(50, ge=1, le=500, description="Views a page.")
+
+    @classmethod
+    def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
+        """Mistakes: `words` without a map, or with an order or a state, which they imply."""
+        found = super().contradictions(given)
+        if "words" in given:
+            if "map" not in given:
+                found.append(ParameterError("words", "needs map: each map has labels of its own"))
+            found += [
+                ParameterError(name, "cannot be given with words: described views come, most of it first")
+                for name in ("sort", "state")
+                if name in given
+            ]
+        return found
 
 
 class DeleteViews(FilterParameters):

@@ -209,6 +209,7 @@ class Revisit(SnapshotCalls):
         *,
         state: Literal["pending", "ready", "failed"] | None = None,
         newest_first: bool = False,
+        words: str | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool = False,
         after: Time | None = None,
@@ -218,11 +219,12 @@ class Revisit(SnapshotCalls):
         limit: int | None = None,
         page: int = 100,
     ) -> Iterator[wire.View]:
-        """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed."""
+        """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed. With
+        `words`, labels such as ``"fence,pole+sign"``, by how much of them these are."""
         chosen = filters(near, geographic, after, before, place, metadata, None, ())
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
-        params = texts({"map": map, "state": state, "sort": sort, "limit": page, **chosen})
+        params = texts({"map": map, "state": state, "sort": sort, "words": words, "limit": page, **chosen})
         yield from islice(
             (view for answer in self._pages(wire.Views, "/views", params) for view in answer.views), limit
         )

@@ -171,6 +171,10 @@ class FakeRecogniser(FakeSnapshots):
         kept = [k for k in self.kept.values() if map_name in (None, k.map) and (among is None or k.map in among)]
         return wire.Views(views=[k.view() for k in kept], next=None)
 
+    async def views_with_words(self, map_name: str, filters: Filters, words: str, **how: Any) -> wire.Views:
+        self.given = {"words": words, **how}
+        return await self.views(map_name, filters)
+
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         kept = self._view(view_id)
         kept.attributes = change(kept.attributes)
