@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from schemas.errors import Damaged, NotFound
+from schemas.errors import Conflict, Damaged, NotFound
 from schemas.records import Filters, ViewAttributes
 from tests.storage.carried import JOB, contents, filled, made, views
 from tests.storage.databases import POSTGRES, data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
+from worker.service.snapshots import SnapshotService
 from worker.storage.store import SqlStore, open_store
 
 
@@ -132,3 +133,32 @@ def test_from_postgresql_to_sqlite(elsewhere: SqlStore) -> None:
         filled(server)
         elsewhere.restoring.restore(made(server), None, NOW)
         assert contents(elsewhere) == contents(server)
+
+
+@pytest.mark.parametrize("end", ["cancelled", "deleted", "stopped", "done"])
+def test_a_job_makes_it_and_what_ends_the_job_leaves_no_file(store: SqlStore, data: Path, end: str) -> None:
+    filled(store)
+    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    queued = service.queue("campus")
+    with pytest.raises(Conflict, match=queued.id):
+        service.queue("campus")
+    assert store.jobs.queue_vocabulary("campus", NOW).state == "waiting"  # which a snapshot does not hinder
+    claim = store.jobs.claim_map_job("worker", None, NOW)
+    assert claim is not None
+    assert (claim.kind, claim.job_id) == ("snapshot", queued.id)
+    if end == "cancelled":
+        store.jobs.cancel(queued.id, NOW)
+    elif end == "deleted":
+        store.removals.delete_map("campus")
+
+    service.run(claim, lambda: end == "stopped")
+
+    files = [path.name for path in (data / "snapshots").iterdir()]
+    if end != "done":
+        assert files == []
+    if end in ("cancelled", "stopped"):
+        assert store.jobs.get(queued.id).state == {"cancelled": "cancelled", "stopped": "waiting"}[end]
+    elif end == "done":
+        job = store.jobs.get(queued.id)
+        assert (job.state, job.result and job.result["views"]) == ("done", 5)
+        assert files == [f"{queued.id}.snapshot"]
