@@ -3,7 +3,7 @@
 ::
 
     RevisitError
-    ├── BadBody            no-picture, malformed-body
+    ├── BadBody            no-picture, malformed-body; BadSnapshot malformed-body
     ├── BadImage           not-a-picture, undecodable-picture, picture-too-large, picture-too-small
     ├── BodyTooLarge       body-too-large        UnexpectedBody unexpected-body
     ├── RequestTimeout     request-timeout
@@ -72,6 +72,13 @@ class BadBody(RevisitError):
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(detail)
         self.code = code
+
+
+class BadSnapshot(BadBody):
+    """A file that is no snapshot, or not as it was written; nothing of it was restored."""
+
+    def __init__(self, detail: str) -> None:
+        super().__init__("malformed-body", f"the snapshot is refused, and nothing was changed: {detail}")
 
 
 class BadImage(RevisitError):

@@ -15,7 +15,7 @@ from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 Sequence64 = npt.NDArray[np.int64]
 
 JobState = Literal["waiting", "running", "done", "failed", "cancelled"]
-JobKind = Literal["describe", "recipe", "vocabulary"]
+JobKind = Literal["describe", "recipe", "vocabulary", "snapshot"]
 ViewState = Literal["pending", "ready", "failed"]
 
 

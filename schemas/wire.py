@@ -85,6 +85,15 @@ from .wire_query import (
 from .wire_query import (
     VerificationMatch as VerificationMatch,
 )
+from .wire_snapshots import (
+    RestoredMap as RestoredMap,
+)
+from .wire_snapshots import (
+    Snapshot as Snapshot,
+)
+from .wire_snapshots import (
+    Snapshots as Snapshots,
+)
 from .wire_views import (
     Answer as Answer,
 )
@@ -259,7 +268,7 @@ class Job(Answer):
     """A background job."""
 
     id: str
-    kind: Literal["describe", "recipe", "vocabulary"]
+    kind: Literal["describe", "recipe", "vocabulary", "snapshot"]
     state: Literal["waiting", "running", "done", "failed", "cancelled"]
     map: str
     view: str | None

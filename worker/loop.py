@@ -1,4 +1,4 @@
-"""The worker's loop: claim images, describe them, store the descriptions; train and prune in a second thread."""
+"""The worker's loop: claim images, describe them, store the descriptions; jobs of maps in a second thread."""
 
 import logging
 import threading
@@ -100,8 +100,8 @@ class Loop:
         Parts of the store.
     scheduler : Scheduler
     describers : Describers
-    train : function
-        Runs a job of a map; its second argument returns whether to stop.
+    work : function
+        Does a job of a map; its second argument returns whether to stop.
     compare : function
         Compares a portion of views with the others of their map, and returns whether there was anything to do; its
         argument says whether images wait to be described.
@@ -125,7 +125,7 @@ class Loop:
         pruning: Pruning,
         scheduler: Scheduler,
         describers: Describers,
-        train: Callable[[MapClaim, Callable[[], bool]], None],
+        work: Callable[[MapClaim, Callable[[], bool]], None],
         compare: Callable[[bool], bool] = lambda busy: False,
         decode: Decode,
         name: str,
@@ -136,7 +136,7 @@ class Loop:
         self._jobs, self._views, self._pruning = jobs, views, pruning
         self._scheduler = scheduler
         self._describers = describers
-        self._train, self._compare = train, compare
+        self._work, self._compare = work, compare
         self._decode = decode
         self._name = name
         self._batch = batch
@@ -227,7 +227,7 @@ class Loop:
                 claim = self._jobs.claim_map_job(self._name, None, _now())
                 if claim is not None:
                     with bound(job_id=claim.job_id, map=claim.map):
-                        self._train(claim, self._stopping.is_set)
+                        self._work(claim, self._stopping.is_set)
                     continue
                 if time.monotonic() - pruned >= PRUNE_EVERY_S:
                     if self._pruning.prune():

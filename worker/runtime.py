@@ -36,6 +36,7 @@ from worker.service.maps import MapService
 from worker.service.query import QueryService
 from worker.service.renderings import RenderingService
 from worker.service.settlements import Settlements
+from worker.service.snapshots import SnapshotService
 from worker.service.trouble import StoringTrouble
 from worker.service.views import ViewService
 from worker.storage.locks import lock_for_serving
@@ -59,6 +60,7 @@ class Services:
     health: HealthService
     inbox: InboxService
     keys: KeyService
+    snapshots: SnapshotService
 
 
 @dataclass(frozen=True)
@@ -234,12 +236,19 @@ def build(
             scheduler=scheduler,
             decode=decoder.decode_patiently,
         )
+        snapshots = SnapshotService(
+            files=store.snapshots,
+            restorer=store.restoring,
+            jobs=store.jobs,
+            wake=lambda: _nothing() if loop is None else loop.wake_all(),
+        )
         comparer = MapComparer(
             comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
         )
+        work_of = {"vocabulary": trainer.run, "snapshot": snapshots.run}
         settlements = Settlements(store.views)
         me = this_process("serve" if serving else "worker")
-        loop = None
+        loop: Loop | None = None
         if settings.inline_worker or not serving:
             loop = Loop(
                 jobs=store.jobs,
@@ -247,7 +256,7 @@ def build(
                 pruning=store.pruning,
                 scheduler=scheduler,
                 describers=describers,
-                train=trainer.run,
+                work=lambda claim, stopping: work_of[claim.kind](claim, stopping),
                 compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
                 decode=decoder.decode_patiently,
                 name=me.name,
@@ -272,7 +281,7 @@ def build(
             attendance=attendance,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, decoder, product, settlements,
-                default_recipe, loop, attendance,
+                default_recipe, loop, attendance, snapshots,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -298,6 +307,7 @@ def _services(
     default_recipe: MapRecipe,
     loop: Loop | None,
     attendance: Attendance,
+    snapshots: SnapshotService,
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
@@ -368,6 +378,7 @@ def _services(
             descriptions=store.descriptions,
             calibration=calibration_of,
         ),
+        snapshots=snapshots,
         calibration=CalibrationService(
             maps=store.maps,
             views=store.views,

@@ -20,6 +20,7 @@ GROUPS = (
     "health",
     "keys",
     "care",
+    "snapshots",
     "doctor",
     "study",
     "weights",

@@ -21,6 +21,7 @@ def add(verbs: Verbs) -> None:
     views.add_argument("id", nargs="?", help="show this view")
     views.add_argument("--map")
     chooses(views)
+    views.add_argument("--words", help="labels such as fence,pole+sign: views of --map by how much of them these are")
     views.add_argument("--state", choices=("pending", "ready", "failed"))
     views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
     views.add_argument("--newest", action="store_true", help="newest first")
@@ -121,6 +122,7 @@ def run_views(arguments: argparse.Namespace) -> int:
                 arguments.map,
                 state=arguments.state,
                 newest_first=arguments.newest,
+                words=arguments.words,
                 limit=arguments.limit,
                 **filters,
             )

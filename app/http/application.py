@@ -16,7 +16,19 @@ from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
 from app.http.rate_limits import RateLimit
-from app.http.routes import enroll, health, images, jobs, map_health, maps, places, query, unknown, views
+from app.http.routes import (
+    enroll,
+    health,
+    images,
+    jobs,
+    map_health,
+    maps,
+    places,
+    query,
+    snapshots,
+    unknown,
+    views,
+)
 from app.http.service import Service
 from app.http.tracing import Tracing, make_provider
 from app.version import VERSION
@@ -31,6 +43,7 @@ TAGS = [
     {"name": "images", "description": "Images of views: as enrolled, small, and as drawings."},
     {"name": "maps", "description": "Named sets of views that are searched together."},
     {"name": "jobs", "description": "Work in the background: describing, recipes, vocabularies."},
+    {"name": "snapshots", "description": "Maps as files: made, given away, restored."},
     {"name": "service", "description": "Health, metrics and version."},
 ]
 
@@ -78,7 +91,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
-    for group in (views, images, maps, map_health, unknown, places, jobs, health):
+    for group in (views, images, maps, map_health, unknown, places, jobs, snapshots, health):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)

@@ -4,9 +4,10 @@ import asyncio
 from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from functools import partial
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
 
-from app.http import presenters
+from app.http import presenters, snapshot_presenters
 from app.http.health_report import map_health, unknown_places
 from schemas import wire
 from schemas.health import Code as HealthCode
@@ -20,6 +21,7 @@ from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.renderings import RenderingService
+from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
 
 
@@ -59,6 +61,7 @@ class Curator:
     calibrations : CalibrationService
     health : HealthService
     inbox : InboxService
+    snapshots : SnapshotService
     calls : Calls
         Answers of calls with an Idempotency-Key.
     """
@@ -72,10 +75,12 @@ class Curator:
         calibrations: CalibrationService,
         health: HealthService,
         inbox: InboxService,
+        snapshots: SnapshotService,
         calls: Calls,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
         self._calibrations, self._health, self._inbox = calibrations, health, inbox
+        self._snapshots = snapshots
 
     # views
 
@@ -99,6 +104,14 @@ class Curator:
             self._views.page, state=state, newest_first=newest_first, cursor=cursor, limit=limit, among=among
         )
         views, following = await asyncio.to_thread(page, map_name, filters)
+        return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
+
+    async def views_with_words(
+        self, map_name: str, filters: Filters, words: str, *, cursor: str | None, limit: int
+    ) -> wire.Views:
+        """A page of views by how much of them some labels are."""
+        page = partial(self._views.with_words, map_name, filters, words, cursor=cursor, limit=limit)
+        views, following = await asyncio.to_thread(page)
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
@@ -256,6 +269,43 @@ class Curator:
     async def cancel_job(self, job_id: str) -> wire.Job:
         """Cancel a job."""
         return presenters.job(await asyncio.to_thread(self._jobs.cancel, job_id))
+
+    # snapshots
+
+    async def make_snapshot(self, name: str) -> wire.Job:
+        """Make a snapshot of a map, in the background."""
+        return presenters.job(await asyncio.to_thread(self._snapshots.queue, name))
+
+    async def snapshots(self) -> wire.Snapshots:
+        """All snapshots."""
+        kept = await asyncio.to_thread(self._snapshots.all)
+        return wire.Snapshots(snapshots=[snapshot_presenters.snapshot(record) for record in kept])
+
+    async def snapshot(self, snapshot_id: str) -> wire.Snapshot:
+        """One snapshot."""
+        return snapshot_presenters.snapshot(await asyncio.to_thread(self._snapshots.get, snapshot_id))
+
+    async def open_snapshot(self, snapshot_id: str) -> tuple[wire.Snapshot, BinaryIO]:
+        """One snapshot, and its file for reading."""
+        facts = await self.snapshot(snapshot_id)
+        return facts, await asyncio.to_thread(self._snapshots.open, snapshot_id)
+
+    async def delete_snapshot(self, snapshot_id: str) -> wire.Snapshot:
+        """Remove a snapshot."""
+        return snapshot_presenters.snapshot(await asyncio.to_thread(self._snapshots.delete, snapshot_id))
+
+    async def receiving(self, name: str, size: int) -> Path:
+        """Where a snapshot of `size` bytes is kept while it is received and restored; raises DiskFull."""
+        await self.admit(size)
+        return await asyncio.to_thread(self._snapshots.receiving, name)
+
+    async def admit(self, size: int) -> None:
+        """Raise DiskFull unless there is room for so many bytes."""
+        await asyncio.to_thread(self._snapshots.admit, size)
+
+    async def restore(self, path: Path, name: str | None, allow: Callable[[str], None]) -> wire.RestoredMap:
+        """Make a map from a snapshot; see `SnapshotService.restore`."""
+        return snapshot_presenters.restored(await asyncio.to_thread(self._snapshots.restore, path, name, allow))
 
     # repeated calls
 

@@ -87,10 +87,22 @@ async def _query_id(
     return await _within(access, "explained query", query_id, curator.map_of_query(query_id))
 
 
+async def _snapshot_id(
+    snapshot_id: Annotated[str, Path(description="Id of the snapshot: that of its job.")],
+    access: Accesses,
+    curator: Curates,
+) -> str:
+    async def map_name() -> str:
+        return (await curator.snapshot(snapshot_id)).map
+
+    return snapshot_id if access.maps is None else await _within(access, "snapshot", snapshot_id, map_name())
+
+
 ViewId = Annotated[str, Depends(_view_id)]
 JobId = Annotated[str, Depends(_job_id)]
 QueryId = Annotated[str, Depends(_query_id)]
-"""Ids in paths; of views, jobs and queries of maps that the caller may use."""
+SnapshotId = Annotated[str, Depends(_snapshot_id)]
+"""Ids in paths; of views, jobs, queries and snapshots of maps that the caller may use."""
 
 
 async def _once_each(_: Annotated[OnceEach, Query()]) -> None: ...

@@ -28,6 +28,9 @@ _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"
 ALWAYS_OPEN = frozenset({"/livez", "/readyz", "/metrics"})
 """Paths that answer while the service starts and stops, so that supervisors can watch it."""
 
+STREAMED = frozenset({("POST", "/restore")})
+"""Requests whose body is received into a file."""
+
 STARTING_RETRY_S = 2
 DRAINING_RETRY_S = 10
 CROWDED_RETRY_S = 2
@@ -185,6 +188,7 @@ class BodyLimit:
     app : ASGIApp
     max_bytes : int
         Bytes of the largest body.
+        Those of `STREAMED` have no bound here: the disk bounds them.
     seconds : float
         Seconds in which a body has to arrive, and one more for each `SLOWEST_BYTES_S` bytes that have arrived.
     """
@@ -200,7 +204,8 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         announced = Headers(scope=scope).get("content-length", "")
-        if announced.isdigit() and int(announced) > self._max_bytes:
+        bounded = (scope["method"], scope["path"]) not in STREAMED
+        if bounded and announced.isdigit() and int(announced) > self._max_bytes:
             await refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
             return
         received = 0
@@ -222,7 +227,7 @@ class BodyLimit:
             complete = not message.get("more_body", False)
             if message["type"] == "http.request":
                 received += len(message.get("body", b""))
-                if received > self._max_bytes:
+                if bounded and received > self._max_bytes:
                     # Raised inside the route that reads the body, so that it is answered like any other refusal.
                     raise self._too_large(f"more than {self._max_bytes:,}")
             return message

@@ -203,8 +203,29 @@ class ListViews(FilterParameters):
     map: MapName | None = None
     state: Literal["pending", "ready", "failed"] | None = Field(None, description="Only views in this state.")
     sort: Literal["enrolled_at", "-enrolled_at"] = Field("enrolled_at", description="- for newest first.")
+    words: Annotated[str, BeforeValidator(values.plain_text)] | None = Field(
+        None,
+        max_length=1000,
+        description="Labels of the map, with commas between: its described views by how much of them these are, most "
+        "first, those without any left out. pole+fence: views where both are, the more the better.",
+        examples=["fence,tree"],
+    )
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
     limit: int = Field(50, ge=1, le=500, description="Views a page.")
+
+    @classmethod
+    def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
+        """Mistakes: `words` without a map, or with an order or a state, which they imply."""
+        found = super().contradictions(given)
+        if "words" in given:
+            if "map" not in given:
+                found.append(ParameterError("words", "needs map: each map has labels of its own"))
+            found += [
+                ParameterError(name, "cannot be given with words: described views come, most of it first")
+                for name in ("sort", "state")
+                if name in given
+            ]
+        return found
 
 
 class DeleteViews(FilterParameters):
@@ -230,12 +251,20 @@ class ListJobs(Parameters):
     """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
-    kind: Literal["describe", "recipe", "vocabulary"] | None = Field(None, description="Only jobs of this kind.")
+    kind: Literal["describe", "recipe", "vocabulary", "snapshot"] | None = Field(
+        None, description="Only jobs of this kind."
+    )
     state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(
         None, description="Only jobs in this state."
     )
     cursor: str | None = Field(None, min_length=1, max_length=500, description="`next` of the page before.")
     limit: int = Field(50, ge=1, le=500, description="Jobs a page.")
+
+
+class RestoreParameters(Parameters):
+    """Parameters of `POST /restore`."""
+
+    as_: MapName | None = Field(None, alias="as", description="Name of the new map. Default: the name that it had.")
 
 
 class ListPlaces(Parameters):

@@ -52,6 +52,11 @@ ADMIN: tuple[tuple[str, str], ...] = (
     ("POST", "/maps/{map}/calibration"),
     ("DELETE", "/maps/{map}/calibration"),
     ("DELETE", "/jobs/{job_id}"),
+    ("POST", "/maps/{map}/snapshots"),
+    ("GET", "/snapshots"),
+    ("GET", "/snapshots/{snapshot_id}"),
+    ("DELETE", "/snapshots/{snapshot_id}"),
+    ("POST", "/restore"),
 )
 
 ROUTES: Mapping[tuple[str, str], Scope] = {

@@ -55,6 +55,7 @@ class Service:
                 services.calibration,
                 services.health,
                 services.inbox,
+                services.snapshots,
                 runtime.store.calls,
             ),
             lifecycle,

@@ -16,13 +16,14 @@ from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed
 from revisit_client.health import HealthCalls
 from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
+from revisit_client.snapshots import SnapshotCalls
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
 
-class Revisit(HealthCalls):
+class Revisit(HealthCalls, SnapshotCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters
@@ -209,6 +210,7 @@ class Revisit(HealthCalls):
         *,
         state: Literal["pending", "ready", "failed"] | None = None,
         newest_first: bool = False,
+        words: str | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool | None = None,
         after: Time | None = None,
@@ -220,11 +222,12 @@ class Revisit(HealthCalls):
         limit: int | None = None,
         page: int = 100,
     ) -> Iterator[wire.View]:
-        """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed."""
+        """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed. With
+        `words`, labels such as ``"fence,pole+sign"``, by how much of them these are."""
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
-        params = texts({"map": map, "state": state, "sort": sort, "limit": page, **chosen})
+        params = texts({"map": map, "state": state, "sort": sort, "words": words, "limit": page, **chosen})
         yield from islice(
             (view for answer in self._pages(wire.Views, "/views", params) for view in answer.views), limit
         )

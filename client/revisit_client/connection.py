@@ -1,6 +1,6 @@
 """HTTP requests to a service, repeated while it is busy, starting or its answer got lost."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import httpx
@@ -74,6 +74,22 @@ class Connection:
             return model.model_validate(answer.json(), extra="ignore")
         except (ValidationError, ValueError) as error:
             raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
+
+    def stream(self, path: str, chunk_size: int) -> Iterator[bytes]:
+        """The body of an answer to GET, a chunk at a time; not repeated.
+
+        Raises
+        ------
+        RevisitProblem, Unreachable
+        """
+        try:
+            with self._http.stream("GET", path) as answer:
+                if answer.status_code >= 400:
+                    answer.read()
+                    raise RevisitProblem(problem_of(answer), retry_after(answer))
+                yield from answer.iter_raw(chunk_size)
+        except httpx.TransportError as error:
+            raise Unreachable(self.url, reason(error)) from error
 
     def send(
         self, method: str, path: str, *, repeat: bool = True, accept: int | None = None, **request: Any

@@ -19,7 +19,15 @@ from tests.stories.running import RunningService
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "client" / "revisit_client"
-PARTS = ("wire.py", "wire_calibration.py", "wire_health.py", "wire_inbox.py", "wire_query.py", "wire_views.py")
+PARTS = (
+    "wire.py",
+    "wire_calibration.py",
+    "wire_health.py",
+    "wire_inbox.py",
+    "wire_query.py",
+    "wire_snapshots.py",
+    "wire_views.py",
+)
 WIRE = [ROOT / "schemas" / name for name in PARTS]
 
 SERVER = {

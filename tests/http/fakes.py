@@ -33,6 +33,7 @@ from schemas.statistics import (
     ServiceStatistics,
     StoreStatistics,
 )
+from tests.http.fake_snapshots import FakeSnapshots
 from worker.images.codec import Limits, decode, facts, thumbnail
 
 NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
@@ -73,7 +74,7 @@ class Kept:
 
 
 @dataclass
-class FakeRecogniser:
+class FakeRecogniser(FakeSnapshots):
     """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))
@@ -171,6 +172,10 @@ class FakeRecogniser:
         self.given = {"map": map_name, "filters": filters, **how}
         kept = [k for k in self.kept.values() if map_name in (None, k.map) and (among is None or k.map in among)]
         return wire.Views(views=[k.view() for k in kept], next=None)
+
+    async def views_with_words(self, map_name: str, filters: Filters, words: str, **how: Any) -> wire.Views:
+        self.given = {"words": words, **how}
+        return await self.views(map_name, filters)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         kept = self._view(view_id)

@@ -49,12 +49,15 @@ class Locked:
 
     def call(self, method: str, path: str, key: str | None) -> httpx.Response:
         """A call that would be answered without keys: the map is ``belfry`` wherever one can be named."""
-        path = path.format(view_id=self.view, map="belfry", job_id="j1", query_id="q1", place_id="u1")
+        ids = {"view_id": self.view, "job_id": "j1", "query_id": "q1", "place_id": "u1", "snapshot_id": "s1"}
+        path = path.format(map="belfry", **ids)
         options: dict[str, Any] = {"headers": {} if key is None else {"authorization": f"Bearer {key}"}}
         if path in ("/enroll", "/query"):
             path += "?map=belfry"
             options["content"] = JPEG
             options["headers"] |= IMAGE
+        if path == "/restore":
+            options["content"] = b"snapshot"
         if (method, path) == ("DELETE", "/views"):
             path += "?map=belfry&all=true"
         if method in ("PUT", "PATCH") or path.endswith(("/recipe", "/calibration", "/unknown/u1")):
@@ -107,9 +110,9 @@ def test_a_key_for_another_map_sees_nothing_of_this_one(locked: Locked, method: 
     response = locked.call(method, path, locked.keys.make("elsewhere", "admin", "elsewhere"))
 
     assert "belfry" not in response.text or code(response) == "forbidden"
-    if any(name in path for name in ("{view_id}", "{job_id}", "{query_id}")):
+    if any(name in path for name in ("{view_id}", "{job_id}", "{query_id}", "{snapshot_id}")):
         assert (response.status_code, code(response)) == (404, "not-found")
-    elif "{map}" in path or path in ("/enroll", "/query", "/metrics") or method == "DELETE":
+    elif "{map}" in path or path in ("/enroll", "/query", "/metrics", "/restore") or method == "DELETE":
         assert (response.status_code, code(response)) == (403, "forbidden")
     else:
         assert response.status_code == 200

@@ -66,7 +66,7 @@ def test_all_mistakes_of_a_url_are_listed_at_once(client: CheckedClient, method:
     told = [f"{e['parameter']} {e['detail']}".partition(" (got")[0] for e in answer.json()["errors"]]
     known = {
         "GET": "after, before, cursor, exclude, exclude_last, frame, limit, map, metadata.KEY, near, place, sort, "
-        "state",
+        "state, words",
         "DELETE": "after, all, before, exclude, exclude_last, frame, map, metadata.KEY, near, place",
     }
     assert sorted(told) == [

@@ -1,6 +1,7 @@
 """The stores that every promise is tried on."""
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -46,3 +47,10 @@ def reopen(database_url: str, data: Path) -> Iterator[Open]:
 def store(reopen: Open) -> SqlStore:
     """An empty store."""
     return reopen()
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[SqlStore]:
+    """An empty store on another machine, on SQLite."""
+    with data_folder() as folder, closing(open_store(sqlite_url(folder), folder)) as store:
+        yield store

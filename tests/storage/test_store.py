@@ -335,7 +335,7 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("worker.storage.removals.Removals._clear", cut)
+        patch.setattr("worker.storage.removals.Removals.clear", cut)
         with pytest.raises(KeyboardInterrupt):
             store.removals.delete_map("campus")
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import Protocol
 
+from schemas.description import Floats
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import (
@@ -109,6 +110,18 @@ class Views(Protocol):
 
         `among`: of these maps alone.
         """
+        ...
+
+    def ranked(
+        self,
+        name: str,
+        filters: Filters,
+        score: Callable[[Sequence[str], Floats], Floats],
+        *,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> tuple[builtins.list[ViewRecord], str | None]:
+        """A page of a map's described views by a score above 0 of their label shares, and the cursor of the next."""
         ...
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> ViewRecord:

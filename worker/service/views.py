@@ -1,10 +1,13 @@
 """Views: shown, listed, changed, deleted; and their places."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from schemas.description import Floats
 from schemas.records import Filters, Position, Removal, ViewAttributes, ViewRecord
+from worker.method.label_terms import presence
+from worker.service.label_search import terms_of
 from worker.service.ports import Listings, Maps, Removals, Views
 
 
@@ -49,6 +52,23 @@ class ViewService:
         )
         labels = {name: self._maps.get(name).description.labels for name in {record.map for record in records}}
         return [LabelledView(record, labels[record.map]) for record in records], following
+
+    def with_words(
+        self, map_name: str, filters: Filters, words: str, *, cursor: str | None, limit: int
+    ) -> tuple[list[LabelledView], str | None]:
+        """A page of a map's views by how much of them some labels are, most first, and the cursor of the next.
+
+        Raises
+        ------
+        NotFound, InvalidParameters
+        """
+
+        def score(labels: Sequence[str], shares: Floats) -> Floats:
+            return presence(shares, terms_of(words, labels, map_name))
+
+        records, following = self._views.ranked(map_name, filters, score, cursor=cursor, limit=limit)
+        labels = self._maps.get(map_name).description.labels
+        return [LabelledView(record, labels) for record in records], following
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> LabelledView:
         """Replace a view's attributes in one transaction; raises NotFound, and what `change` raises."""

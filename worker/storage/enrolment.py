@@ -58,7 +58,8 @@ def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) 
         connection.execute(sa.insert(METADATA_PAIRS), pairs)
 
 
-def _fact_columns(facts: ImageFacts) -> dict[str, Any]:
+def fact_columns(facts: ImageFacts) -> dict[str, Any]:
+    """Facts of an image as columns of `views`."""
     return {
         "sha256": facts.sha256,
         "width": int(facts.width),
@@ -133,7 +134,7 @@ class Enrolment(Part):
             "map_id": row.id,
             "enrolled_at": now,
             "elapsed_us": elapsed_us,
-            **_fact_columns(facts),
+            **fact_columns(facts),
             **attribute_columns(attributes),
         }
         connection.execute(
@@ -159,7 +160,7 @@ class Enrolment(Part):
                 **view._mapping,
                 "map_id": row.id,
                 "enrolled_at": now,
-                **_fact_columns(facts),
+                **fact_columns(facts),
                 **attribute_columns(attributes),
             }
             changed = {name: columns[name] for name in checksums.COVERED[VIEWS.name]}

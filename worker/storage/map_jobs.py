@@ -1,7 +1,8 @@
 """Jobs of maps; and all jobs: shown, listed, cancelled.
 
 A job of the kind ``recipe`` runs until the last of the map's views is described. One of the kind ``vocabulary`` is
-first claimed by a worker, which trains the vocabulary, and then runs like one of the kind ``recipe``.
+first claimed by a worker, which trains the vocabulary, and then runs like one of the kind ``recipe``. One of the kind
+``snapshot`` is claimed by a worker, which writes the file. It leaves its map as it is and may run beside the others.
 """
 
 import json
@@ -20,7 +21,7 @@ from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, switching
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
-from worker.storage.rows import find_map, inserting, keep_recipe, log, maps_named
+from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, maps_named
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -60,14 +61,37 @@ class MapJobs(Jobs):
         with self._database.writing() as connection:
             row = find_map(connection, name)
             _refuse_second(connection, row)
-            job_id = str(uuid7())
-            new = {"id": job_id, "kind": "vocabulary", "map_id": row.id, "background": True}
-            connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
-            return _record(connection, job_id)
+            return _queue(connection, row, "vocabulary", now)
+
+    # snapshot
+
+    def queue_snapshot(self, name: str, now: datetime) -> JobRecord:
+        """Queue the making of a snapshot of a map; raises NotFound, or Conflict when another is being made of it."""
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            other = sa.select(JOBS.c.id).where(
+                JOBS.c.map_id == row.id, JOBS.c.kind == "snapshot", JOBS.c.state.in_(UNFINISHED)
+            )
+            if (job_id := connection.scalar(other.limit(1))) is not None:
+                raise Conflict(
+                    f"a snapshot of the map {name!r} is being made already, by the job {job_id}; wait until it has "
+                    f"finished, or DELETE /jobs/{job_id}"
+                )
+            return _queue(connection, row, "snapshot", now)
+
+    def finish_snapshot(self, claim: MapClaim, result: Mapping[str, Any], now: datetime) -> None:
+        """End a claimed job as done; raises LeaseLost."""
+        with self._database.writing() as connection:
+            job = _held(connection, claim)
+            ended = {"state": "done", "finished_at": now, "token": None, "lease_until": None}
+            done = {"progress_done": job.progress_total, "result": as_json(dict(result))}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **done))
+
+    # both
 
     def claim_map_job(self, worker: str, lease: timedelta | None, now: datetime) -> MapClaim | None:
         """Claim the oldest job of a map that waits or whose lease has ended; a job at most three times."""
-        waits = (JOBS.c.kind == "vocabulary") & (JOBS.c.recipe.is_(None))
+        waits = JOBS.c.kind.in_(("vocabulary", "snapshot")) & JOBS.c.recipe.is_(None)
         left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
         mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
@@ -185,14 +209,15 @@ class MapJobs(Jobs):
             else:
                 if job.recipe is not None:
                     switching.stop(connection, job.map_id, job.recipe, now)
-                _end(connection, job.number, "cancelled", now, ("cancelled", "the map keeps the recipe that it has"))
+                kept = "no snapshot was made" if job.kind == "snapshot" else "the map keeps the recipe that it has"
+                _end(connection, job.number, "cancelled", now, ("cancelled", kept))
             return _record(connection, job_id)
 
 
 def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
     """Raise Conflict when another job of this map has not finished."""
     other = sa.select(JOBS.c.id, JOBS.c.kind).where(
-        JOBS.c.map_id == row.id, JOBS.c.kind != "describe", JOBS.c.state.in_(UNFINISHED)
+        JOBS.c.map_id == row.id, JOBS.c.kind.in_(("recipe", "vocabulary")), JOBS.c.state.in_(UNFINISHED)
     )
     found = connection.execute(other.limit(1)).one_or_none()
     if found is not None:
@@ -200,6 +225,14 @@ def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
             f"the map {row.name!r} is being changed already, by the {found.kind} job {found.id}; wait until it has "
             f"finished, or DELETE /jobs/{found.id}"
         )
+
+
+def _queue(connection: sa.Connection, row: sa.Row[Any], kind: JobKind, now: datetime) -> JobRecord:
+    """Queue a job of a map for a worker to claim."""
+    job_id = str(uuid7())
+    new = {"id": job_id, "kind": kind, "map_id": row.id, "background": True}
+    connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
+    return _record(connection, job_id)
 
 
 def _held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:

@@ -63,16 +63,17 @@ class Removals(Part):
             connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
             return map_id
 
-        return self._clear(self._database.freeing(take_name))
+        return self.clear(self._database.freeing(take_name))
 
     def clear_deleted_maps(self) -> None:
         """Finish deletions of maps that a crash interrupted."""
         with self._database.reading() as connection:
             left = list(connection.scalars(sa.select(MAPS.c.id).where(MAPS.c.name.is_(None))))
         for map_id in left:
-            self._clear(map_id)
+            self.clear(map_id)
 
-    def _clear(self, map_id: int) -> Removal:
+    def clear(self, map_id: int) -> Removal:
+        """Remove a map without a name, by its number."""
         views = images = 0
         some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
         while True:

@@ -25,7 +25,9 @@ from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
+from worker.storage.restoring import Restoring
 from worker.storage.rows import batches
+from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
 from worker.storage.tables import CALLS, CLOCK, VIEWS
 from worker.storage.views import Views
@@ -76,6 +78,8 @@ class SqlStore:
         self.calls = Calls(database, images)
         self.keys = Keys(database, images)
         self.pruning = Pruning(database, images)
+        self.snapshots = Snapshots(database, images, data / "snapshots")
+        self.restoring = Restoring(database, images, self.removals)
 
     def _owned(self, digests: list[str]) -> set[str]:
         """The digests among `digests` that views need."""
@@ -86,7 +90,7 @@ class SqlStore:
         return found
 
     def recover(self) -> None:
-        """Clean up after a crash: delete unfinished calls and image files without a view, finish deletions.
+        """Clean up after a crash: delete unfinished calls, maps, snapshots and images, finish deletions.
 
         Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
         """
@@ -94,6 +98,7 @@ class SqlStore:
         try:
             self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
             self.removals.clear_deleted_maps()
+            self.snapshots.sweep()
             if self._lost is None:
                 self._images.sweep()
             else:  # an image without a view may be all that is left of it

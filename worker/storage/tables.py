@@ -183,10 +183,10 @@ JOBS = sa.Table(
     METADATA,
     sa.Column("number", big_key(), primary_key=True),  # in queueing order
     sa.Column("id", sa.Text, nullable=False, unique=True),
-    sa.Column("kind", sa.Text, nullable=False),  # describe (a view), recipe or vocabulary (a map)
+    sa.Column("kind", sa.Text, nullable=False),  # describe (a view); recipe, vocabulary or snapshot (a map)
     sa.Column("map_id", sa.BigInteger, nullable=False),
     sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE")),  # NULL for a job of a map
-    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL before training has ended
+    sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL before training has ended, and of a snapshot
     sa.Column("background", sa.Boolean, nullable=False),  # of a recipe switch; enrolments go first
     sa.Column("state", sa.Text, nullable=False),
     sa.Column("attempts", sa.Integer, nullable=False),

@@ -6,12 +6,14 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import Damaged
+from schemas.description import Floats
+from schemas.errors import Damaged, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
+from worker.storage.packing import unpack_floats
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
 from worker.storage.rows import (
@@ -20,6 +22,7 @@ from worker.storage.rows import (
     attributes_of,
     batches,
     find_map,
+    find_recipe,
     find_view,
     has_whole_attributes,
     log,
@@ -28,7 +31,7 @@ from worker.storage.rows import (
     view_rows,
     views_of,
 )
-from worker.storage.tables import COMPARISONS, VIEWS
+from worker.storage.tables import COMPARISONS, DESCRIPTIONS, VIEWS
 
 
 class Views(Part):
@@ -85,6 +88,51 @@ class Views(Part):
         following = cursor_after(order, rows[limit - 1].seq) if len(rows) > limit else None
         return self._records(rows[:limit]), following
 
+    def ranked(
+        self,
+        name: str,
+        filters: Filters,
+        score: Callable[[Sequence[str], Floats], Floats],
+        *,
+        cursor: str | None = None,
+        limit: int = 50,
+    ) -> "tuple[builtins.list[ViewRecord], str | None]":
+        """A page of the described views of a map by a score of their label shares, and the cursor of the next.
+
+        Parameters
+        ----------
+        score : function
+            From the labels and the shares, (n_views, n_labels), to a score of each view. Views with 0 are left out;
+            equal ones follow in the order of enrolment.
+
+        Raises
+        ------
+        NotFound, InvalidParameters
+            And what `score` raises.
+        """
+        last = None if cursor is None else _last_rank(cursor)
+        with self._database.reading() as connection:
+            row = find_map(connection, name)
+            labels = find_recipe(connection, row.recipe).labels
+            described = (
+                sa.select(DESCRIPTIONS.c.seq, DESCRIPTIONS.c.label_shares)
+                .join(VIEWS, VIEWS.c.seq == DESCRIPTIONS.c.seq)
+                .where(DESCRIPTIONS.c.recipe == row.recipe, VIEWS.c.state == "ready", VIEWS.c.map_id == row.id)
+                .where(*fitting(connection, filters, row.id))
+            )
+            found = [one for one in connection.execute(described) if len(one.label_shares) == 4 * len(labels)]
+            shares = unpack_floats(b"".join(one.label_shares for one in found)).reshape(-1, len(labels))
+            scores = score(labels, shares)
+            order = sorted((-value, one.seq) for value, one in zip(scores.tolist(), found, strict=True) if value > 0)
+            if last is not None:
+                order = [key for key in order if key > last]
+            page = connection.execute(views_of(), {"seqs": [seq for _, seq in order[:limit]]})
+            rows = {view.seq: view for view in page}
+        following = (
+            cursor_after("words", order[limit - 1][0].hex(), order[limit - 1][1]) if len(order) > limit else None
+        )
+        return self._records([rows[seq] for _, seq in order[:limit]]), following
+
     def _records(self, rows: Sequence[sa.Row[Any]]) -> "builtins.list[ViewRecord]":
         """Views from their rows; damaged ones are failed, in the database too."""
         records = [view_record(row) for row in rows]
@@ -132,3 +180,12 @@ class Views(Part):
                 find_view(connection, view_id)  # else it was deleted between row and file
             log.error("view %s: %s", view_id, error.detail)
             raise
+
+
+def _last_rank(cursor: str) -> tuple[float, int]:
+    """Negative score and sequence number of the last view of a page; raises InvalidParameters."""
+    score, seq = read_cursor("words", cursor, str, int)
+    try:
+        return float.fromhex(str(score)), int(seq)
+    except (ValueError, OverflowError):
+        raise InvalidParameters.of("cursor", "is no cursor of this listing; begin again without one") from None

@@ -48,8 +48,12 @@ _KNOWN = frozenset((*_FIELDS, *Position.model_fields))
 
 @router.get("/views", response_model=Views, responses=refusals("not-found"))
 async def list_views(params: Annotated[ListViews, Query()], curator: Curates, access: Accesses) -> Views:
-    """A page of views, in the order of enrolment."""
+    """A page of views, in the order of enrolment; with `words`, by how much of them these labels are."""
     check_map(access, params.map)
+    if params.words is not None and params.map is not None:
+        return await curator.views_with_words(
+            params.map, params.filters(), params.words, cursor=params.cursor, limit=params.limit
+        )
     return await curator.views(
         params.map,
         params.filters(),

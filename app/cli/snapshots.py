@@ -1,0 +1,133 @@
+"""``revisit snapshot | restore``: maps as files, and maps made from such files."""
+
+import argparse
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli.console import DONE, Failure, Verbs, say, show, show_json, size, speaks, wrong_use
+from app.cli.serve import settings_of
+
+if TYPE_CHECKING:
+    from revisit_client import Revisit
+    from revisit_client.wire import Snapshot
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the commands."""
+    snapshot = verbs.add_parser(
+        "snapshot",
+        help="write a map, or all of them, to files",
+        description="Write a map to one file: views, images, descriptions, and what the map learned. The service goes "
+        "on working meanwhile. The file is fetched here, and removed from the service unless --keep is given.",
+    )
+    snapshot.add_argument("map", nargs="?", help="name of the map")
+    snapshot.add_argument("--all", action="store_true", help="every map, a file each")
+    snapshot.add_argument("--output", type=Path, metavar="PATH", help="file, or folder to put it into (default: .)")
+    snapshot.add_argument("--keep", action="store_true", help="leave the file with the service too")
+    speaks(snapshot)
+    snapshot.set_defaults(run=run_snapshot)
+
+    restore = verbs.add_parser(
+        "restore",
+        help="make a map from a file that `snapshot` wrote",
+        description="Make a map from a snapshot. Works on the data folder of a stopped service, or with --url through "
+        "a running one. The whole file is verified before anything is written.",
+    )
+    restore.add_argument("file", type=Path, help="the file")
+    restore.add_argument("--as", dest="name", metavar="NAME", help="name of the new map (default: the one it had)")
+    restore.add_argument("--data", type=Path, help="data folder of the stopped service (default: data)")
+    speaks(restore)
+    restore.set_defaults(run=run_restore)
+
+
+def run_snapshot(arguments: argparse.Namespace) -> int:
+    """Make snapshots, and fetch them."""
+    from revisit_client import Revisit
+
+    if (arguments.map is None) != arguments.all:
+        wrong_use("name one map, or say --all")
+    if arguments.all and arguments.output is not None and not arguments.output.is_dir():
+        wrong_use(f"--all writes a file for each map: {arguments.output} needs to be a folder")
+    done = []
+    with Revisit(arguments.url, key=arguments.key) as revisit:
+        names = [facts.name for facts in revisit.maps()] if arguments.all else [arguments.map]
+        for name in names:
+            made, path = _fetched(revisit, name, arguments)
+            done.append({"file": str(path), **made.model_dump(mode="json")})
+            if not arguments.json:
+                show(f"{path}: {made.views} views of map {name}, {size(made.bytes)}")
+    if arguments.json:
+        show_json(done)
+    return DONE
+
+
+def _fetched(revisit: "Revisit", name: str, arguments: argparse.Namespace) -> "tuple[Snapshot, Path]":
+    job = revisit.make_snapshot(name)
+    say(f"job {job.id} is running; interrupting this command does not stop it")
+    revisit.wait_for_job(job.id, timeout=24 * 3600)
+    (made,) = [one for one in revisit.snapshots() if one.id == job.id]
+    path = arguments.output or Path()
+    if path.is_dir():
+        path /= f"{name}-{made.created_at:%Y%m%dT%H%M%SZ}.snapshot"
+    try:
+        revisit.download_snapshot(made.id, path)
+    except OSError as error:
+        raise Failure(f"{path}: {error.strerror}; the service keeps the snapshot {made.id}") from error
+    if not arguments.keep:
+        revisit.delete_snapshot(made.id)
+    return made, path
+
+
+def run_restore(arguments: argparse.Namespace) -> int:
+    """Make a map from a file."""
+    if arguments.url is not None:
+        if arguments.data is not None:
+            wrong_use("--url is for a running service, --data for a stopped one; give one of them")
+        made = _sent(arguments)
+    else:
+        made = _stored(arguments)
+    if arguments.json:
+        show_json(made)
+    else:
+        ids = "with new ids, since some were in use" if made["new_ids"] else "with the ids they had"
+        show(f"restored the map {made['map']}: {made['views']} views, {ids}")
+        if made["pending"]:
+            say(f"{made['pending']} of them have no description yet; the service describes them")
+    return DONE
+
+
+def _sent(arguments: argparse.Namespace) -> "dict[str, object]":
+    from revisit_client import Revisit
+
+    with Revisit(arguments.url, key=arguments.key) as revisit:
+        return revisit.restore(arguments.file, name=arguments.name).model_dump(mode="json")
+
+
+def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
+    from dataclasses import asdict
+    from datetime import UTC, datetime
+
+    from schemas.errors import SetupError
+    from schemas.snapshot import MAP_NAME
+
+    if arguments.name is not None and not re.fullmatch(MAP_NAME, arguments.name):
+        wrong_use(f"--as {arguments.name!r} is no name of a map: letters, digits, . _ -, at most 64")
+    settings = settings_of(arguments, "data")
+    from worker.storage.locks import lock_for_serving
+    from worker.storage.store import open_store
+
+    settings.data.mkdir(parents=True, exist_ok=True)
+    try:  # a service that starts meanwhile would take what is half restored for what a crash left
+        lock = lock_for_serving(settings.data, datetime.now(UTC))
+    except SetupError as error:
+        raise Failure(f"{error}\nOr restore through the running service: --url URL") from None
+    try:
+        store = open_store(settings.database_url, settings.data, round(settings.reserve_mb * 1_000_000))
+        try:
+            store.recover()
+            return asdict(store.restoring.restore(arguments.file, arguments.name, datetime.now(UTC)))
+        finally:
+            store.close()
+    finally:
+        lock.release()

@@ -1,0 +1,87 @@
+"""Calls of the client about snapshots."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from revisit_client import wire
+from revisit_client.connection import Connection
+from revisit_client.parameters import texts
+
+CHUNK = 1 << 20
+
+SNAPSHOT_TYPE = "application/x-tar"
+
+
+class SnapshotCalls:
+    """The part of `Revisit` that makes, fetches and restores snapshots."""
+
+    _connection: Connection
+
+    def make_snapshot(self, map: str) -> wire.Job:
+        """Make a snapshot of a map in the background; `download_snapshot` fetches it under the id of the job."""
+        return self._connection.receive(wire.Job, "POST", f"/maps/{map}/snapshots", repeat=False)
+
+    def snapshots(self) -> list[wire.Snapshot]:
+        """All snapshots that the service keeps, newest first."""
+        return self._connection.receive(wire.Snapshots, "GET", "/snapshots").snapshots
+
+    def download_snapshot(self, snapshot_id: str, path: str | os.PathLike[str]) -> Path:
+        """Write the file of a snapshot to `path`, which must not exist; there is all of it or nothing.
+
+        Raises
+        ------
+        FileExistsError
+        """
+        target = Path(path)
+        if target.exists():
+            raise FileExistsError(17, "exists already", str(target))
+        unfinished = target.with_name(f".{target.name}.unfinished")
+        try:
+            with unfinished.open("wb") as file:
+                for chunk in self._connection.stream(f"/snapshots/{snapshot_id}", CHUNK):
+                    file.write(chunk)
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.rename(target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+        return target
+
+    def delete_snapshot(self, snapshot_id: str) -> wire.Snapshot:
+        """Remove a snapshot from the service."""
+        return self._connection.receive(wire.Snapshot, "DELETE", f"/snapshots/{snapshot_id}")
+
+    def restore(self, path: str | os.PathLike[str], *, name: str | None = None) -> wire.RestoredMap:
+        """Make a map from the file of a snapshot.
+
+        Parameters
+        ----------
+        path : path
+        name : str or None
+            Of the new map; None for the name that it had.
+        """
+        source = Path(path)
+        headers = {"content-type": SNAPSHOT_TYPE, "content-length": str(source.stat().st_size)}
+        return self._connection.receive(
+            wire.RestoredMap,
+            "POST",
+            "/restore",
+            params=texts({"as": name}),
+            content=_Body(source),
+            headers=headers,
+            timeout=None,  # it is answered when all of it is stored
+            repeat=False,
+        )
+
+
+class _Body:
+    """The bytes of a file, from its beginning each time they are sent."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __iter__(self) -> Iterator[bytes]:
+        with self._path.open("rb") as file:
+            while chunk := file.read(CHUNK):
+                yield chunk

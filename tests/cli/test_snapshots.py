@@ -1,0 +1,72 @@
+"""`revisit snapshot` and `revisit restore`: through a running service, and on the data folder of a stopped one."""
+
+import json
+from pathlib import Path
+
+import pytest
+from revisit_client import Revisit, RevisitProblem
+
+from app.cli.__main__ import main
+from tests.sample_images import drawn, encoded
+from tests.stories.running import RunningService
+
+Out = pytest.CaptureFixture[str]
+
+
+def test_maps_are_fetched_and_restored_on_both_ways(
+    tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backup = tmp_path / "backup"
+    backup.mkdir()
+    stopped = tmp_path / "stopped"
+    with RunningService(tmp_path / "data") as service, Revisit(service.url) as revisit:
+        monkeypatch.setenv("REVISIT_URL", service.url)
+        for name in ("campus", "depot"):
+            revisit.enroll(encoded(drawn(96, 72, 1), "jpeg"), map=name, place="gate")
+        assert main(["snapshot", "--all", "--output", str(backup), "--json"]) == 0
+        made = json.loads(capsys.readouterr().out)
+        files = sorted(backup.iterdir())
+        assert [one["map"] for one in made] == ["campus", "depot"]
+        assert [one["file"] for one in made] == list(map(str, files))
+        assert revisit.snapshots() == []
+
+        assert main(["snapshot", "campus", "--output", str(tmp_path / "one"), "--keep"]) == 0
+        assert [one.map for one in revisit.snapshots()] == ["campus"]
+        with pytest.raises(FileExistsError):
+            revisit.download_snapshot(revisit.snapshots()[0].id, tmp_path / "one")
+
+        with pytest.raises(RevisitProblem, match="exists already"):
+            revisit.restore(tmp_path / "one")
+        assert main(["restore", str(tmp_path / "one"), "--url", service.url, "--as", "copy"]) == 0
+        assert "with new ids" in capsys.readouterr().out
+        assert revisit.map("copy").views["ready"] == 1
+        assert main(["restore", str(tmp_path / "one"), "--data", str(tmp_path / "data")]) == 1
+        assert "--url" in capsys.readouterr().err
+
+    assert main(["restore", str(files[0]), "--data", str(stopped), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["map"] == "campus"
+    assert main(["restore", str(files[0]), "--data", str(stopped)]) == 1
+    assert "exists already" in capsys.readouterr().err
+    files[1].write_bytes(files[1].read_bytes()[:-700])
+    assert main(["restore", str(files[1]), "--data", str(stopped)]) == 1
+    assert "nothing was changed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["snapshot"],
+        ["snapshot", "campus", "--all"],
+        ["snapshot", "--all", "--output", "/nowhere"],
+        ["restore", "f", "--as", "../x"],
+        ["restore", "f", "--url", "http://127.0.0.1:9", "--data", "d"],
+    ],
+)
+def test_wrong_use_is_told_before_anything_happens(wrong: list[str], nobody: None, capsys: Out) -> None:
+    assert main(wrong) == 2
+    assert capsys.readouterr().err
+
+
+def test_a_file_that_is_missing_is_named(tmp_path: Path, capsys: Out) -> None:
+    assert main(["restore", str(tmp_path / "none"), "--data", str(tmp_path / "data")]) == 1
+    assert "none" in capsys.readouterr().err

@@ -1,0 +1,164 @@
+"""A snapshot gives the same map back, on either database, as of one moment."""
+
+import subprocess
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from schemas.errors import Conflict, Damaged, NotFound
+from schemas.records import Filters, ViewAttributes
+from tests.storage.carried import JOB, contents, filled, made, views
+from tests.storage.databases import POSTGRES, data_folder, postgres_schema
+from tests.storage.material import NOW, describe_all, enroll, image
+from worker.service.snapshots import SnapshotService
+from worker.storage.store import SqlStore, open_store
+
+
+def test_the_same_map_on_another_machine(store: SqlStore, elsewhere: SqlStore) -> None:
+    filled(store)
+    restored = elsewhere.restoring.restore(made(store), None, NOW)
+
+    assert contents(elsewhere) == contents(store)
+    assert [view.id for view in views(elsewhere)] == [view.id for view in views(store)]
+    assert (restored.views, restored.pending, restored.new_ids) == (5, 1, False)
+    assert describe_all(elsewhere) == 1
+    assert elsewhere.comparisons.levels("campus").level == store.comparisons.levels("campus").level
+    assert elsewhere.listings.select("campus", Filters(metadata={"floor": "1"})).only is not None
+
+
+def test_a_map_carried_from_sqlite_to_this_database_and_back(store: SqlStore, elsewhere: SqlStore) -> None:
+    filled(elsewhere)
+    store.restoring.restore(made(elsewhere), "carried", NOW)
+    assert contents(store, "carried") == contents(elsewhere)
+
+    elsewhere.restoring.restore(made(store, "carried"), "returned", NOW)
+    assert contents(elsewhere, "returned") == contents(elsewhere)
+
+
+def test_beside_the_map_itself_the_views_get_new_ids(store: SqlStore) -> None:
+    filled(store)
+    restored = store.restoring.restore(made(store), "copy", NOW)
+
+    assert restored.new_ids
+    assert contents(store, "copy") == contents(store)
+    ids = [view.id for view in views(store, "copy")]
+    assert ids == sorted(set(ids))
+    assert not set(ids) & {view.id for view in views(store)}
+    store.removals.delete_map("campus")
+    assert store.views.image(ids[0]) == image("view 0")
+
+
+def test_newer_enrolments_stay_newer_than_what_was_restored(store: SqlStore, elsewhere: SqlStore) -> None:
+    filled(store)
+    elsewhere.restoring.restore(made(store), None, NOW)
+    later = enroll(elsewhere, "later", now=NOW).view
+
+    assert views(elsewhere)[-1].id == later.id
+    assert later.id > views(elsewhere)[-2].id
+    assert elsewhere.listings.select("campus", Filters(exclude_last=1)).never.tolist() == [later.seq]
+
+
+def test_any_tar_program_can_look_into_it(store: SqlStore) -> None:
+    filled(store)
+    listed = subprocess.run(["tar", "-tf", made(store)], capture_output=True, text=True, check=True).stdout.split()
+
+    assert listed[0] == "snapshot.json"
+    assert listed[-2:] == ["manifest.ndjson", "manifest.sha256"]
+    assert sum(name.startswith("images/") for name in listed) == 5
+
+
+def test_it_is_the_map_of_one_moment_while_the_service_works(store: SqlStore, elsewhere: SqlStore) -> None:
+    filled(store, 80)
+    before = [view.id for view in views(store)]
+    gone = before[-30]
+
+    def meanwhile(done: int, total: int) -> None:
+        if done == 0:
+            enroll(store, "meanwhile")
+            store.views.change(before[1], lambda _: ViewAttributes(place="moved"))
+            store.removals.delete_view(before[0])
+        elif done == 32:
+            store.removals.delete_view(gone)
+            store.removals.delete_views("other", Filters())
+
+    record = store.snapshots.make("campus", JOB, NOW, meanwhile)
+    with store.snapshots.open(JOB) as file:
+        elsewhere.restoring.restore(Path(file.name), None, NOW)
+
+    after = views(elsewhere)
+    assert [view.id for view in after] == [one for one in before if one != gone]
+    assert after[1].attributes.place == "place 1"
+    assert record.facts.views == len(after) == len(before) - 1
+
+
+def test_a_damaged_image_makes_no_snapshot_and_a_damaged_description_is_made_anew(
+    store: SqlStore, elsewhere: SqlStore, data: Path
+) -> None:
+    filled(store)
+    with store._database.engine.begin() as connection:
+        connection.execute(sa.text("UPDATE cells SET checksum = 7 WHERE seq = (SELECT min(seq) FROM cells)"))
+    restored = elsewhere.restoring.restore(made(store), None, NOW)
+    assert (restored.views, restored.pending) == (5, 2)
+
+    digest = views(store)[1].image.sha256
+    (data / "pictures" / digest[:2] / digest[2:4] / digest).write_bytes(b"damaged")
+    with pytest.raises(Damaged):
+        made(store)
+    assert [path.name for path in (data / "snapshots").iterdir()] == [f"{JOB}.snapshot"]
+
+
+def test_snapshots_are_listed_and_deleted_and_leftovers_swept(store: SqlStore, data: Path) -> None:
+    filled(store)
+    made(store)
+    (data / "snapshots" / ".writing-gone").touch()
+    store.snapshots.receiving("x").touch()
+
+    store.recover()
+
+    [record] = store.snapshots.all()
+    assert (record.facts.map, record.facts.views, record.facts.revision) == ("campus", 5, store.maps.revision("campus"))
+    assert [path.name for path in (data / "snapshots").iterdir()] == [f"{JOB}.snapshot"]
+    store.snapshots.delete(JOB)
+    for missing in (JOB, "../../revisit.db", "x"):
+        with pytest.raises(NotFound):
+            store.snapshots.get(missing)
+
+
+@pytest.mark.skipif(not POSTGRES, reason="REVISIT_TEST_POSTGRES has the URL of no PostgreSQL database")
+def test_from_postgresql_to_sqlite(elsewhere: SqlStore) -> None:
+    assert POSTGRES is not None
+    with postgres_schema(POSTGRES) as url, data_folder() as folder, closing(open_store(url, folder)) as server:
+        filled(server)
+        elsewhere.restoring.restore(made(server), None, NOW)
+        assert contents(elsewhere) == contents(server)
+
+
+@pytest.mark.parametrize("end", ["cancelled", "deleted", "stopped", "done"])
+def test_a_job_makes_it_and_what_ends_the_job_leaves_no_file(store: SqlStore, data: Path, end: str) -> None:
+    filled(store)
+    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    queued = service.queue("campus")
+    with pytest.raises(Conflict, match=queued.id):
+        service.queue("campus")
+    assert store.jobs.queue_vocabulary("campus", NOW).state == "waiting"  # which a snapshot does not hinder
+    claim = store.jobs.claim_map_job("worker", None, NOW)
+    assert claim is not None
+    assert (claim.kind, claim.job_id) == ("snapshot", queued.id)
+    if end == "cancelled":
+        store.jobs.cancel(queued.id, NOW)
+    elif end == "deleted":
+        store.removals.delete_map("campus")
+
+    service.run(claim, lambda: end == "stopped")
+
+    files = [path.name for path in (data / "snapshots").iterdir()]
+    if end != "done":
+        assert files == []
+    if end in ("cancelled", "stopped"):
+        assert store.jobs.get(queued.id).state == {"cancelled": "cancelled", "stopped": "waiting"}[end]
+    elif end == "done":
+        job = store.jobs.get(queued.id)
+        assert (job.state, job.result and job.result["views"]) == ("done", 5)
+        assert files == [f"{queued.id}.snapshot"]

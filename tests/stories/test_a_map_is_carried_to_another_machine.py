@@ -1,0 +1,133 @@
+"""A map is written to a file while the service works, carried elsewhere, and answers there as it did."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.http.application import create_app
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.sample_images import drawn, encoded
+from worker.runtime import build
+
+JPEG = {"content-type": "image/jpeg"}
+TAR = {"content-type": "application/x-tar"}
+
+
+@contextmanager
+def service(data: Path, **settings: Any) -> Iterator[CheckedClient]:
+    runtime = build(Settings(data=data, encoder="color", threads=1, **settings))
+    with CheckedClient(create_app(runtime)) as client:
+        yield client
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Iterator[CheckedClient]:
+    """A service with a map of six views of four places."""
+    with service(tmp_path / "home") as client:
+        for seed in range(6):
+            client.post(f"/enroll?map=campus&place={seed % 4}&x={seed}&y=0", content=street(seed), headers=JPEG)
+        yield client
+
+
+@pytest.fixture
+def away(tmp_path: Path) -> Iterator[CheckedClient]:
+    """Another service, which keeps a little less than it takes for a snapshot in the body of other requests."""
+    with service(tmp_path / "away", max_body_mb=0.05) as client:
+        yield client
+
+
+def street(seed: int) -> bytes:
+    return encoded(drawn(160, 120, seed), "jpeg")
+
+
+def snapshot(client: CheckedClient, name: str = "campus") -> tuple[str, bytes]:
+    """Id and bytes of a new snapshot."""
+    started = client.post(f"/maps/{name}/snapshots")
+    assert started.status_code == 202, started.text
+    until = time.monotonic() + 30
+    while (job := client.get(started.headers["location"]).json())["state"] in ("waiting", "running"):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    assert (job["state"], job["result"]["snapshot"]) == ("done", job["id"]), job
+    file = client.get(f"/snapshots/{job['id']}")
+    assert len(file.content) == int(file.headers["content-length"]) == job["result"]["bytes"]
+    return job["id"], file.content
+
+
+def ranking(client: CheckedClient, name: str, seed: int) -> list[tuple[Any, ...]]:
+    answer = client.post(f"/query?map={name}&top=6", content=street(seed), headers=JPEG).json()
+    return [(m["view"]["id"], m["view"]["place"], m["score"], m["parts"]) for m in answer["matches"]]
+
+
+def test_there_it_gives_the_same_answers(home: CheckedClient, away: CheckedClient) -> None:
+    snapshot_id, file = snapshot(home)
+    [listed] = home.get("/snapshots").json()["snapshots"]
+    assert (listed["id"], listed["map"], listed["views"], listed["bytes"]) == (snapshot_id, "campus", 6, len(file))
+
+    restored = away.post("/restore", content=file, headers=TAR)
+
+    assert restored.status_code == 201, restored.text
+    assert restored.json() | {"revision": 0, "links": {}} == {
+        "map": "campus",
+        "snapshot": snapshot_id,
+        "views": 6,
+        "pending": 0,
+        "revision": 0,
+        "new_ids": False,
+        "links": {},
+    }
+    for seed in (0, 3, 9):
+        assert ranking(away, "campus", seed) == ranking(home, "campus", seed)
+    view = away.get("/views?map=campus").json()["views"][2]
+    assert away.get(view["links"]["image"]).content == home.get(view["links"]["image"]).content
+    assert away.get("/maps/campus").json()["recipe"] == home.get("/maps/campus").json()["recipe"]
+    assert away.post("/enroll?map=campus", content=street(7), headers=JPEG).status_code == 201
+
+
+def test_over_a_map_that_is_there_it_is_refused_and_under_another_name_it_stands_beside_it(home: CheckedClient) -> None:
+    _, file = snapshot(home)
+    before = home.get("/views?map=campus").json()
+
+    assert home.post("/restore", content=file, headers=TAR).status_code == 409
+    copy = home.post("/restore?as=copy", content=file, headers=TAR).json()
+
+    assert (copy["map"], copy["views"], copy["new_ids"]) == ("copy", 6, True)
+    assert [match[1:] for match in ranking(home, "copy", 3)] == [match[1:] for match in ranking(home, "campus", 3)]
+    assert home.get("/views?map=campus").json() == before
+
+
+def test_what_is_no_whole_snapshot_is_refused_in_words(home: CheckedClient, away: CheckedClient) -> None:
+    _, file = snapshot(home)
+    flipped = bytearray(file)
+    flipped[len(file) // 2] ^= 1
+
+    for body, told in (
+        (bytes(flipped), "changed"),
+        (file[: len(file) // 2], "cut off"),
+        (b"PK\x03\x04" + bytes(2000), "no snapshot of revisit"),
+        (b"", "empty"),
+    ):
+        refused = away.post("/restore", content=body, headers=TAR)
+        assert (refused.status_code, refused.json()["type"]) == (400, "urn:revisit:problem:malformed-body")
+        assert told in refused.json()["detail"]
+    for query in ("as=../etc", "as=a&as=b", "name=copy"):
+        assert away.post(f"/restore?{query}", content=file, headers=TAR).status_code == 422
+    assert away.get("/maps").json()["maps"] == []
+    assert away.post("/enroll", content=bytes(60_000), headers=JPEG).status_code == 413
+
+
+def test_a_snapshot_stays_until_it_is_deleted(home: CheckedClient) -> None:
+    snapshot_id, file = snapshot(home)
+    assert home.delete("/maps/campus").status_code == 200
+    assert home.post("/restore", content=home.get(f"/snapshots/{snapshot_id}").content, headers=TAR).status_code == 201
+
+    assert home.delete(f"/snapshots/{snapshot_id}").json()["bytes"] == len(file)
+    assert home.get(f"/snapshots/{snapshot_id}").status_code == 404
+    assert home.delete(f"/snapshots/{snapshot_id}").status_code == 404
+    assert home.get("/snapshots").json() == {"snapshots": []}
+    assert home.post("/maps/nowhere/snapshots").status_code == 404

@@ -1,0 +1,181 @@
+"""Snapshots: made in the background, kept, given away, restored."""
+
+import logging
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+from schemas.errors import LeaseLost, NotFound, RevisitError
+from schemas.records import JobProgress, JobRecord, MapClaim
+from schemas.snapshot import RestoredMap, SnapshotRecord
+
+log = logging.getLogger("revisit.worker")
+
+
+class SnapshotFiles(Protocol):
+    """Makes and keeps the files."""
+
+    def make(self, name: str, snapshot_id: str, now: datetime, tell: Callable[[int, int], None]) -> SnapshotRecord:
+        """Write the snapshot of a map; `tell` is called with views done and all."""
+        ...
+
+    def all(self) -> list[SnapshotRecord]:
+        """All snapshots, newest first."""
+        ...
+
+    def get(self, snapshot_id: str) -> SnapshotRecord:
+        """One snapshot; raises NotFound."""
+        ...
+
+    def open(self, snapshot_id: str) -> BinaryIO:
+        """Its file, for reading; raises NotFound."""
+        ...
+
+    def delete(self, snapshot_id: str) -> None:
+        """Remove one; raises NotFound."""
+        ...
+
+    def receiving(self, name: str) -> Path:
+        """Where a snapshot is kept while it is received and restored."""
+        ...
+
+    def admit(self, size: int) -> None:
+        """Raise DiskFull unless there is room for so many bytes."""
+        ...
+
+
+class Restorer(Protocol):
+    """Makes maps from snapshots."""
+
+    def restore(self, path: Path, name: str | None, now: datetime, allow: Callable[[str], None]) -> RestoredMap:
+        """Make a map of this name, or of its own; raises BadSnapshot, Conflict, DiskFull, and what `allow` raises."""
+        ...
+
+
+class SnapshotJobs(Protocol):
+    """Jobs of the kind ``snapshot``."""
+
+    def queue_snapshot(self, name: str, now: datetime) -> JobRecord:
+        """Queue the making of a snapshot; raises NotFound, Conflict."""
+        ...
+
+    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta | None, now: datetime) -> None:
+        """Report the progress of a job; raises LeaseLost."""
+        ...
+
+    def finish_snapshot(self, claim: MapClaim, result: Mapping[str, Any], now: datetime) -> None:
+        """End a job as done; raises LeaseLost."""
+        ...
+
+    def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
+        """End a job as failed; raises LeaseLost."""
+        ...
+
+    def release_map_job(self, claim: MapClaim) -> None:
+        """Put a job back without counting the attempt."""
+        ...
+
+
+class _Stop(Exception):
+    """The worker is stopping: the job is put back."""
+
+
+class SnapshotService:
+    """The use-cases around snapshots, and the work of their jobs.
+
+    Parameters
+    ----------
+    files, restorer, jobs
+        Parts of the store.
+    wake : function
+        Called when a job was queued.
+    """
+
+    def __init__(
+        self, *, files: SnapshotFiles, restorer: Restorer, jobs: SnapshotJobs, wake: Callable[[], None]
+    ) -> None:
+        self._files, self._restorer, self._jobs, self._wake = files, restorer, jobs, wake
+
+    def queue(self, name: str) -> JobRecord:
+        """Make a snapshot of a map in the background, under the id of the job; raises NotFound, Conflict."""
+        job = self._jobs.queue_snapshot(name, datetime.now(UTC))
+        self._wake()
+        return job
+
+    def all(self) -> list[SnapshotRecord]:
+        """All snapshots, newest first."""
+        return self._files.all()
+
+    def get(self, snapshot_id: str) -> SnapshotRecord:
+        """One snapshot; raises NotFound."""
+        return self._files.get(snapshot_id)
+
+    def open(self, snapshot_id: str) -> BinaryIO:
+        """Its file, for reading; raises NotFound."""
+        return self._files.open(snapshot_id)
+
+    def delete(self, snapshot_id: str) -> SnapshotRecord:
+        """Remove a snapshot, and return what it was; raises NotFound."""
+        record = self._files.get(snapshot_id)
+        self._files.delete(snapshot_id)
+        return record
+
+    def receiving(self, name: str) -> Path:
+        """Where a snapshot is kept while it is received and restored; the caller removes it."""
+        return self._files.receiving(name)
+
+    def admit(self, size: int) -> None:
+        """Raise DiskFull unless there is room for so many bytes."""
+        self._files.admit(size)
+
+    def restore(self, path: Path, name: str | None, allow: Callable[[str], None] = lambda name: None) -> RestoredMap:
+        """Make a map from a snapshot.
+
+        Parameters
+        ----------
+        path : Path
+        name : str or None
+            Of the new map; None: the name that the map had.
+        allow : function
+            Raises when the caller may not make a map of a name.
+
+        Raises
+        ------
+        BadSnapshot, Conflict, DiskFull
+        """
+        restored = self._restorer.restore(path, name, datetime.now(UTC), allow)
+        if restored.pending:
+            self._wake()
+        return restored
+
+    def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
+        """Do a job of the kind ``snapshot`` until `stopping()` is true; an error fails the job."""
+
+        def tell(done: int, total: int) -> None:
+            if stopping():
+                raise _Stop
+            self._jobs.report(claim, JobProgress(done, total), None, datetime.now(UTC))
+
+        try:
+            record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), tell)
+            result = {"snapshot": record.facts.id, "views": record.facts.views, "bytes": record.size}
+            self._jobs.finish_snapshot(claim, result, datetime.now(UTC))
+        except _Stop:
+            self._jobs.release_map_job(claim)
+        except LeaseLost:
+            log.info("job %s was cancelled, or its map deleted", claim.job_id)
+            with suppress(NotFound):
+                self._files.delete(claim.job_id)
+        except RevisitError as error:
+            self._fail(claim, error.code, error.detail)
+        except Exception as error:
+            log.exception("making a snapshot of the map %s failed", claim.map)
+            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
+
+    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
+        try:
+            self._jobs.fail_map_job(claim, code, detail, datetime.now(UTC))
+        except LeaseLost:
+            log.info("job %s was cancelled, or given to another worker", claim.job_id)

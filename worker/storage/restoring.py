@@ -1,0 +1,301 @@
+"""Restoring a snapshot: all of it is verified first, then it is stored under no name, and named last.
+
+A map without a name is found by no call, and is removed when the service starts: whatever ends a restoration half way,
+nothing of it is ever seen.
+"""
+
+import hashlib
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.errors import BadSnapshot, Conflict
+from schemas.snapshot import RestoredMap, SnapshotFacts, SnapshotView
+from worker.storage import checksums, clock, switching
+from worker.storage.database import Database
+from worker.storage.disk_errors import translated
+from worker.storage.enrolment import fact_columns, keep_pairs
+from worker.storage.enrolment_order import following_id
+from worker.storage.image_files import Images
+from worker.storage.part import Part
+from worker.storage.removals import Removals
+from worker.storage.rows import as_json, attribute_columns, batches, inserting, keep_recipe, log
+from worker.storage.snapshot_files import COMPARISONS as COMPARISON_PARTS
+from worker.storage.snapshot_files import FACTS, IMAGE, VOCABULARY, SnapshotReader
+from worker.storage.snapshot_files import VIEWS as VIEW_PARTS
+from worker.storage.snapshot_rows import attributes, description_rows, facts, read_comparisons, read_lines
+from worker.storage.tables import COMPARISONS, MAPS, VIEWS, VOCABULARIES
+
+TAKEN = "the map {!r} exists already; restore under another name (`as`), or delete that map first"
+
+MOST_IMAGES, MOST_BYTES = 256, 32 * 1024 * 1024
+"""Images that are written together: so many, or as many as have so many bytes."""
+
+
+class Restoring(Part):
+    """Makes maps from snapshots.
+
+    Parameters
+    ----------
+    database : Database
+    images : Images
+    removals : Removals
+        Removes what was stored of a restoration that failed.
+    """
+
+    def __init__(self, database: Database, images: Images, removals: Removals) -> None:
+        super().__init__(database, images)
+        self._removals = removals
+
+    def restore(
+        self, path: Path, name: str | None, now: datetime, allow: Callable[[str], None] = lambda name: None
+    ) -> RestoredMap:
+        """Make a map from a snapshot; views keep their ids unless this service has one of them already.
+
+        Parameters
+        ----------
+        path : Path
+            File of the snapshot.
+        name : str or None
+            Of the new map; None for the name that the map had.
+        now : datetime
+        allow : function
+            Raises when the caller may not make a map of this name.
+
+        Raises
+        ------
+        BadSnapshot
+            The file is not a whole snapshot; nothing was changed.
+        Conflict
+            There is a map of this name; nothing was changed.
+        DiskFull
+        """
+        reader = SnapshotReader(path)
+        with translated("snapshots"):
+            told = reader.facts()
+            name = told.map if name is None else name
+            allow(name)
+            with self._database.reading() as connection:
+                _refuse_taken(connection, name)
+            if self._database.space is not None:  # rows are written to the journal first, then to the database
+                self._database.space.admit(path.stat().st_size + told.row_bytes)
+            new_ids = self._verify(reader, told)
+            restoration = _Restoration(self._database, self._images, told, new_ids)
+            try:
+                restoration.store(reader)
+                return restoration.finish(name, now)
+            except BaseException as error:
+                self._undo(restoration)
+                if isinstance(error, sa.exc.IntegrityError):
+                    raise Conflict(
+                        "an image of the snapshot was enrolled with the same id while it was restored; nothing was "
+                        "changed, try again"
+                    ) from error
+                raise
+
+    def _verify(self, reader: SnapshotReader, told: SnapshotFacts) -> bool:
+        """Compare the whole file with its manifest and its rows with each other; returns whether ids are taken."""
+        taken = False
+        images: set[bytes] = set()
+        ids: set[str] = set()
+        numbers = [-1]
+        views = 0
+        vocabulary = None
+        for part in reader.verified():
+            if part.name.startswith(IMAGE):
+                digest = bytes.fromhex(part.name.removeprefix(IMAGE))
+                if digest in images:
+                    raise BadSnapshot(f"it has {part.name} twice")
+                images.add(digest)
+            elif part.name == VOCABULARY:
+                vocabulary = hashlib.sha256(part.body).hexdigest()
+            elif part.name.startswith(VIEW_PARTS):
+                found = read_lines(part.name, part.body, told.description)
+                taken = taken or self._are_taken([view.id for view in found])
+                for view in found:
+                    _check_view(view, numbers, images, ids)
+                views += len(found)
+            elif part.name.startswith(COMPARISON_PARTS):
+                read_comparisons(part.name, part.body)
+        if images:
+            raise BadSnapshot(f"it has {len(images)} images without a view")
+        if views != told.views:
+            raise BadSnapshot(f"it has {views} views; its {FACTS} says {told.views}")
+        if vocabulary not in (None, told.description.vocabulary):
+            raise BadSnapshot("its vocabulary is not the one of its recipe")
+        return taken
+
+    def _are_taken(self, ids: list[str]) -> bool:
+        with self._database.reading() as connection:
+            return any(
+                connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.id.in_(portion)).limit(1)) is not None
+                for portion in batches(ids)
+            )
+
+    def _undo(self, restoration: "_Restoration") -> None:
+        if restoration.map_id is None:
+            return
+        try:
+            self._removals.clear(restoration.map_id)
+        except Exception:
+            log.exception("what was restored so far is removed at the next start")
+
+
+def _check_view(view: SnapshotView, numbers: list[int], images: set[bytes], ids: set[str]) -> None:
+    if view.number <= numbers[-1] or view.id in ids:
+        raise BadSnapshot(f"the view {view.id} is there twice, or out of order")
+    numbers[-1] = view.number
+    ids.add(view.id)
+    try:
+        images.remove(bytes.fromhex(view.sha256))
+    except KeyError:
+        raise BadSnapshot(f"the image of the view {view.id} is missing, or another view has it") from None
+
+
+def _refuse_taken(connection: sa.Connection, name: str) -> None:
+    if connection.scalar(sa.select(MAPS.c.id).where(MAPS.c.name == name)) is not None:
+        raise Conflict(TAKEN.format(name))
+
+
+def _key_of(inserted: sa.CursorResult[Any]) -> int:
+    """The key that the database gave a row."""
+    assert inserted.inserted_primary_key is not None
+    return int(inserted.inserted_primary_key[0])
+
+
+class _Restoration:
+    """One map while it is being stored, in portions, so that other writers do not wait for all of it."""
+
+    def __init__(self, database: Database, images: Images, told: SnapshotFacts, new_ids: bool) -> None:
+        self._database, self._images, self._told = database, images, told
+        self._recipe = told.description
+        self.new_ids = new_ids
+        self.map_id: int | None = None
+        self._revision = 0
+        self._seqs: dict[int, int] = {}
+        self._pending: list[int] = []
+        self._undescribed: set[int] = set()
+        self._elapsed_us = 0
+        self._shift_us: int | None = None
+        self._last_id: str | None = None
+
+    def store(self, reader: SnapshotReader) -> None:
+        """Store everything, under no name."""
+        tensors = next((part.body for part in reader.parts(VOCABULARY)), None)
+        self._make_map(tensors)
+        for part in reader.parts(VIEW_PARTS):
+            views = read_lines(part.name, part.body, self._recipe)
+            with self._database.writing() as connection:
+                self._store_views(connection, views)
+        # The rows are there, so that nobody removes an image that another map gives up meanwhile.
+        batch: dict[str, bytes] = {}
+        for part in reader.parts(IMAGE):
+            batch[part.name.removeprefix(IMAGE)] = part.body
+            if len(batch) >= MOST_IMAGES or sum(map(len, batch.values())) >= MOST_BYTES:
+                self._images.add(batch)
+                batch.clear()
+        self._images.add(batch)
+        for part in reader.parts(COMPARISON_PARTS):
+            self._store_comparisons(part.name, part.body)
+
+    def finish(self, name: str, now: datetime) -> RestoredMap:
+        """Give the map its name, and queue the views that are not described."""
+        assert self.map_id is not None
+        with self._database.writing() as connection:
+            _refuse_taken(connection, name)
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == self.map_id).values(name=name))
+            revision = clock.tick(connection, self.map_id)
+            switching.queue(connection, self.map_id, self._pending, self._recipe.id, now, background=False)
+        return RestoredMap(
+            map=name,
+            snapshot=self._told.id,
+            views=len(self._seqs),
+            pending=len(self._pending),
+            revision=revision,
+            new_ids=self.new_ids,
+        )
+
+    def _make_map(self, tensors: bytes | None) -> None:
+        told = self._told
+        with self._database.writing() as connection:
+            kept = sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == self._recipe.vocabulary)
+            if tensors is not None and connection.scalar(kept) is None:
+                connection.execute(inserting(VOCABULARIES), {"digest": self._recipe.vocabulary, "tensors": tensors})
+            born = clock.read(connection)
+            columns = {
+                "recipe": keep_recipe(connection, self._recipe),
+                "ranking": told.ranking.model_dump_json(),
+                "calibration": told.calibration,
+                "created_at": told.map_created_at,
+            }
+            made = connection.execute(sa.insert(MAPS).values(name=None, revision=born, anew=born, **columns))
+            map_id = _key_of(made)
+            self._revision = clock.tick(connection, map_id)
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(anew=self._revision))
+            newest = connection.execute(
+                sa.select(VIEWS.c.id, VIEWS.c.elapsed_us).order_by(VIEWS.c.seq.desc()).limit(1)
+            ).one_or_none()
+        self.map_id = map_id
+        self._elapsed_us = 0 if newest is None else newest.elapsed_us
+        self._last_id = None if newest is None else newest.id
+
+    def _store_views(self, connection: sa.Connection, views: list[SnapshotView]) -> None:
+        rows: dict[sa.Table, list[dict[str, Any]]] = {}
+        for view in views:
+            for table, row in self._store_view(connection, view).items():
+                rows.setdefault(table, []).append(row)
+        for table, together in rows.items():
+            connection.execute(inserting(table), together)
+
+    def _store_view(self, connection: sa.Connection, view: SnapshotView) -> dict[sa.Table, dict[str, Any]]:
+        """Store a view; returns the rows of its description."""
+        assert self.map_id is not None
+        if self._shift_us is None:  # time since the last enrolment goes on from what this service has counted
+            self._shift_us = self._elapsed_us - view.elapsed_us
+        said = attributes(view)
+        view_id = view.id
+        if self.new_ids:
+            view_id = self._last_id = following_id(self._last_id)
+        columns = {
+            "id": view_id,
+            "map_id": self.map_id,
+            "enrolled_at": view.enrolled_at,
+            "elapsed_us": max(self._elapsed_us, view.elapsed_us + self._shift_us),
+            **fact_columns(facts(view)),
+            **attribute_columns(said),
+        }
+        state = {"state": view.state, "failure_code": view.failure_code, "failure_detail": view.failure_detail}
+        sealed = {**columns, **state, "checksum": checksums.of_row(VIEWS, columns)}
+        seq = _key_of(connection.execute(inserting(VIEWS), sealed))
+        self._seqs[view.number] = seq
+        if said.metadata:
+            keep_pairs(connection, seq, said)
+        rows = description_rows(view, seq, self.map_id, self._recipe.id, self._revision)
+        if not rows:
+            self._undescribed.add(view.number)
+        if view.state == "pending":
+            self._pending.append(seq)
+        return rows
+
+    def _store_comparisons(self, name: str, body: bytes) -> None:
+        rows = [
+            {
+                "seq": self._seqs[one.number],
+                "recipe": self._recipe.id,
+                "map_id": self.map_id,
+                "among": one.among,
+                "others": one.others,
+                "level": one.level,
+                "gap": one.gap,
+                "same_spot": as_json([self._seqs[number] for number in one.same_spot if number in self._seqs]),
+                "made_at": one.made_at,
+            }
+            for one in read_comparisons(name, body)
+            if one.number in self._seqs and one.number not in self._undescribed
+        ]
+        if rows:
+            with self._database.writing() as connection:
+                connection.execute(inserting(COMPARISONS), rows)

@@ -1,0 +1,300 @@
+"""The file of a snapshot: a tar that can be written in one way only, so that a changed byte anywhere is found.
+
+Its parts, in this order::
+
+    snapshot.json             what it is: `schemas.snapshot.SnapshotFacts`
+    vocabulary.safetensors    unless the vocabulary is one that revisit brings along
+    images/<SHA-256>          images of a portion of views, then
+    views/000001.ndjson       these views with their descriptions, one a line; and so on
+    comparisons/000001.ndjson
+    manifest.ndjson           name, size and SHA-256 of every part before it, one a line
+    manifest.sha256           that of manifest.ndjson
+
+Nothing is compressed, and no name is used as a path.
+"""
+
+import hashlib
+import json
+import os
+import re
+import tarfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import BinaryIO
+
+from pydantic import ValidationError
+
+from schemas.errors import BadSnapshot
+from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
+
+FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
+IMAGE, VIEWS, COMPARISONS = "images/", "views/", "comparisons/"
+
+BLOCK = 512
+END = bytes(2 * BLOCK)
+
+MOST_FACTS = 16 * 1024 * 1024
+MOST_PART = 1024 * 1024 * 1024
+"""Bytes of the largest part: each is read into memory whole."""
+
+_SLACK = 64
+"""Spaces after the facts, for the digits of counts that are known at the end."""
+
+_NAME = re.compile(
+    r"snapshot\.json|vocabulary\.safetensors|images/[0-9a-f]{64}|(?:views|comparisons)/[0-9]{6,9}\.ndjson"
+    r"|manifest\.ndjson|manifest\.sha256"
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part that was read: its name and its bytes."""
+
+    name: str
+    body: bytes
+
+
+def _header(name: str, size: int) -> bytes:
+    """The one header that a part of this name and size has."""
+    part = tarfile.TarInfo(name)
+    part.size, part.mode = size, 0o644
+    return part.tobuf(tarfile.GNU_FORMAT, "ascii", "strict")
+
+
+def _padding(size: int) -> bytes:
+    return bytes(-size % BLOCK)
+
+
+class SnapshotWriter:
+    """Writes the parts of a snapshot; `end` makes it complete and durable.
+
+    Parameters
+    ----------
+    file : binary file
+        New, and seekable.
+    facts : SnapshotFacts
+        With counts that may still change.
+    """
+
+    def __init__(self, file: BinaryIO, facts: SnapshotFacts) -> None:
+        self._file = file
+        self._lines = TemporaryFile()  # noqa: SIM115
+        self._numbers: dict[str, int] = {}
+        self._facts_size = len(_as_bytes(facts)) + _SLACK
+        self.image_bytes = self.row_bytes = 0
+        self._put(FACTS, bytes(self._facts_size))
+
+    def add(self, name: str, body: bytes, digest: str | None = None) -> None:
+        """Append a part; `digest`: its SHA-256, if that is known."""
+        self._put(name, body)
+        self._note(name, digest or hashlib.sha256(body).hexdigest(), len(body))
+        if name.startswith(IMAGE):
+            self.image_bytes += len(body)
+        else:
+            self.row_bytes += len(body)
+
+    def add_lines(self, kind: str, lines: list[bytes]) -> None:
+        """Append lines as the next part of a kind; nothing when there are none."""
+        if lines:
+            self._numbers[kind] = self._numbers.get(kind, 0) + 1
+            self.add(f"{kind}{self._numbers[kind]:06}.ndjson", b"".join(lines))
+
+    def end(self, facts: SnapshotFacts) -> None:
+        """Write the facts as they are now and the manifest; wait until all is on the disk."""
+        first = _as_bytes(facts).ljust(self._facts_size)
+        if len(first) != self._facts_size:
+            raise ValueError("the facts grew by more than their counts")
+        end = self._file.tell()
+        self._file.seek(BLOCK)
+        self._file.write(first)
+        self._file.seek(end)
+        opening = _manifest_line(FACTS, hashlib.sha256(first).hexdigest(), len(first))
+        size = len(opening) + self._lines.tell()
+        self._file.write(_header(MANIFEST, size) + opening)
+        seal = hashlib.sha256(opening)
+        self._lines.seek(0)
+        while chunk := self._lines.read(1 << 20):
+            seal.update(chunk)
+            self._file.write(chunk)
+        self._file.write(_padding(size))
+        self._put(SEAL, seal.hexdigest().encode())
+        self._file.write(END)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Give up what is kept besides the file."""
+        self._lines.close()
+
+    def _put(self, name: str, body: bytes) -> None:
+        self._file.write(_header(name, len(body)))
+        self._file.write(body)
+        self._file.write(_padding(len(body)))
+
+    def _note(self, name: str, digest: str, size: int) -> None:
+        self._lines.write(_manifest_line(name, digest, size))
+
+
+def _as_bytes(facts: SnapshotFacts) -> bytes:
+    return facts.model_dump_json().encode()
+
+
+def _manifest_line(name: str, digest: str, size: int) -> bytes:
+    return SnapshotPart(name=name, sha256=digest, size=size).model_dump_json().encode() + b"\n"
+
+
+class SnapshotReader:
+    """Reads a snapshot: once to verify it, and then the parts that are wanted.
+
+    A part that changed between the two is refused like one that never fitted the manifest.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._digests = bytearray()  # of the parts in their order, once verified
+
+    def facts(self) -> SnapshotFacts:
+        """What the snapshot is, by its first part alone; raises BadSnapshot."""
+        with self._path.open("rb") as file:
+            name, size = _read_header(file)
+            if name != FACTS or size > MOST_FACTS:
+                raise BadSnapshot(f"it begins with {name}, not with {FACTS}: it is no snapshot of revisit")
+            return _facts(_read(file, size, FACTS))
+
+    def verified(self) -> Iterator[Part]:
+        """Read all parts before the manifest, then compare all bytes with it.
+
+        Nothing may be kept of what this gave before it has come to its end without BadSnapshot.
+        """
+        self._digests.clear()
+        lines = hashlib.sha256()
+        line_digests = bytearray()
+        numbers: dict[str, int] = {}
+        seen_facts = False
+        with self._path.open("rb") as file:
+            while True:
+                name, size = _read_header(file)
+                if name == MANIFEST:
+                    break
+                _check_order(name, seen_facts, numbers)
+                seen_facts = True
+                if size > MOST_PART:
+                    raise BadSnapshot(f"its part {name} has {size:,} bytes; at most {MOST_PART:,} are taken")
+                body = _read(file, size, name)
+                digest = hashlib.sha256(body)
+                if name.startswith(IMAGE) and digest.hexdigest() != name.removeprefix(IMAGE):
+                    raise BadSnapshot(f"the bytes of {name} are not those of its name: it was changed or damaged")
+                line = _manifest_line(name, digest.hexdigest(), size)
+                lines.update(line)
+                line_digests += hashlib.sha256(line).digest()
+                self._digests += digest.digest()
+                yield Part(name, body)
+            _check_manifest(file, size, lines.digest(), line_digests)
+            name, size = _read_header(file)
+            if name != SEAL or size != 64 or _read(file, size, name) != lines.hexdigest().encode():
+                raise BadSnapshot(f"its {MANIFEST} does not have the SHA-256 of {SEAL}: one of them was changed")
+            if file.read(len(END) + 1) != END:
+                raise BadSnapshot("something stands behind its end, or the end is cut off")
+
+    def parts(self, kind: str) -> Iterator[Part]:
+        """Read the parts of a kind again, each compared with what was verified."""
+        with self._path.open("rb") as file:
+            for at in range(0, len(self._digests), 32):
+                name, size = _read_header(file)
+                if not name.startswith(kind):
+                    file.seek(size + len(_padding(size)), os.SEEK_CUR)
+                    continue
+                body = _read(file, size, name)
+                if hashlib.sha256(body).digest() != self._digests[at : at + 32]:
+                    raise BadSnapshot(f"its part {name} changed while it was read")
+                yield Part(name, body)
+
+
+def _read_header(file: BinaryIO) -> tuple[str, int]:
+    """Name and size of the next part; raises BadSnapshot for any header that is not written so here."""
+    raw = file.read(BLOCK)
+    try:
+        part = tarfile.TarInfo.frombuf(raw, "ascii", "strict")
+        name, size = part.name, part.size
+        sound = bool(_NAME.fullmatch(name)) and _header(name, size) == raw
+    except (tarfile.HeaderError, ValueError):
+        sound = False
+    if not sound:
+        where = file.tell() - len(raw)
+        if where == 0:
+            raise BadSnapshot("it is no snapshot of revisit, or its first bytes are damaged")
+        what = "it ends" if len(raw) < BLOCK else "there is something else than a part of a snapshot"
+        raise BadSnapshot(f"{what} at byte {where:,}: it was cut off, changed or damaged")
+    return name, size
+
+
+def _read(file: BinaryIO, size: int, name: str) -> bytes:
+    """The body of a part, whose padding has to be zeros."""
+    body = file.read(size)
+    padding = _padding(size)
+    if len(body) != size or file.read(len(padding)) != padding:
+        raise BadSnapshot(f"its part {name} is cut off, or changed behind its end")
+    return body
+
+
+def _check_order(name: str, seen_facts: bool, numbers: dict[str, int]) -> None:
+    kind = name.partition("/")[0]
+    ordered = {FACTS: 0, VOCABULARY: 1, "images": 2, "views": 2, "comparisons": 3}
+    last = numbers.get("order", 0)
+    if kind not in ordered or ordered[kind] < last or (kind == FACTS) == seen_facts:
+        raise BadSnapshot(f"its part {name} is not where it belongs")
+    if kind in ("views", "comparisons"):
+        numbers[kind] = numbers.get(kind, 0) + 1
+        if name != f"{kind}/{numbers[kind]:06}.ndjson":
+            raise BadSnapshot(f"its part {name} stands where number {numbers[kind]} belongs")
+    if kind == VOCABULARY and last == ordered[VOCABULARY]:
+        raise BadSnapshot(f"it has a second {name}")
+    numbers["order"] = ordered[kind]
+
+
+def _check_manifest(file: BinaryIO, size: int, whole: bytes, lines: bytearray) -> None:
+    """Compare the manifest with the parts, and name the first part that differs."""
+    left, seal = size, hashlib.sha256()
+    number = 0
+    fault = None
+    while left > 0:
+        line = file.readline(min(left, 4096))
+        if not line:
+            raise BadSnapshot(f"its {MANIFEST} is cut off")
+        left -= len(line)
+        seal.update(line)
+        if fault is None and hashlib.sha256(line).digest() != lines[32 * number : 32 * number + 32]:
+            fault = line
+        number += 1
+    if fault is not None or seal.digest() != whole:
+        try:
+            named = SnapshotPart.model_validate_json(fault or b"").name
+        except ValidationError:
+            named = MANIFEST
+        raise BadSnapshot(f"its part {named} does not have the size and SHA-256 of the manifest: it was changed")
+    padding = _padding(size)
+    if file.read(len(padding)) != padding:
+        raise BadSnapshot(f"its part {MANIFEST} is changed behind its end")
+
+
+def _facts(body: bytes) -> SnapshotFacts:
+    try:
+        stated = json.loads(body)
+        form, version = stated["format"], stated["version"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise BadSnapshot(f"its part {FACTS} cannot be read: it is no snapshot of revisit, or damaged") from None
+    if (form, version) != (FORMAT, VERSION):
+        raise BadSnapshot(
+            f"it is of the format {form!r}, version {version!r}; this program reads {FORMAT!r}, {VERSION}"
+        )
+    try:
+        return SnapshotFacts.model_validate_json(body)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise BadSnapshot(f"its part {FACTS} is wrong in {'.'.join(map(str, first['loc']))}: {first['msg']}") from None

@@ -1,0 +1,234 @@
+"""Snapshots: files of single maps, made at one revision while the service works, and kept in the data folder."""
+
+import re
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import sqlalchemy as sa
+
+from schemas.errors import BadSnapshot, Damaged, NotFound
+from schemas.recipe import DescriptionRecipe
+from schemas.snapshot import SnapshotFacts, SnapshotRecord
+from worker.storage.database import Database
+from worker.storage.disk_errors import translated
+from worker.storage.image_files import Images, sync_folder
+from worker.storage.part import Part
+from worker.storage.rows import find_map, find_recipe, log, ranking_of
+from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotReader, SnapshotWriter
+from worker.storage.snapshot_rows import comparison_lines, view_lines
+from worker.storage.tables import CELLS, JOBS, VOCABULARIES
+from worker.storage.tables import VIEWS as VIEW_ROWS
+
+PORTION = 32
+"""Views whose lines are in memory at once."""
+
+COMPARISON_PORTION = 2000
+
+SUFFIX = ".snapshot"
+WRITING, RECEIVING = ".writing-", ".receiving-"
+
+_ID = re.compile("[0-9a-f-]{36}")
+
+
+class Snapshots(Part):
+    """Files of snapshots, named by the job that made each.
+
+    Parameters
+    ----------
+    database : Database
+    images : Images
+    folder : Path
+        Made with the first snapshot.
+    """
+
+    def __init__(self, database: Database, images: Images, folder: Path) -> None:
+        super().__init__(database, images)
+        self._folder = folder
+
+    # made
+
+    def make(self, name: str, snapshot_id: str, now: datetime, tell: Callable[[int, int], None]) -> SnapshotRecord:
+        """Write the snapshot of a map, as it is when this begins; what it had under this id is replaced.
+
+        A view that is deleted meanwhile may be left out.
+
+        Parameters
+        ----------
+        name : str
+        snapshot_id : str
+        now : datetime
+        tell : function
+            Called with the number of views done and of all; what it raises ends the work and removes the file.
+
+        Raises
+        ------
+        NotFound, DiskFull
+        Damaged
+            A row or an image that nothing can replace is damaged.
+        """
+        unfinished = self._folder / f"{WRITING}{snapshot_id}"
+        with translated("snapshots"):
+            self._folder.mkdir(exist_ok=True)
+            try:
+                with unfinished.open("wb") as file, self._database.reading() as connection:
+                    self._write(connection, file, name, snapshot_id, now, tell)
+                unfinished.rename(self._path(snapshot_id))
+                sync_folder(self._folder)
+            except BaseException:
+                unfinished.unlink(missing_ok=True)
+                raise
+        return self.get(snapshot_id)
+
+    def _write(
+        self,
+        connection: sa.Connection,
+        file: BinaryIO,
+        name: str,
+        snapshot_id: str,
+        now: datetime,
+        tell: Callable[[int, int], None],
+    ) -> None:
+        row = find_map(connection, name)
+        recipe = find_recipe(connection, row.recipe)
+        own = VIEW_ROWS.c.map_id == row.id
+        seqs = list(connection.scalars(sa.select(VIEW_ROWS.c.seq).where(own).order_by(VIEW_ROWS.c.seq)))
+        self._require_space(connection, row, len(seqs))
+        facts = SnapshotFacts(
+            id=snapshot_id,
+            map=name,
+            map_created_at=row.created_at,
+            created_at=now,
+            revision=row.revision,
+            views=len(seqs),
+            image_bytes=0,
+            row_bytes=0,
+            description=recipe,
+            ranking=ranking_of(row.ranking),
+            calibration=row.calibration,
+        )
+        writer = SnapshotWriter(file, facts)
+        try:
+            left_out = self._write_parts(connection, writer, row, recipe, seqs, tell)
+            counts = {"image_bytes": writer.image_bytes, "row_bytes": writer.row_bytes}
+            writer.end(facts.model_copy(update={"views": len(seqs) - len(left_out), **counts}))
+        finally:
+            writer.close()
+
+    def _write_parts(
+        self,
+        connection: sa.Connection,
+        writer: SnapshotWriter,
+        row: sa.Row[Any],
+        recipe: DescriptionRecipe,
+        seqs: list[int],
+        tell: Callable[[int, int], None],
+    ) -> set[int]:
+        """Write all parts; returns the sequence numbers of views that were deleted meanwhile."""
+        trained = sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == recipe.vocabulary)
+        if (tensors := connection.scalar(trained)) is not None:
+            writer.add(VOCABULARY, tensors)
+        left_out: set[int] = set()
+        for start in range(0, len(seqs), PORTION):
+            tell(start, len(seqs))
+            portion = seqs[start : start + PORTION]
+            kept = []
+            for seq, (digest, line) in zip(portion, view_lines(connection, portion, recipe), strict=True):
+                image = self._image(seq, digest)
+                if image is None:
+                    left_out.add(seq)
+                else:
+                    writer.add(f"{IMAGE}{digest}", image, digest)
+                    kept.append(line)
+            writer.add_lines(VIEWS, kept)
+        for lines in comparison_lines(connection, row.id, row.recipe, left_out, COMPARISON_PORTION):
+            writer.add_lines(COMPARISONS, lines)
+        return left_out
+
+    def _image(self, seq: int, digest: str) -> bytes | None:
+        """The image of a view; None when the view was deleted after the snapshot began."""
+        try:
+            return self._images.read(digest)
+        except Damaged:
+            with self._database.reading() as connection:
+                if connection.scalar(sa.select(VIEW_ROWS.c.seq).where(VIEW_ROWS.c.seq == seq)) is None:
+                    return None
+            raise
+
+    def _require_space(self, connection: sa.Connection, row: sa.Row[Any], views: int) -> None:
+        """Raise DiskFull unless there is room for all of it."""
+        if self._database.space is None:
+            return
+        own = VIEW_ROWS.c.map_id == row.id
+        images = connection.scalar(sa.select(sa.func.sum(VIEW_ROWS.c.byte_count)).where(own)) or 0
+        some = sa.select(sa.func.length(CELLS.c.body)).where(CELLS.c.recipe == row.recipe).limit(PORTION)
+        sizes = list(connection.scalars(some))
+        # Cells are the largest part of a description; Base64 makes 4 bytes of 3.
+        described = 3 * views * max(sizes, default=0)
+        self._database.space.admit(int(images) + described)
+
+    # kept
+
+    def all(self) -> list[SnapshotRecord]:
+        """All snapshots, newest first; one whose beginning cannot be read is logged and left out."""
+        records = []
+        for path in self._folder.glob(f"*{SUFFIX}"):
+            try:
+                records.append(self.get(path.name.removesuffix(SUFFIX)))
+            except (BadSnapshot, NotFound) as error:
+                log.error("snapshot %s is left out of the list: %s", path.name, error.detail)
+        return sorted(records, key=lambda record: (record.facts.created_at, record.facts.id), reverse=True)
+
+    def get(self, snapshot_id: str) -> SnapshotRecord:
+        """One snapshot; raises NotFound, BadSnapshot."""
+        path = self._path(snapshot_id)
+        try:
+            with translated("snapshots"):
+                return SnapshotRecord(SnapshotReader(path).facts(), path.stat().st_size)
+        except FileNotFoundError:
+            raise NotFound("snapshot", snapshot_id) from None
+
+    def open(self, snapshot_id: str) -> BinaryIO:
+        """The file of a snapshot, for reading; it can be read to its end even if it is deleted meanwhile."""
+        try:
+            with translated("snapshots"):
+                return self._path(snapshot_id).open("rb")
+        except FileNotFoundError:
+            raise NotFound("snapshot", snapshot_id) from None
+
+    def delete(self, snapshot_id: str) -> None:
+        """Remove a snapshot; raises NotFound."""
+        try:
+            with translated("snapshots"):
+                self._path(snapshot_id).unlink()
+                sync_folder(self._folder)
+        except FileNotFoundError:
+            raise NotFound("snapshot", snapshot_id) from None
+
+    def receiving(self, name: str) -> Path:
+        """Where a snapshot that is sent to this service is kept until it is restored."""
+        with translated("snapshots"):
+            self._folder.mkdir(exist_ok=True)
+        return self._folder / f"{RECEIVING}{name}"
+
+    def sweep(self) -> None:
+        """Remove what a crash left: received files, and unfinished ones that no job will finish."""
+        for path in self._folder.glob(f"{RECEIVING}*"):
+            path.unlink(missing_ok=True)
+        for path in self._folder.glob(f"{WRITING}*"):
+            job = JOBS.c.id == path.name.removeprefix(WRITING)
+            with self._database.reading() as connection:
+                state = connection.scalar(sa.select(JOBS.c.state).where(job))
+            if state not in ("waiting", "running"):
+                path.unlink(missing_ok=True)
+
+    def admit(self, size: int) -> None:
+        """Raise DiskFull unless there is room for a file of `size` bytes."""
+        if self._database.space is not None:
+            self._database.space.admit(size)
+
+    def _path(self, snapshot_id: str) -> Path:
+        if not _ID.fullmatch(snapshot_id):
+            raise NotFound("snapshot", snapshot_id[:64])
+        return self._folder / f"{snapshot_id}{SUFFIX}"
