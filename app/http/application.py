@@ -14,7 +14,7 @@ from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
 from app.http.rate_limits import RateLimit
-from app.http.routes import enroll, health, images, jobs, maps, places, query, views
+from app.http.routes import console, enroll, health, images, jobs, maps, places, query, views
 from app.http.service import Service
 from app.http.tracing import Tracing, make_provider
 from app.version import VERSION
@@ -76,7 +76,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
-    for group in (views, images, maps, places, jobs, health):
+    for group in (views, images, maps, places, jobs, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)

@@ -1,0 +1,158 @@
+// A plan of positions, drawn without tiles: metres of the map's frame, or degrees laid flat around their middle.
+
+import { count, h } from "./dom.js";
+
+const METRES_PER_DEGREE = 111_320;
+const MARGIN = 28;
+const NEAR_PX = 14;
+
+/** A position as metres east and north; `middle` is the latitude that degrees are laid flat at. */
+function flat(position, middle) {
+  if (position.x !== null && position.x !== undefined) return [position.x, position.y];
+  if (position.lat === null || position.lat === undefined) return null;
+  return [position.lon * METRES_PER_DEGREE * Math.cos((middle * Math.PI) / 180), position.lat * METRES_PER_DEGREE];
+}
+
+/**
+ * A plan of points {position, kind, name}; kinds: view, match, first.
+ * circle: {position, radius in m or null}. picked(point) is called for the point that was chosen, placed([x, y]) for
+ * any spot.
+ * Gives {element, add(points)}.
+ */
+export function plan(points, { circle = null, picked = null, placed = null } = {}) {
+  const canvas = h("canvas", { class: picked || placed ? "plan picks" : "plan", role: "img" });
+  const said = h("p", { class: "quiet" });
+  let all = [...points];
+  let drawn = []; // [pixel x, pixel y, point]
+  let toMap = null;
+
+  function draw() {
+    const { clientWidth: width, clientHeight: height } = canvas;
+    if (!width) return;
+    const ratio = window.devicePixelRatio || 1;
+    canvas.width = width * ratio;
+    canvas.height = height * ratio;
+    const paint = canvas.getContext("2d");
+    paint.scale(ratio, ratio);
+    paint.font = "12px system-ui, sans-serif";
+    const latitudes = all.map((one) => one.position.lat).filter((lat) => lat !== null && lat !== undefined);
+    const middle = circle?.position.lat ?? (latitudes.length ? latitudes[Math.floor(latitudes.length / 2)] : 0);
+    const spots = all.map((point) => [flat(point.position, middle), point]).filter(([spot]) => spot);
+    const centre = circle && flat(circle.position, middle);
+    const reach = circle?.radius ?? 0;
+    const corners = [
+      ...spots.map(([spot]) => spot),
+      ...(centre
+        ? [
+            [centre[0] - reach, centre[1] - reach],
+            [centre[0] + reach, centre[1] + reach],
+          ]
+        : []),
+    ];
+    canvas.setAttribute(
+      "aria-label",
+      `Plan with ${count(spots.length, "position")}${centre ? " and where your photo was taken" : ""}`,
+    );
+    if (!corners.length) return;
+    const [west, east] = range(corners, 0);
+    const [south, north] = range(corners, 1);
+    const scale = Math.min(
+      (width - 2 * MARGIN) / Math.max(east - west, 1),
+      (height - 2 * MARGIN) / Math.max(north - south, 1),
+    );
+    const x = (value) => width / 2 + (value - (west + east) / 2) * scale;
+    const y = (value) => height / 2 - (value - (south + north) / 2) * scale;
+    toMap = (left, top) => [
+      (left - width / 2) / scale + (west + east) / 2,
+      (height / 2 - top) / scale + (south + north) / 2,
+    ];
+    drawn = spots.map(([spot, point]) => [x(spot[0]), y(spot[1]), point]);
+    const radius = drawn.length > 2000 ? 1.5 : drawn.length > 300 ? 2.5 : 4;
+    for (const [kind, name, bigger] of [
+      ["view", "--quiet", 0],
+      ["match", "--accent", 2],
+      ["first", "--good", 4],
+    ]) {
+      paint.fillStyle = colour(name);
+      for (const [left, top, point] of drawn) {
+        if (point.kind !== kind) continue;
+        paint.beginPath();
+        paint.arc(left, top, radius + bigger, 0, 2 * Math.PI);
+        paint.fill();
+        if (point.name && kind !== "view") paint.fillText(point.name, Math.min(left + 8, width - 90), top - 6, 160);
+      }
+    }
+    if (centre) around(paint, x(centre[0]), y(centre[1]), reach * scale);
+    scaleBar(paint, scale, height);
+  }
+
+  function around(paint, left, top, reach) {
+    paint.strokeStyle = colour("--bad");
+    paint.lineWidth = 2;
+    paint.beginPath();
+    paint.arc(left, top, Math.max(reach, 7), 0, 2 * Math.PI);
+    paint.moveTo(left - 5, top);
+    paint.lineTo(left + 5, top);
+    paint.moveTo(left, top - 5);
+    paint.lineTo(left, top + 5);
+    paint.stroke();
+  }
+
+  function scaleBar(paint, scale, height) {
+    const wanted = 90 / scale;
+    const power = 10 ** Math.floor(Math.log10(wanted));
+    const length = [5, 2, 1].map((step) => step * power).find((one) => one <= wanted);
+    paint.strokeStyle = paint.fillStyle = colour("--ink");
+    paint.lineWidth = 2;
+    paint.beginPath();
+    paint.moveTo(12, height - 16);
+    paint.lineTo(12, height - 12);
+    paint.lineTo(12 + length * scale, height - 12);
+    paint.lineTo(12 + length * scale, height - 16);
+    paint.stroke();
+    paint.fillText(length >= 1000 ? `${length / 1000} km` : `${length} m`, 16, height - 18);
+  }
+
+  function colour(name) {
+    said.style.color = `var(${name})`;
+    const found = getComputedStyle(said).color;
+    said.style.color = "";
+    return found;
+  }
+
+  canvas.addEventListener("click", (event) => {
+    const found = nearest(event.offsetX, event.offsetY);
+    if (placed && toMap) placed(toMap(event.offsetX, event.offsetY));
+    else if (picked && found) picked(found);
+  });
+  canvas.addEventListener("mousemove", (event) => {
+    said.textContent = nearest(event.offsetX, event.offsetY)?.name ?? "";
+  });
+  function nearest(left, top) {
+    let [best, least] = [null, NEAR_PX];
+    for (const [x, y, point] of drawn) {
+      const distance = Math.hypot(x - left, y - top);
+      if (distance < least) [best, least] = [point, distance];
+    }
+    return best;
+  }
+  new ResizeObserver(draw).observe(canvas);
+  const redraw = () => (canvas.isConnected ? draw() : window.removeEventListener("theme", redraw));
+  window.addEventListener("theme", redraw);
+  return {
+    element: h("div", {}, canvas, said),
+    add: (more) => {
+      all = [...all, ...more];
+      draw();
+    },
+  };
+}
+
+function range(corners, axis) {
+  let [least, most] = [Infinity, -Infinity];
+  for (const corner of corners) {
+    least = Math.min(least, corner[axis]);
+    most = Math.max(most, corner[axis]);
+  }
+  return [least, most];
+}
