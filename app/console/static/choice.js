@@ -21,13 +21,12 @@ export function mapSelect(changed = () => {}) {
   async function refresh() {
     maps = (await call("GET", "/maps")).maps;
     const names = maps.map((one) => one.name);
-    if (!names.includes("default")) names.unshift("default");
-    const chosen = names.includes(chosenMap()) ? chosenMap() : (names.find((name) => name !== "default") ?? "default");
+    const ready = (name) => maps.find((one) => one.name === name)?.views.ready ?? 0;
+    const largest = names.reduce((best, name) => (ready(name) > ready(best) ? name : best), names[0] ?? "default");
+    const chosen = names.includes(chosenMap()) ? chosenMap() : largest;
+    if (!names.includes("default")) names.push("default");
     select.replaceChildren(
-      ...names.map((name) => {
-        const ready = maps.find((one) => one.name === name)?.views.ready ?? 0;
-        return h("option", { value: name, selected: name === chosen }, `${name} (${ready})`);
-      }),
+      ...names.map((name) => h("option", { value: name, selected: name === chosen }, `${name} (${ready(name)})`)),
     );
     select.value = chosen;
     chooseMap(chosen);

@@ -36,7 +36,7 @@ export function enrolScreen() {
   const list = h("ul", { class: "files", "aria-label": "Photos to enrol", tabindex: "0", hidden: true });
   const told = h("div");
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Photos enrolled", hidden: true });
-  const summary = h("p", { class: "quiet", role: "status" });
+  const summary = h("p", { class: "quiet" });
   const start = h("button", { type: "submit", class: "first", disabled: true }, "Enrol");
   const clear = h(
     "button",

@@ -35,7 +35,10 @@ async function show() {
   if (keep) kept.set(chosen, screen);
   leave = screen.leave ?? null;
   main.replaceChildren(screen.element);
+  main.setAttribute("aria-busy", "true");
   await screen.enter?.();
+  main.removeAttribute("aria-busy");
+  main.dataset.screen = location.hash.slice(1);
 }
 
 function shown() {

@@ -1,0 +1,383 @@
+"""The console as a person uses it, in a real browser on a running service."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from app.http.examples import VIEW
+from tests.browser.conftest import LAPTOP, PHONE, PLACES, Open, Tab
+from tests.sample_images import photo as drawn_photo
+from tests.stories.running import ROOT, RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Route, ViewportSize
+
+Locked = tuple[RunningService, dict[str, str]]
+"""A service that asks for a key, and its keys by their scopes."""
+
+SCREENS = ("ask", "enrol", "maps", "maps/town", "service")
+
+
+def ask(tab: Tab, path: Path, map_name: str = "town") -> None:
+    tab.page.get_by_label("Map", exact=True).select_option(map_name)
+    tab.page.get_by_label("Choose a photo").set_input_files(path)
+    tab.page.wait_for_selector(".verdict")
+
+
+def views(service: RunningService, map_name: str) -> list[dict[str, Any]]:
+    listed: list[dict[str, Any]] = httpx.get(f"{service.url}/views", params={"map": map_name}).json()["views"]
+    return listed
+
+
+def enrolled(service: RunningService, map_name: str, seeds: range, **fields: str) -> None:
+    for seed in seeds:
+        data = {"map": map_name, **fields}
+        httpx.post(f"{service.url}/enroll", files={"image": drawn_photo(seed)}, data=data).raise_for_status()
+
+
+# ask
+
+
+def test_a_newcomer_asks_with_a_photo_and_sees_the_place_and_why(opened: Open, query_photo: Path) -> None:
+    tab = opened()
+    ask(tab, query_photo)
+
+    assert tab.page.locator(".verdict h2").inner_text() == "This is mill lane"
+    first = tab.page.locator(".bars li").first
+    assert first.locator(".name").inner_text() == "mill lane"
+    assert tab.page.get_by_text("nowhere: none of these").is_visible()
+    tab.page.wait_for_selector(".match img[src^=blob]")
+    assert tab.page.get_by_text(re.compile(r"Taken about")).inner_text().startswith("Taken about x 0.")
+    assert "where your photo was taken" in (tab.page.locator("canvas.plan").get_attribute("aria-label") or "")
+    tab.page.get_by_text("Everything in one picture").click()
+    explanation = tab.page.get_by_alt_text("Explanation of the answer")
+    assert explanation.evaluate("image => image.decode().then(() => image.naturalWidth)") == 1600
+
+
+def test_pointing_at_a_region_joins_it_in_both_photos_and_says_how_alike(opened: Open, query_photo: Path) -> None:
+    tab = opened()
+    ask(tab, query_photo)
+    chip = tab.page.locator(".chips button").first
+    chip.focus()
+    label, similarity = chip.inner_text().rsplit(" ", 1)
+    assert tab.page.locator(".pairs .point.lit").count() == 2
+    assert tab.page.get_by_text(f"{label}: similarity {similarity}").is_visible()
+
+
+def test_a_photo_is_dropped_or_pasted(opened: Open, query_photo: Path) -> None:
+    tab = opened()
+    tab.page.get_by_label("Map", exact=True).select_option("town")
+    for event, field in (("drop", "dataTransfer"), ("paste", "clipboardData")):
+        tab.page.evaluate(
+            """async ([event, field, bytes]) => {
+                const data = new DataTransfer();
+                data.items.add(new File([new Uint8Array(bytes)], `by-${event}.jpg`, { type: "image/jpeg" }));
+                const sent = event === "drop" ? new DragEvent(event, { [field]: data, bubbles: true })
+                                              : new ClipboardEvent(event, { [field]: data, bubbles: true });
+                document.querySelector(".drop").dispatchEvent(sent);
+            }""",
+            [event, field, list(query_photo.read_bytes())],
+        )
+        tab.page.get_by_alt_text(f"Your photo, by-{event}.jpg").wait_for()
+        tab.page.wait_for_selector(".verdict.matched")
+
+
+def test_the_copied_calls_give_the_same_answer(opened: Open, query_photo: Path) -> None:
+    tab = opened()
+    tab.page.get_by_text("Filters and more").click()
+    tab.page.get_by_label("Matches at most").fill("2")
+    tab.page.get_by_label("Near x,y,radius").fill("0,0,70")
+    ask(tab, query_photo)
+    tab.page.get_by_text("The same from a program").click()
+
+    told = tab.page.get_by_label("As Python").inner_text()
+    done = subprocess.run(
+        [sys.executable, "-c", told], cwd=query_photo.parent, env=dict(os.environ), capture_output=True, text=True
+    )
+    assert done.stdout.startswith("matched "), done.stderr
+    curl = tab.page.get_by_label("As curl").inner_text()
+    assert [part.strip(" \\") for part in curl.splitlines()] == [
+        "curl -F image=@'today.jpg'",
+        "-F 'map=town'",
+        "-F 'explain=true'",
+        "-F 'top=2'",
+        "-F 'near=0,0,70'",
+        f"{tab.url}/query",
+    ]
+
+
+def test_a_refused_query_says_what_was_wrong(opened: Open, tmp_path: Path) -> None:
+    bad = tmp_path / "note.jpg"
+    bad.write_text("no image")
+    tab = opened(refusals=True)
+    tab.page.get_by_label("Choose a photo").set_input_files(bad)
+    assert "This is not an image" in tab.page.get_by_role("alert").inner_text()
+    tab.show("service")
+    tab.page.locator("section", has_text="Problems in this tab").get_by_text("POST /query: 415").wait_for()
+
+
+# enrol
+
+
+def test_of_several_photos_one_is_bad_and_the_others_are_enrolled_with_their_positions(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    photos = [tmp_path / f"{number}.jpg" for number in range(3)]
+    for number, path in enumerate(photos):
+        path.write_bytes(drawn_photo(200 + number))
+    (tmp_path / "bad.jpg").write_text("no image")
+    table = tmp_path / "positions.csv"
+    table.write_text('file,place,x,y,heading\n0.jpg,"gate, north",1.5,-2,90\nphotos/1.jpg,,3,4,\n')
+    tab = opened("enrol", refusals=True)
+
+    tab.page.get_by_label("or a new map").fill("yard")
+    tab.page.get_by_label("Place", exact=True).fill("yard")
+    tab.page.get_by_label("Choose photos").set_input_files([*photos, tmp_path / "bad.jpg"])
+    tab.page.get_by_label("Positions (CSV)").set_input_files(table)
+    tab.page.get_by_label("Position of 2.jpg").fill("7; 8")
+    tab.page.get_by_role("button", name="Enrol 4 photos").click()
+    tab.page.locator("main").get_by_text("4 of 4 photos done, 1 refused.").wait_for()
+
+    refused = tab.page.locator(".files .refused").all_inner_texts()
+    assert len(refused) == 1
+    assert refused[0].startswith("This is not an image")
+    found = {(one["place"], one["position"]["x"], one["position"]["y"]) for one in views(service, "yard")}
+    assert found == {("gate, north", 1.5, -2.0), ("yard", 3.0, 4.0), ("yard", 7.0, 8.0)}
+    assert tab.page.get_by_role("button", name="Try again: enrol 1 photo").is_enabled()
+
+
+def test_a_table_that_cannot_be_used_says_why(opened: Open, tmp_path: Path) -> None:
+    tab = opened("enrol")
+    for text, reason in (
+        ("name,x\na.jpg,1\n", "the first line needs to name columns"),
+        ("file,x,why\na.jpg,1,2\n", "unknown columns why"),
+        ("file,x,y\na.jpg,one,2\n", "row 1: x is one, which is no number"),
+    ):
+        table = tmp_path / "positions.csv"
+        table.write_text(text)
+        tab.page.get_by_label("Positions (CSV)").set_input_files(table)
+        assert reason in tab.page.get_by_role("alert").inner_text()
+
+
+# maps
+
+
+def test_a_view_is_renamed_and_deleted_with_the_keyboard(opened: Open, service: RunningService) -> None:
+    enrolled(service, "shed", range(300, 303), place="shed")
+    tab = opened("maps/shed")
+    tab.page.locator(".grid .cell button").first.focus()
+    tab.page.keyboard.press("Enter")
+    tab.page.get_by_text("Edit", exact=True).press("Enter")
+    dialog = tab.page.get_by_role("dialog")
+    dialog.get_by_label("Place").fill("old shed")
+    dialog.get_by_label("x, metres").fill("2.5")
+    dialog.get_by_label("y, metres").fill("4")
+    dialog.get_by_label("Place").press("Enter")
+    dialog.wait_for(state="detached")
+    changed = views(service, "shed")[0]
+    assert (changed["place"], changed["position"]["x"], changed["position"]["y"]) == ("old shed", 2.5, 4)
+
+    tab.page.get_by_label("View 1: old shed").press("Enter")
+    tab.page.get_by_role("button", name="Delete this view …").press("Enter")
+    tab.page.get_by_role("button", name="Cancel").press("Enter")
+    assert len(views(service, "shed")) == 3
+    tab.page.get_by_role("button", name="Delete this view …").press("Enter")
+    tab.page.get_by_role("button", name="Delete the view").press("Enter")
+    tab.page.get_by_label("View 1: old shed").wait_for(state="detached")
+    assert [one["place"] for one in views(service, "shed")] == ["shed", "shed"]
+
+
+def test_a_map_is_made_and_deleted_only_once_its_name_is_typed(opened: Open, service: RunningService) -> None:
+    tab = opened("maps")
+    tab.page.get_by_text("New map").click()
+    tab.page.get_by_label("Name").fill("attic")
+    tab.page.get_by_label("Labels, with commas").fill("wall, floor, person")
+    tab.page.get_by_label("Those that move").fill("person")
+    tab.page.get_by_role("button", name="Make the map").click()
+    tab.page.get_by_role("heading", name="attic").wait_for()
+    labels = httpx.get(f"{service.url}/maps/attic").json()["labels"]
+    assert [(one["label"], one["dynamic"]) for one in labels] == [("wall", False), ("floor", False), ("person", True)]
+
+    tab.page.get_by_role("button", name="Delete this map …").click()
+    assert tab.page.get_by_role("button", name="Delete the map").is_disabled()
+    tab.page.get_by_label("To go on, type attic").fill("attic")
+    tab.page.get_by_role("button", name="Delete the map").click()
+    tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
+    assert httpx.get(f"{service.url}/maps/attic").status_code == 404
+
+
+def test_the_views_of_a_place_are_shown_alone(opened: Open) -> None:
+    tab = opened("maps/town")
+    shown = "document.querySelectorAll('.grid .cell').length"
+    tab.page.wait_for_function(f"{shown} === {2 * len(PLACES)}")
+    tab.page.get_by_role("button", name=re.compile("^rose garden")).click()
+    tab.page.get_by_role("heading", name="rose garden").wait_for()
+    tab.page.wait_for_function(f"{shown} === 2")
+
+
+def test_a_name_is_shown_as_text_whatever_it_contains(opened: Open, service: RunningService) -> None:
+    hostile = "<img src=x onerror=alert(1)><b>gate</b>"
+    enrolled(service, "odd", range(400, 401), place=hostile)
+    tab = opened("maps/odd")
+    assert tab.page.locator(".names span").first.inner_text() == hostile
+    assert tab.page.locator("main b, main img[src=x]").count() == 0
+
+
+def test_a_map_of_ten_thousand_views_scrolls(opened: Open) -> None:
+    """The service's answers are made up here, in its own shape."""
+    total, read = 10_000, []
+
+    def answered(route: "Route") -> None:
+        url = httpx.URL(route.request.url)
+        if url.path == "/views":
+            begin, limit = int(url.params.get("cursor", "0")), int(url.params["limit"])
+            read.append(begin)
+            rows = [VIEW | {"id": f"v{row:05}", "place": f"place {row}"} for row in range(begin, begin + limit)]
+            after = begin + limit
+            route.fulfill(json={"views": rows, "next": str(after) if after < total else None})
+        elif url.path == "/places":
+            route.fulfill(json={"places": [], "next": None})
+        elif url.path.endswith("/thumbnail"):
+            route.fulfill(body=thumbnail, content_type="image/jpeg")
+        else:
+            facts = route.fetch().json()
+            route.fulfill(json=facts | {"views": {"ready": total}, "places": total, "extent": None})
+
+    thumbnail = drawn_photo(1)
+    tab = opened("service")
+    tab.page.route(re.compile(r"/views|/places|/maps/town$"), answered)
+    tab.show("maps/town")
+    grid = tab.page.get_by_role("region", name="Thumbnails of views")
+    tab.page.get_by_label("View 1: place 0", exact=True).wait_for()
+    assert len(read) == 1
+
+    began = datetime.now(UTC)
+    grid.evaluate("grid => { grid.scrollTop = grid.scrollHeight }")
+    tab.page.get_by_label("View 10000: place 9999").wait_for()
+    took = (datetime.now(UTC) - began).total_seconds()
+
+    assert len(read) == len(set(read)) == 20
+    assert took < 10
+    assert tab.page.locator(".grid .cell").count() < 200
+    grid.evaluate("grid => { grid.scrollTop = grid.scrollHeight / 2 }")
+    tab.page.get_by_label("View 5000: place 4999").wait_for()
+    tab.page.wait_for_function(
+        "[...document.querySelectorAll('.grid .cell img')].filter((image) => image.naturalWidth > 0).length > 10"
+    )
+
+
+# keys
+
+
+@pytest.fixture(scope="module")
+def locked(
+    tmp_path_factory: pytest.TempPathFactory, chromium: "Browser"
+) -> Iterator[tuple[RunningService, dict[str, str]]]:
+    """A service that asks for a key, a key of two scopes, and a view in its map `vault`."""
+    data, keys = tmp_path_factory.mktemp("locked"), {}
+    for scope in ("read", "admin"):
+        command = [sys.executable, "-m", "app.cli", "keys", "create", scope, "--scope", scope, "--data", str(data)]
+        made = subprocess.run([*command, "--json"], cwd=ROOT, capture_output=True, text=True, check=True)
+        keys[scope] = json.loads(made.stdout)["key"]
+    with RunningService(data) as running:
+        headers, fields = {"x-api-key": keys["admin"]}, {"map": "vault", "place": "door"}
+        files = {"image": drawn_photo(1)}
+        answer = httpx.post(f"{running.url}/enroll", headers=headers, data=fields, files=files, timeout=30)
+        answer.raise_for_status()
+        yield running, keys
+
+
+def sign_in(tab: Tab, key: str) -> None:
+    tab.page.get_by_label("Key", exact=True).fill(key)
+    tab.page.get_by_role("button", name="Sign in").click()
+
+
+def test_a_wrong_key_is_told_and_the_right_one_is_kept_in_its_tab_alone(opened: Open, locked: Locked) -> None:
+    service, keys = locked
+    tab = opened("maps", url=service.url, refusals=True)
+    dialog = tab.page.get_by_role("dialog")
+    sign_in(tab, "rv_wrong")
+    assert "key" in dialog.get_by_role("alert").inner_text().lower()
+    assert tab.page.evaluate("sessionStorage.getItem('revisit-key')") is None
+
+    sign_in(tab, keys["admin"])
+    dialog.wait_for(state="detached")
+    tab.page.get_by_role("link", name="vault").click()
+    tab.page.wait_for_selector(".grid img[src^=blob]")
+    kept = tab.page.evaluate("JSON.stringify(localStorage) + document.cookie + location.href")
+    assert keys["admin"] not in kept
+    tab.page.reload()
+    tab.page.get_by_role("heading", name="vault").wait_for()
+    another = tab.page.context.new_page()
+    another.goto(f"{service.url}/#maps")
+    another.get_by_role("dialog").wait_for()
+
+    tab.page.get_by_role("button", name="Key", exact=True).click()
+    tab.page.get_by_role("button", name="Forget the key").click()
+    assert tab.page.evaluate("sessionStorage.getItem('revisit-key')") is None
+    tab.page.get_by_role("button", name="Sign in").wait_for()
+
+
+def test_what_a_key_may_not_do_is_refused_with_the_reason(opened: Open, locked: Locked) -> None:
+    service, keys = locked
+    tab = opened("maps/vault", url=service.url, refusals=True)
+    sign_in(tab, keys["read"])
+    tab.page.locator(".grid .cell button").click()
+    tab.page.get_by_role("button", name="Delete this view …").click()
+    tab.page.get_by_role("button", name="Delete the view").click()
+    assert "has the scope read; this needs write" in tab.page.get_by_role("dialog").get_by_role("alert").inner_text()
+
+
+# everybody
+
+
+def test_light_or_dark_is_chosen_and_remembered(opened: Open) -> None:
+    tab = opened(color_scheme="light")
+    ground = "getComputedStyle(document.body).backgroundColor"
+    light = tab.page.evaluate(ground)
+    for _ in range(2):  # auto, light, dark
+        tab.page.get_by_role("button", name="Colours").click()
+    assert tab.page.evaluate(ground) != light
+    tab.page.reload()
+    assert tab.page.evaluate(ground) != light
+
+
+@pytest.mark.parametrize(("theme", "size"), [("light", LAPTOP), ("dark", PHONE)], ids=["light laptop", "dark phone"])
+def test_every_screen_passes_axe_and_fits_its_window(
+    opened: Open, query_photo: Path, theme: str, size: "ViewportSize"
+) -> None:
+    axe = (resources.files("axe_playwright_python") / "axe.min.js").read_text()
+    tab = opened(size=size, color_scheme=theme, bypass_csp=True)
+
+    def check(name: str) -> None:
+        tab.page.evaluate(axe)
+        found = tab.page.evaluate("axe.run().then((found) => found.violations)")
+        named = [f"{one['id']}: {node['html']}" for one in found for node in one["nodes"]]
+        assert named == [], name
+        assert not tab.is_wider_than_the_window(), name
+
+    for screen in SCREENS:
+        tab.show(screen)
+        check(screen)
+    tab.show("maps/town")
+    tab.page.locator(".grid .cell button").first.click()
+    tab.page.wait_for_selector("dialog img[src^=blob]")
+    tab.page.get_by_text("Edit", exact=True).click()
+    check("a view")
+    tab.page.get_by_role("button", name="Close").click()
+    tab.show("ask")
+    ask(tab, query_photo)
+    for summary in tab.page.locator("summary").all():
+        summary.click()
+    tab.page.get_by_alt_text("Context graph of the view").wait_for()
+    check("an answer")
