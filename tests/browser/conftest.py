@@ -1,8 +1,6 @@
 """A browser on a running service: Debian's Chromium, driven by Playwright; nothing is downloaded."""
 
-import os
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 import pytest
 
+from lab.benchmarks import screens
 from scenes import scene
 from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
@@ -75,15 +74,11 @@ class Tab:
 @pytest.fixture(scope="module")
 def chromium() -> Iterator["Browser"]:
     """The browser; of one module, since Playwright's event loop must not outlive it."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason=f"{SKIPPED}; Playwright is not installed")
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip(f"{SKIPPED}; install chromium (Debian: apt-get install chromium)")
-    with sync_api.sync_playwright() as playwright:
-        arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=found, args=arguments)
+    pytest.importorskip("playwright.sync_api", reason=f"{SKIPPED}; Playwright is not installed")
+    with screens.chromium() as browser:
+        if browser is None:
+            pytest.skip(f"{SKIPPED}; install chromium (Debian: apt-get install chromium)")
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

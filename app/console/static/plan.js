@@ -79,11 +79,28 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
         paint.beginPath();
         paint.arc(left, top, radius + bigger, 0, 2 * Math.PI);
         paint.fill();
-        if (point.name && kind !== "view") paint.fillText(point.name, Math.min(left + 8, width - 90), top - 6, 160);
       }
     }
+    label(paint, width);
     if (centre) around(paint, x(centre[0]), y(centre[1]), reach * scale);
     scaleBar(paint, scale, height);
+  }
+
+  /** Names beside their points, the best match first; one that would cover another is left out. */
+  function label(paint, width) {
+    const named = drawn.filter(([, , { kind, name }]) => name && kind !== "view");
+    const taken = [];
+    for (const [left, top, { kind, name }] of named.sort(
+      (a, b) => (b[2].kind === "first") - (a[2].kind === "first"),
+    )) {
+      const long = paint.measureText(name).width;
+      const begin = left + 10 + long < width ? left + 10 : left - 10 - long;
+      const box = { begin, end: begin + long, top: top - 6 };
+      if (taken.some((one) => begin < one.end && box.end > one.begin && Math.abs(one.top - box.top) < 15)) continue;
+      taken.push(box);
+      paint.fillStyle = colour(kind === "first" ? "--good" : "--accent");
+      paint.fillText(name, begin, box.top);
+    }
   }
 
   function around(paint, left, top, reach) {
