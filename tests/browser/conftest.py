@@ -60,6 +60,12 @@ class Tab:
         self.page.goto(f"{self.url}/#{screen}")
         self.page.locator(f'main[data-screen="{screen}"], #sign-in').first.wait_for()
 
+    def awaits(self, selector: str, count: int) -> None:
+        """Wait until so many elements are there."""
+        from playwright.sync_api import expect
+
+        expect(self.page.locator(selector)).to_have_count(count)
+
     def is_wider_than_the_window(self) -> bool:
         """Whether one has to scroll sideways."""
         wide: bool = self.page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")

@@ -58,7 +58,8 @@ def test_a_newcomer_asks_with_a_photo_and_sees_the_place_and_why(opened: Open, q
     assert tab.page.get_by_text("nowhere: none of these").is_visible()
     tab.page.wait_for_selector(".match img[src^=blob]")
     assert tab.page.get_by_text(re.compile(r"Taken about")).inner_text().startswith("Taken about x 0.")
-    assert "where your photo was taken" in (tab.page.locator("canvas.plan").get_attribute("aria-label") or "")
+    around = f"Plan with {2 * len(PLACES)} positions and where your photo was taken"
+    tab.page.get_by_label(around).wait_for()
     tab.page.get_by_text("Everything in one picture").click()
     explanation = tab.page.get_by_alt_text("Explanation of the answer")
     assert explanation.evaluate("image => image.decode().then(() => image.naturalWidth)") == 1600
@@ -156,6 +157,31 @@ def test_of_several_photos_one_is_bad_and_the_others_are_enrolled_with_their_pos
     assert tab.page.get_by_role("button", name="Try again: enrol 1 photo").is_enabled()
 
 
+def test_a_photo_is_placed_by_a_click_on_the_plan(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    photos = [tmp_path / "first.jpg", tmp_path / "second.jpg"]
+    for number, path in enumerate(photos):
+        path.write_bytes(drawn_photo(210 + number))
+    tab = opened("enrol")
+    tab.page.get_by_label("Map", exact=True).select_option("town")
+    tab.page.get_by_label("Choose photos").set_input_files(photos)
+    tab.page.get_by_text("Set positions on the plan").click()
+    tab.page.get_by_text("Click where this was taken: first.jpg").wait_for()
+    plan = tab.page.locator("canvas.plan")
+    assert plan.get_attribute("aria-label") == f"Plan with {2 * len(PLACES)} positions"
+    plan.click()
+    tab.page.get_by_text("Click where this was taken: second.jpg").wait_for()
+    x, y = map(float, tab.page.get_by_label("Position of first.jpg").input_value().split(","))
+    wide, high = [(min(axis), max(axis)) for axis in zip(*PLACES.values(), strict=True)]
+    assert (x, y) == pytest.approx((sum(wide) / 2 + 0.5, sum(high) / 2), abs=1)
+
+    tab.page.get_by_label("Position of first.jpg").fill(f"{x}, {y}, 45")
+    box = plan.bounding_box()
+    assert box is not None
+    plan.click(position={"x": box["width"] / 2, "y": 28})  # the margin above the northernmost view
+    x, y, heading = map(float, tab.page.get_by_label("Position of first.jpg").input_value().split(","))
+    assert (y, heading) == (pytest.approx(high[1], abs=1), 45)
+
+
 def test_a_table_that_cannot_be_used_says_why(opened: Open, tmp_path: Path) -> None:
     tab = opened("enrol")
     for text, reason in (
@@ -218,11 +244,10 @@ def test_a_map_is_made_and_deleted_only_once_its_name_is_typed(opened: Open, ser
 
 def test_the_views_of_a_place_are_shown_alone(opened: Open) -> None:
     tab = opened("maps/town")
-    shown = "document.querySelectorAll('.grid .cell').length"
-    tab.page.wait_for_function(f"{shown} === {2 * len(PLACES)}")
+    tab.awaits(".grid .cell", 2 * len(PLACES))
     tab.page.get_by_role("button", name=re.compile("^rose garden")).click()
     tab.page.get_by_role("heading", name="rose garden").wait_for()
-    tab.page.wait_for_function(f"{shown} === 2")
+    tab.awaits(".grid .cell", 2)
 
 
 def test_a_name_is_shown_as_text_whatever_it_contains(opened: Open, service: RunningService) -> None:
@@ -271,9 +296,7 @@ def test_a_map_of_ten_thousand_views_scrolls(opened: Open) -> None:
     assert tab.page.locator(".grid .cell").count() < 200
     grid.evaluate("grid => { grid.scrollTop = grid.scrollHeight / 2 }")
     tab.page.get_by_label("View 5000: place 4999").wait_for()
-    tab.page.wait_for_function(
-        "[...document.querySelectorAll('.grid .cell img')].filter((image) => image.naturalWidth > 0).length > 10"
-    )
+    tab.page.locator(".grid img[src^=blob]").first.wait_for()
 
 
 # keys

@@ -3,7 +3,7 @@
 import { bars, count, decimals, facts, h, percent, place as inWords } from "./dom.js";
 import { drawing, image } from "./images.js";
 import { differences, pairs } from "./pairs.js";
-import { plan } from "./plan.js";
+import { plan, surroundings } from "./plan.js";
 
 const TITLES = {
   matched: (name) => ["This is ", h("strong", {}, name)],
@@ -101,6 +101,12 @@ function where(answer) {
     }));
   if (!answer.estimate && points.length === 0) return null;
   const estimate = answer.estimate;
+  const picture = plan(points, { circle: estimate && { position: estimate.position, radius: estimate.radius_m } });
+  const known = new Set(answer.matches.map((match) => match.view.id));
+  surroundings(answer.map).then(
+    (others) => picture.add(others.filter((point) => !known.has(point.view.id))),
+    () => {}, // the plan of the matches alone is a plan too
+  );
   return h(
     "div",
     {},
@@ -112,7 +118,7 @@ function where(answer) {
         h("strong", {}, inWords(estimate.position)),
         estimate.radius_m === null ? "." : `, give or take ${decimals(estimate.radius_m, 1)} m.`,
       ),
-    plan(points, { circle: estimate && { position: estimate.position, radius: estimate.radius_m } }).element,
+    picture.element,
   );
 }
 

@@ -4,6 +4,7 @@ import { Problem, call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
 import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
+import { placing } from "./placing.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
@@ -19,6 +20,7 @@ export function enrolScreen() {
   let entries = [];
   let positions = null;
   let running = false;
+  let current = null; // the photo whose fields were used last
 
   const maps = mapSelect();
   const other = h("input", {
@@ -63,6 +65,23 @@ export function enrolScreen() {
     ),
   );
   takesDrops(drop, add);
+
+  const onPlan = placing(() => maps.select.value, nextToPlace);
+
+  /** The photo that a click on the plan places: the one in use, else the first without a position. */
+  function nextToPlace() {
+    const open = entries.filter((one) => one.state !== "done");
+    const one = open.includes(current) ? current : open.find((other) => !other.position.value);
+    return one ? { name: one.path, put: (position) => put(one, position) } : null;
+  }
+
+  function put(one, { x, y, lat, lon }) {
+    frame.value = x === undefined ? "degrees" : "metres";
+    const heading = one.position.value.split(/[\s,;]+/)[2];
+    const spot = x === undefined ? [lat.toFixed(6), lon.toFixed(6)] : [x.toFixed(2), y.toFixed(2)];
+    one.position.value = [...spot, heading].filter(Boolean).join(", ");
+    current = null;
+  }
 
   async function add(files) {
     told.replaceChildren();
@@ -122,7 +141,7 @@ export function enrolScreen() {
     one.status = h("span", { class: "waiting" }, "waiting");
     one.element = h(
       "li",
-      {},
+      { onfocusin: () => used(one) },
       h("img", { src: one.url, alt: "", loading: "lazy", onerror: (event) => event.target.removeAttribute("src") }),
       h(
         "div",
@@ -148,7 +167,13 @@ export function enrolScreen() {
     return true;
   }
 
+  function used(one) {
+    current = one;
+    onPlan.told();
+  }
+
   function redraw() {
+    onPlan.told();
     list.replaceChildren(...entries.map((one) => one.element));
     list.hidden = entries.length === 0;
     const left = entries.filter((one) => one.state !== "done").length;
@@ -261,6 +286,7 @@ export function enrolScreen() {
           field("Place", place),
           field("Positions are in", frame),
         ),
+        onPlan.element,
         told,
         h("div", { class: "row" }, start, clear),
         bar,

@@ -5,6 +5,7 @@ import { h } from "./dom.js";
 
 const AT_ONCE = 6;
 const KEPT = 400;
+const TRIES = 4;
 
 const kept = new Map(); // path -> promise of a blob's URL, least recently shown first
 const waiting = [];
@@ -21,10 +22,12 @@ export function forgetImages() {
 /** The URL of an image's bytes; fetched once. `wanted` says whether anybody still looks when its turn comes. */
 export function imageUrl(path, wanted = () => true) {
   let url = kept.get(path);
-  if (url) kept.delete(path);
-  else {
-    url = new Promise((resolve, reject) => waiting.push({ path, wanted, resolve, reject }));
-    url.catch(() => kept.delete(path));
+  if (url) {
+    kept.delete(path);
+    waiting.find((one) => one.path === path)?.wanted.push(wanted);
+  } else {
+    url = new Promise((resolve, reject) => waiting.push({ path, wanted: [wanted], resolve, reject }));
+    url.catch(() => kept.get(path) === url && kept.delete(path));
     next();
   }
   kept.set(path, url);
@@ -39,19 +42,31 @@ export function imageUrl(path, wanted = () => true) {
 async function next() {
   if (running >= AT_ONCE || !waiting.length) return;
   const { path, wanted, resolve, reject } = waiting.pop(); // the newest: where somebody looks now
-  if (!wanted()) {
+  if (!wanted.some((one) => one())) {
     reject(new DOMException("scrolled away", "AbortError"));
     next();
     return;
   }
   running += 1;
   try {
-    resolve(URL.createObjectURL(await (await send("GET", path)).blob()));
+    resolve(URL.createObjectURL(await fetched(path)));
   } catch (error) {
     reject(error);
   } finally {
     running -= 1;
     next();
+  }
+}
+
+/** The bytes; a service that is busy is asked again when it says. */
+async function fetched(path) {
+  for (let tried = 1; ; tried += 1) {
+    try {
+      return await (await send("GET", path)).blob();
+    } catch (error) {
+      if (![429, 503].includes(error.status) || tried === TRIES) throw error;
+      await new Promise((resolve) => setTimeout(resolve, (error.retryAfter ?? 2) * 1000));
+    }
   }
 }
 

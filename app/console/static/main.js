@@ -147,6 +147,10 @@ document.querySelector(".skip").addEventListener("click", (event) => {
   event.preventDefault();
   main.focus();
 });
+// A link sends no key: where one is needed, the documentation cannot be opened by one.
+const links = () => (document.getElementById("docs").hidden = Boolean(key.get()));
+window.addEventListener("key", links);
+links();
 window.addEventListener("unauthorized", (event) => signIn(event.detail));
 window.addEventListener("hashchange", () => {
   shown();

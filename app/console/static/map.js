@@ -17,7 +17,7 @@ import {
   size,
 } from "./dom.js";
 import { jobList } from "./jobs.js";
-import { plan } from "./plan.js";
+import { plan, pointOf } from "./plan.js";
 import { openView } from "./view.js";
 import { Views, grid } from "./views.js";
 
@@ -73,6 +73,7 @@ export function mapScreen(name) {
 
   function browser(map, total) {
     const shown = h("div");
+    let filled = false; // the plan, by the first reading of all views
     const heading = h("h2", {}, "All views");
     const newest = h(
       "select",
@@ -92,19 +93,14 @@ export function mapScreen(name) {
     function filter(place) {
       heading.textContent = place === null ? "All views" : place;
       const all = place === null;
+      const fills = all && map.extent && !filled;
+      filled ||= fills;
       const views = new Views({ map: name, sort: newest.value, place }, (more) => {
-        if (all && map.extent && newest.value === "enrolled_at")
-          picture.add(
-            more
-              .filter((view) => view.position)
-              .map((view) => ({ position: view.position, kind: "view", name: view.place ?? view.id.slice(-6), view })),
-          );
+        if (fills) picture.add(more.filter((view) => view.position).map(pointOf));
       });
       const thumbnails = grid(views, all ? total : 0, open);
       shown.replaceChildren(thumbnails.element);
-      views
-        .upTo(all && map.extent ? MOST_ON_PLAN : 1)
-        .then(thumbnails.draw, (error) => shown.replaceChildren(problemBox(error)));
+      views.upTo(fills ? MOST_ON_PLAN : 1).then(thumbnails.draw, (error) => shown.replaceChildren(problemBox(error)));
       thumbnails.draw();
     }
     if (total) filter(null);

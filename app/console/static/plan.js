@@ -1,5 +1,6 @@
 // A plan of positions, drawn without tiles: metres of the map's frame, or degrees laid flat around their middle.
 
+import { call } from "./api.js";
 import { count, h } from "./dom.js";
 
 const METRES_PER_DEGREE = 111_320;
@@ -15,7 +16,7 @@ function flat(position, middle) {
 
 /**
  * A plan of points {position, kind, name}; kinds: view, match, first.
- * circle: {position, radius in m or null}. picked(point) is called for the point that was chosen, placed([x, y]) for
+ * circle: {position, radius in m or null}. picked(point) is called for the point that was chosen, placed(position) for
  * any spot.
  * Gives {element, add(points)}.
  */
@@ -62,10 +63,15 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
     );
     const x = (value) => width / 2 + (value - (west + east) / 2) * scale;
     const y = (value) => height / 2 - (value - (south + north) / 2) * scale;
-    toMap = (left, top) => [
-      (left - width / 2) / scale + (west + east) / 2,
-      (height / 2 - top) / scale + (south + north) / 2,
-    ];
+    toMap = (left, top) => {
+      const [along, up] = [
+        (left - width / 2) / scale + (west + east) / 2,
+        (height / 2 - top) / scale + (south + north) / 2,
+      ];
+      const lat = up / METRES_PER_DEGREE;
+      const lon = along / (METRES_PER_DEGREE * Math.cos((middle * Math.PI) / 180));
+      return latitudes.length ? { lat, lon } : { x: along, y: up };
+    };
     drawn = spots.map(([spot, point]) => [x(spot[0]), y(spot[1]), point]);
     const radius = drawn.length > 2000 ? 1.5 : drawn.length > 300 ? 2.5 : 4;
     for (const [kind, name, bigger] of [
@@ -163,6 +169,17 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
       draw();
     },
   };
+}
+
+/** Points for the views of a map that have a position: of the first page, which gives a map its shape. */
+export async function surroundings(map) {
+  const { views } = await call("GET", "/views", { query: { map, limit: 500 } });
+  return views.filter((view) => view.position).map(pointOf);
+}
+
+/** A view as a point of a plan. */
+export function pointOf(view) {
+  return { position: view.position, kind: "view", name: view.place ?? view.id.slice(-6), view };
 }
 
 function range(corners, axis) {
