@@ -101,7 +101,7 @@ def service(tmp_path_factory: pytest.TempPathFactory, chromium: "Browser") -> It
 
 
 @pytest.fixture
-def opened(chromium: "Browser", service: RunningService) -> Iterator[Open]:
+def opened(chromium: "Browser", request: pytest.FixtureRequest) -> Iterator[Open]:
     """Opens tabs, each in a profile of its own, and closes them."""
     tabs: list[Tab] = []
 
@@ -110,7 +110,7 @@ def opened(chromium: "Browser", service: RunningService) -> Iterator[Open]:
     ) -> Tab:
         page = chromium.new_context(viewport=size, **profile).new_page()
         page.set_default_timeout(15_000)
-        tabs.append(Tab(page, url or service.url, refusals))
+        tabs.append(Tab(page, url or request.getfixturevalue("service").url, refusals))
         tabs[-1].show(screen)
         return tabs[-1]
 

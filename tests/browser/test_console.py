@@ -1,11 +1,9 @@
 """The console as a person uses it, in a real browser on a running service."""
 
-import json
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -17,13 +15,10 @@ import pytest
 from app.http.examples import VIEW
 from tests.browser.conftest import LAPTOP, PHONE, PLACES, Open, Tab
 from tests.sample_images import photo as drawn_photo
-from tests.stories.running import ROOT, RunningService
+from tests.stories.running import RunningService
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Route, ViewportSize
-
-Locked = tuple[RunningService, dict[str, str]]
-"""A service that asks for a key, and its keys by their scopes."""
+    from playwright.sync_api import Route, ViewportSize
 
 SCREENS = ("ask", "enrol", "maps", "maps/town", "service")
 
@@ -179,7 +174,8 @@ def test_a_photo_is_placed_by_a_click_on_the_plan(opened: Open, service: Running
     assert box is not None
     plan.click(position={"x": box["width"] / 2, "y": 28})  # the margin above the northernmost view
     x, y, heading = map(float, tab.page.get_by_label("Position of first.jpg").input_value().split(","))
-    assert (y, heading) == (pytest.approx(high[1], abs=1), 45)
+    assert y == pytest.approx(high[1], abs=1)
+    assert heading == 45
 
 
 def test_a_table_that_cannot_be_used_says_why(opened: Open, tmp_path: Path) -> None:
@@ -299,68 +295,6 @@ def test_a_map_of_ten_thousand_views_scrolls(opened: Open) -> None:
     tab.page.locator(".grid img[src^=blob]").first.wait_for()
 
 
-# keys
-
-
-@pytest.fixture(scope="module")
-def locked(
-    tmp_path_factory: pytest.TempPathFactory, chromium: "Browser"
-) -> Iterator[tuple[RunningService, dict[str, str]]]:
-    """A service that asks for a key, a key of two scopes, and a view in its map `vault`."""
-    data, keys = tmp_path_factory.mktemp("locked"), {}
-    for scope in ("read", "admin"):
-        command = [sys.executable, "-m", "app.cli", "keys", "create", scope, "--scope", scope, "--data", str(data)]
-        made = subprocess.run([*command, "--json"], cwd=ROOT, capture_output=True, text=True, check=True)
-        keys[scope] = json.loads(made.stdout)["key"]
-    with RunningService(data) as running:
-        headers, fields = {"x-api-key": keys["admin"]}, {"map": "vault", "place": "door"}
-        files = {"image": drawn_photo(1)}
-        answer = httpx.post(f"{running.url}/enroll", headers=headers, data=fields, files=files, timeout=30)
-        answer.raise_for_status()
-        yield running, keys
-
-
-def sign_in(tab: Tab, key: str) -> None:
-    tab.page.get_by_label("Key", exact=True).fill(key)
-    tab.page.get_by_role("button", name="Sign in").click()
-
-
-def test_a_wrong_key_is_told_and_the_right_one_is_kept_in_its_tab_alone(opened: Open, locked: Locked) -> None:
-    service, keys = locked
-    tab = opened("maps", url=service.url, refusals=True)
-    dialog = tab.page.get_by_role("dialog")
-    sign_in(tab, "rv_wrong")
-    assert "key" in dialog.get_by_role("alert").inner_text().lower()
-    assert tab.page.evaluate("sessionStorage.getItem('revisit-key')") is None
-
-    sign_in(tab, keys["admin"])
-    dialog.wait_for(state="detached")
-    tab.page.get_by_role("link", name="vault").click()
-    tab.page.wait_for_selector(".grid img[src^=blob]")
-    kept = tab.page.evaluate("JSON.stringify(localStorage) + document.cookie + location.href")
-    assert keys["admin"] not in kept
-    tab.page.reload()
-    tab.page.get_by_role("heading", name="vault").wait_for()
-    another = tab.page.context.new_page()
-    another.goto(f"{service.url}/#maps")
-    another.get_by_role("dialog").wait_for()
-
-    tab.page.get_by_role("button", name="Key", exact=True).click()
-    tab.page.get_by_role("button", name="Forget the key").click()
-    assert tab.page.evaluate("sessionStorage.getItem('revisit-key')") is None
-    tab.page.get_by_role("button", name="Sign in").wait_for()
-
-
-def test_what_a_key_may_not_do_is_refused_with_the_reason(opened: Open, locked: Locked) -> None:
-    service, keys = locked
-    tab = opened("maps/vault", url=service.url, refusals=True)
-    sign_in(tab, keys["read"])
-    tab.page.locator(".grid .cell button").click()
-    tab.page.get_by_role("button", name="Delete this view …").click()
-    tab.page.get_by_role("button", name="Delete the view").click()
-    assert "has the scope read; this needs write" in tab.page.get_by_role("dialog").get_by_role("alert").inner_text()
-
-
 # everybody
 
 
@@ -380,7 +314,8 @@ def test_every_screen_passes_axe_and_fits_its_window(
     opened: Open, query_photo: Path, theme: str, size: "ViewportSize"
 ) -> None:
     axe = (resources.files("axe_playwright_python") / "axe.min.js").read_text()
-    tab = opened(size=size, color_scheme=theme, bypass_csp=True)
+    # Drawings that the service is too busy for are asked for again.
+    tab = opened(size=size, color_scheme=theme, bypass_csp=True, refusals=True)
 
     def check(name: str) -> None:
         tab.page.evaluate(axe)
