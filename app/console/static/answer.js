@@ -82,7 +82,8 @@ function sentence(text) {
 function probabilities(answer) {
   const shown = answer.places.slice(0, MOST_PLACES);
   const others = answer.places.slice(MOST_PLACES);
-  const name = ({ place, position, views }) => place ?? inWords(position) ?? `view ${views[0].id.slice(-6)}`;
+  const spot = (position) => position && inWords({ ...position, heading: null });
+  const name = ({ place, position, views }) => place ?? spot(position) ?? `view ${views[0].id.slice(-6)}`;
   const rows = shown.map((one) => [name(one), one.probability]);
   if (others.length) {
     rows.push([count(others.length, "other place"), others.reduce((sum, one) => sum + one.probability, 0)]);
