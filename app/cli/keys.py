@@ -25,7 +25,7 @@ def add(verbs: Verbs) -> None:
         "keys",
         help="make, list and revoke the keys of a service",
         description="Make, list and revoke keys in the data folder, whether a service runs on it or not. With a key "
-        "made, every route but /livez, /readyz and /version asks for one at once.",
+        "made, every route but /livez, /readyz, /version and the console asks for one at once.",
     )
     commands = keys.add_subparsers(title="commands", metavar="COMMAND", required=True)
     create = commands.add_parser("create", help="make a key and print it, once")

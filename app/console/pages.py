@@ -1,11 +1,9 @@
-"""API documentation and the console as plain HTML that loads nothing from other hosts."""
+"""API documentation as plain HTML that loads nothing from other hosts."""
 
 import json
 from collections.abc import Mapping
 from html import escape
 from typing import Any
-
-from schemas.wire import Maps
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self'"
 """Content-Security-Policy: no scripts and nothing from another host, whatever text a map's name contains."""
@@ -34,39 +32,8 @@ def _page(title: str, body: str) -> str:
     )
 
 
-def console(version: str, maps: Maps | None, host: str) -> str:
-    """The landing page: maps with their counts, and links.
-
-    `maps` is None when they cannot be listed; `host` is how the reader reaches the service, with the port.
-    """
-    if maps is None:
-        rows = '<p class="quiet">The maps cannot be listed at the moment; see <a href="/readyz">/readyz</a>.</p>'
-    elif not maps.maps:
-        rows = '<p class="quiet">Nothing is enrolled yet.</p>'
-    else:
-        cells = "".join(
-            f"<tr><td><a href='/maps/{escape(m.name)}'>{escape(m.name)}</a></td><td>{m.views.get('ready', 0)}</td>"
-            f"<td>{m.views.get('pending', 0)}</td><td>{m.views.get('failed', 0)}</td><td>{m.places}</td>"
-            f"<td>{m.revision}</td></tr>"
-            for m in maps.maps
-        )
-        rows = (
-            "<table><tr><th>map</th><th>ready</th><th>pending</th><th>failed</th><th>places</th><th>revision</th></tr>"
-            f"{cells}</table>"
-        )
-    links = " · ".join(
-        f'<a href="{path}">{path}</a>'
-        for path in ("/docs", "/openapi.json", "/maps", "/views", "/places", "/readyz", "/metrics", "/version")
-    )
-    return _page(
-        "revisit",
-        f"<h1>revisit <span class='quiet'>{escape(version)}</span></h1><p>Have I been here before, and where is here?"
-        f"</p><h2>Maps</h2>{rows}<h2>Try</h2><pre>{escape(_CURL.format(host=host))}</pre><p>{links}</p>",
-    )
-
-
 def docs(document: Json, host: str) -> str:
-    """The OpenAPI document as one page; `host` as for `console`."""
+    """The OpenAPI document as one page; `host` is how the reader reaches the service, with the port."""
     by_tag: dict[str, list[str]] = {}
     for path, methods in document["paths"].items():
         for method, operation in methods.items():

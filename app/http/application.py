@@ -17,6 +17,7 @@ from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
 from app.http.rate_limits import RateLimit
 from app.http.routes import (
+    console,
     enroll,
     health,
     images,
@@ -91,7 +92,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
-    for group in (views, images, maps, map_health, unknown, places, jobs, snapshots, health):
+    for group in (views, images, maps, map_health, unknown, places, jobs, snapshots, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)

@@ -30,7 +30,7 @@ Send images as the multipart part `image`, or as the raw body with their content
 parts or query parameters, by the same names. Unknown and repeated parameters are errors, and so is a body where none
 is taken. Every error is `application/problem+json`. Every answer carries `X-Request-Id`.
 
-A service that has keys asks for one on every route but `/livez`, `/readyz` and `/version`: as
+A service that has keys asks for one on every route but `/livez`, `/readyz`, `/version` and the console at `/`: as
 `Authorization: Bearer KEY` or `X-Api-Key: KEY`. The roles of a route's security are the scope that its key needs:
 read, write or admin, each with those before it."""
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 from starlette.routing import compile_path
 
+from app.console.files import files
 from schemas.keys import Scope
 
-OPEN_PATHS = frozenset({"/livez", "/readyz", "/version"})
-"""Paths that need no key."""
+OPEN_PATHS = frozenset({"/livez", "/readyz", "/version", *files()})
+"""Paths that need no key: signs of life, and the files of the console."""
 
 OF_ALL_MAPS = frozenset({"/metrics"})
 """Paths whose answers name every map: a key for some maps is not enough."""
@@ -33,7 +34,6 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/metrics"),
     ("GET", "/docs"),
     ("GET", "/openapi.json"),
-    ("GET", "/"),
 )
 WRITE: tuple[tuple[str, str], ...] = (
     ("POST", "/enroll"),

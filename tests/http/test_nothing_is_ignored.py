@@ -6,12 +6,13 @@ from collections.abc import Iterator
 import pytest
 
 from tests.http.fakes import FakeRuntime
-from tests.openapi import CheckedClient
+from tests.openapi import UNDOCUMENTED, CheckedClient
 from tests.sample_images import photo
 
 DOCUMENT = FakeRuntime().app().openapi()
-UNDOCUMENTED = [("get", "/docs"), ("get", "/"), ("get", "/openapi.json")]
-OPERATIONS = [(method, path) for path, methods in DOCUMENT["paths"].items() for method in methods] + UNDOCUMENTED
+OPERATIONS = [(method, path) for path, methods in DOCUMENT["paths"].items() for method in methods] + [
+    ("get", path) for path in UNDOCUMENTED
+]
 TAKES_IMAGES = [("post", "/enroll"), ("post", "/query")]
 WITHOUT_BODY = [
     (method, path)

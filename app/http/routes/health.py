@@ -9,17 +9,13 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 
 from app.console import pages
-from app.http.curate import Curator
-from app.http.dependencies import Curates, Lifecycles, Measures, no_parameters
+from app.http.dependencies import Lifecycles, Measures, no_parameters
 from app.http.keys import Accesses
-from app.http.lifecycle import Lifecycle
 from app.http.metrics import MEDIA_TYPE
 from app.http.middleware import STARTING_RETRY_S
 from app.http.openapi import answers_bytes, document, refusals
-from app.http.routes.maps import allowed
-from schemas.errors import RevisitError
 from schemas.keys import Access
-from schemas.wire import Maps, Readiness, Version
+from schemas.wire import Readiness, Version
 
 router = APIRouter(tags=["service"], dependencies=[no_parameters])
 
@@ -89,15 +85,6 @@ async def docs(request: Request) -> Response:
     return _page(pages.docs(document(request.app), request.url.netloc))
 
 
-@router.get("/", response_class=HTMLResponse, include_in_schema=False)
-async def console(request: Request, lifecycle: Lifecycles, curator: Curates, access: Accesses) -> Response:
-    """The console: the maps, and links to everything else."""
-    maps = await _maps(lifecycle, curator)
-    return _page(
-        pages.console(request.app.version, None if maps is None else allowed(maps, access), request.url.netloc)
-    )
-
-
 def _shown(readiness: Readiness, access: Access) -> Readiness:
     """The checks without the names of maps that the caller may not use."""
     known = {
@@ -110,16 +97,6 @@ def _shown(readiness: Readiness, access: Access) -> Readiness:
         known["maps"] = f"{hidden} cannot be served; with a key for them this says which and why"
     maps = {name: state for name, state in readiness.maps.items() if access.may_use(name)}
     return readiness.model_copy(update={"checks": known, "maps": maps})
-
-
-async def _maps(lifecycle: Lifecycle, curator: Curator) -> Maps | None:
-    """All maps, or None when the store does not answer within `PATIENCE_S`, so that no page hangs."""
-    if not lifecycle.started:
-        return None
-    try:
-        return await asyncio.wait_for(curator.maps(), PATIENCE_S)
-    except (TimeoutError, RevisitError):
-        return None
 
 
 def _page(html: str) -> Response:

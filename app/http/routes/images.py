@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
+from app.http.conditional import is_fresh, quoted
 from app.http.dependencies import Curates, QueryId, ViewId, no_parameters
 from app.http.openapi import DRAWN_BY, answers_bytes, refusals
 from app.http.parameters import (
@@ -40,7 +41,7 @@ def _responses(*types: str, description: str, drawn: bool = False) -> dict[int |
 async def image(view_id: ViewId, request: Request, curator: Curates) -> Response:
     """The image as it was enrolled, without its metadata."""
     etag = await curator.view_etag(view_id, "image-stripped")
-    if _is_fresh(request, etag):
+    if is_fresh(request, etag):
         return _unchanged(etag)
     data, media_type = await curator.image(view_id)
     answer = _image(data, media_type, etag)
@@ -62,7 +63,7 @@ async def thumbnail(
 ) -> Response:
     """A small JPEG of the image."""
     etag = await curator.view_etag(view_id, f"thumbnail-{params.size}")
-    if _is_fresh(request, etag):
+    if is_fresh(request, etag):
         return _unchanged(etag)
     return _image(await curator.thumbnail(view_id, params.size), "image/jpeg", etag)
 
@@ -86,7 +87,7 @@ async def segmentation(
     """The label of each pixel, at the finest grid the encoder offers; the method itself uses coarser cells."""
     kind = "overlay" if params.overlay else "segmentation"
     etag = await curator.view_etag(view_id, f"{kind}-legend" if params.legend else kind)
-    if _is_fresh(request, etag):
+    if is_fresh(request, etag):
         return _unchanged(etag)
     drawn = await curator.segmentation(view_id, params.overlay, params.legend)
     return _image(drawn, "image/png", etag, curator.segmented_by())
@@ -110,7 +111,7 @@ async def graph(
 ) -> Response:
     """The context graph that the method compares, drawn over the image."""
     etag = await curator.view_etag(view_id, "graph-legend" if params.legend else "graph")
-    if _is_fresh(request, etag):
+    if is_fresh(request, etag):
         return _unchanged(etag)
     return _image(await curator.graph(view_id, params.legend), "image/png", etag, "encoder")
 
@@ -141,21 +142,10 @@ _CACHE = {"Cache-Control": "private, no-cache"}
 _NO_STORE = {"Cache-Control": "private, no-store"}
 
 
-def _quoted(etag: str) -> str:
-    return etag if etag.endswith('"') else f'"{etag}"'
-
-
-def _is_fresh(request: Request, etag: str) -> bool:
-    """Whether If-None-Match names this ETag, by weak comparison (RFC 9110, 13.1.2)."""
-    given = ",".join(request.headers.getlist("if-none-match"))
-    tags = [tag.strip().removeprefix("W/") for tag in given.split(",")]
-    return "*" in tags or _quoted(etag) in tags
-
-
 def _unchanged(etag: str) -> Response:
-    return Response(status_code=304, headers={"ETag": _quoted(etag), **_CACHE})
+    return Response(status_code=304, headers={"ETag": quoted(etag), **_CACHE})
 
 
 def _image(data: bytes, media_type: str, etag: str, drawn_by: str | None = None) -> Response:
     named = {} if drawn_by is None else {DRAWN_BY: drawn_by}
-    return Response(data, headers={"ETag": _quoted(etag), **_CACHE, **named}, media_type=media_type)
+    return Response(data, headers={"ETag": quoted(etag), **_CACHE, **named}, media_type=media_type)

@@ -13,7 +13,6 @@ from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.validation import validated
 from schemas.errors import InvalidParameters
-from schemas.keys import Access
 from schemas.requests import PatchMap, PostCalibration, PutMap
 from schemas.wire import CalibrationReport, Deleted, Job, MapFacts, Maps
 
@@ -35,7 +34,8 @@ async def _body(request: Request, model: type[M], largest: int = LARGEST_JSON) -
 @router.get("/maps", response_model=Maps, responses=refusals())
 async def list_maps(curator: Curates, access: Accesses) -> Maps:
     """All maps that the caller may use, by name."""
-    return allowed(await curator.maps(), access)
+    maps = await curator.maps()
+    return Maps(maps=[facts for facts in maps.maps if access.may_use(facts.name)])
 
 
 @router.get("/maps/{map}", response_model=MapFacts, responses=refusals("not-found"))
@@ -133,11 +133,6 @@ async def calibrate(name: MapName, request: Request, curator: Curates) -> Calibr
 async def forget_calibration(name: MapName, curator: Curates) -> MapFacts:
     """Return the map to the shipped calibration."""
     return await curator.forget_calibration(name)
-
-
-def allowed(maps: Maps, access: Access) -> Maps:
-    """Those of the maps that the caller may use."""
-    return Maps(maps=[facts for facts in maps.maps if access.may_use(facts.name)])
 
 
 def _started(job: Job) -> Response:

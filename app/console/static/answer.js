@@ -1,0 +1,252 @@
+// An answer in words and pictures.
+
+import { bars, count, decimals, facts, h, percent, place as inWords } from "./dom.js";
+import { drawing, image } from "./images.js";
+import { differences, pairs } from "./pairs.js";
+import { plan, surroundings } from "./plan.js";
+
+const TITLES = {
+  matched: (name) => ["This is ", h("strong", {}, name)],
+  ambiguous: (name) => ["Perhaps ", h("strong", {}, name), ", but not sure"],
+  no_match: () => ["Not recognised"],
+};
+
+const TERMS = {
+  "histogram.semantic": "semantic words",
+  "histogram.detail": "detail words",
+  dense: "cells",
+  dense_full: "cells in full",
+  graph: "graph",
+  verification: "geometry",
+};
+
+const MOST_PLACES = 6;
+
+const nameOf = (view) => view.place ?? `view ${view.id.slice(-6)}`;
+
+/** What shows an answer: `short` and, below it, `long`. `photo`: URL of the query's image in this browser. */
+export function answerPanel(answer, photo) {
+  const [first] = answer.matches;
+  const detail = h("div");
+  const cards = answer.matches.map((match) => matchCard(match, () => show(match)));
+  function show(match) {
+    cards.forEach((card, index) => {
+      const chosen = answer.matches[index] === match;
+      card.classList.toggle("chosen", chosen);
+      card.querySelector("button").setAttribute("aria-pressed", chosen);
+    });
+    detail.replaceChildren(evidence(answer, match, photo));
+  }
+  if (first) show(first);
+  const panel = (title, ...content) => h("section", { class: "panel" }, title && h("h2", {}, title), content);
+  return {
+    short: [verdict(answer), answer.places.length > 0 && panel("Places", probabilities(answer), where(answer))].filter(
+      Boolean,
+    ),
+    long: [
+      first && panel("Views that look like it", h("ol", { class: "matches" }, cards)),
+      first && panel(null, detail),
+      panel("How it went", times(answer), basis(answer)),
+    ].filter(Boolean),
+  };
+}
+
+function verdict(answer) {
+  const [best] = answer.places;
+  const name = best ? (best.place ?? nameOf(answer.matches[0].view)) : "";
+  return h(
+    "section",
+    { class: `panel verdict ${answer.status}` },
+    h("h2", {}, TITLES[answer.status](name)),
+    h(
+      "p",
+      {},
+      `${sentence(answer.reason.detail)} `,
+      answer.status === "matched" ? null : sentence(answer.reason.remedy),
+    ),
+    h(
+      "p",
+      { class: "quiet" },
+      `Probability ${percent(answer.confidence)}; sure from ${percent(answer.decision.threshold)} on, `,
+      `so that ${percent(answer.decision.precision)} of such answers are right. `,
+      `${count(answer.searched, "view")} searched`,
+      `${answer.pending ? `, ${answer.pending} more not described yet` : ""}.`,
+    ),
+  );
+}
+
+function sentence(text) {
+  return text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "";
+}
+
+function probabilities(answer) {
+  const shown = answer.places.slice(0, MOST_PLACES);
+  const others = answer.places.slice(MOST_PLACES);
+  const spot = (position) => position && inWords({ ...position, heading: null });
+  const name = ({ place, position, views }) => place ?? spot(position) ?? `view ${views[0].id.slice(-6)}`;
+  const rows = shown.map((one) => [name(one), one.probability]);
+  if (others.length) {
+    rows.push([count(others.length, "other place"), others.reduce((sum, one) => sum + one.probability, 0)]);
+  }
+  return bars([...rows, ["nowhere: none of these", answer.nowhere, "nowhere"]]);
+}
+
+/** The plan: matched views, and where the query lies. */
+function where(answer) {
+  const points = answer.matches
+    .filter((match) => match.view.position)
+    .map((match) => ({
+      position: match.view.position,
+      kind: match.rank === 1 ? "first" : "match",
+      name: `${match.rank}. ${nameOf(match.view)}`,
+    }));
+  if (!answer.estimate && points.length === 0) return null;
+  const estimate = answer.estimate;
+  const picture = plan(points, { circle: estimate && { position: estimate.position, radius: estimate.radius_m } });
+  const known = new Set(answer.matches.map((match) => match.view.id));
+  surroundings(answer.map).then(
+    (others) => picture.add(others.filter((point) => !known.has(point.view.id))),
+    () => {}, // the plan of the matches alone is a plan too
+  );
+  return h(
+    "div",
+    {},
+    estimate &&
+      h(
+        "p",
+        {},
+        "Taken about ",
+        h("strong", {}, inWords(estimate.position)),
+        estimate.radius_m === null ? "." : `, give or take ${decimals(estimate.radius_m, 1)} m.`,
+      ),
+    picture.element,
+  );
+}
+
+function matchCard(match, choose) {
+  const name = nameOf(match.view);
+  return h(
+    "li",
+    { class: "match" },
+    image(match.links.thumbnail, `Match ${match.rank}: ${name}`, { width: 256, height: 192 }),
+    h("h3", {}, `${match.rank}. ${name}`),
+    h("p", { class: "quiet" }, `score ${decimals(match.score)}, probability ${percent(match.confidence)}`),
+    bars(
+      Object.entries(match.parts).map(([term, value]) => [TERMS[term] ?? term, value]),
+      { text: decimals, className: "bars parts" },
+    ),
+    h(
+      "button",
+      {
+        type: "button",
+        "aria-pressed": "false",
+        onclick: choose,
+        "aria-label": `Compare with ${match.rank}. ${name}`,
+      },
+      "Compare",
+    ),
+  );
+}
+
+/** What speaks for a match: what agrees, drawings, and where the rival differs. */
+function evidence(answer, match, photo) {
+  const { view } = match;
+  const rival = match.rank === 1 ? answer.reason.rival : null;
+  return h(
+    "div",
+    {},
+    h("h2", {}, `Your photo and ${match.rank}. ${nameOf(view)}`),
+    facts([
+      ["Position", inWords(view.position)],
+      [
+        "Regions that agree",
+        match.graph && `${match.graph.correspondences} of ${match.graph.nodes_query} and ${match.graph.nodes_view}`,
+      ],
+      ["Keypoints that agree", match.verification && `${match.verification.inliers} of ${match.verification.matches}`],
+      [
+        "Cells that agree",
+        match.dense &&
+          `${decimals(match.dense.similarity)}; a wrong view gets ${decimals(match.dense.median_similarity)}`,
+      ],
+    ]),
+    pairs(answer.query, match, photo),
+    rival &&
+      h(
+        "div",
+        {},
+        h("h3", {}, `The rival: ${nameOf(rival.view)}`),
+        h("p", {}, `It scores ${decimals(rival.score)}, the first ${decimals(match.score)}.`),
+        differences(answer.query, rival, photo),
+      ),
+    match.links.explanation &&
+      more("Everything in one picture, drawn by the service", () =>
+        drawing(
+          match.links.explanation,
+          "Explanation of the answer",
+          "Cells, keypoints and regions that agree, the parts of the score, and a rival.",
+        ),
+      ),
+    more("What the service sees in the view", () =>
+      h(
+        "div",
+        { class: "columns" },
+        drawing(
+          `${view.links.segmentation}?overlay=true&legend=true`,
+          "Labels of the view",
+          "Labels; what moves is grey.",
+        ),
+        drawing(`${view.links.graph}?legend=true`, "Context graph of the view", "Regions and which of them touch."),
+      ),
+    ),
+    answer.query.labels.length > 0 &&
+      more("What it sees in your photo", () =>
+        bars(answer.query.labels.slice(0, 12).map((one) => [one.label, one.share])),
+      ),
+  );
+}
+
+/** Details whose content is made when they are opened first. */
+function more(title, make) {
+  const body = h("div");
+  const details = h(
+    "details",
+    {
+      ontoggle: () => {
+        if (details.open && !body.firstChild) body.append(make());
+      },
+    },
+    h("summary", {}, title),
+    body,
+  );
+  return details;
+}
+
+function times(answer) {
+  const { total, ...stages } = answer.timing_ms;
+  const longest = Math.max(1, ...Object.values(stages));
+  return h(
+    "div",
+    {},
+    h("p", {}, total === undefined ? null : `${Math.round(total)} ms in all.`),
+    bars(Object.entries(stages), { of: longest, text: (ms) => `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms` }),
+  );
+}
+
+function basis(answer) {
+  const { decision } = answer;
+  return h(
+    "details",
+    {},
+    h("summary", {}, "What the verdict was made from"),
+    facts([
+      ...Object.entries(decision.features).map(([name, value]) => [name, decimals(value, 3)]),
+      ["What wrong answers score here", decimals(decision.wrong_score, 3)],
+      ["By how much they lead", decimals(decision.wrong_gap, 3)],
+      ["Measured with", count(decision.views_compared, "view")],
+      ["Query", answer.query.id],
+      ["Map and revision", `${answer.map}, ${answer.revision}`],
+      ["Recipe", answer.recipe],
+      ["Ranking", answer.ranking],
+    ]),
+  );
+}

@@ -1,0 +1,37 @@
+// The choice of a map, the same on every screen of this tab.
+
+import { call } from "./api.js";
+import { h } from "./dom.js";
+
+const CHOSEN = "revisit-map";
+
+export const chosenMap = () => sessionStorage.getItem(CHOSEN) ?? "default";
+export const chooseMap = (name) => sessionStorage.setItem(CHOSEN, name);
+
+/** A select of the maps; `refresh` fetches their names and counts, `facts` is of the chosen one. */
+export function mapSelect(changed = () => {}) {
+  const select = h("select", {
+    onchange: () => {
+      chooseMap(select.value);
+      changed(facts());
+    },
+  });
+  let maps = [];
+  const facts = () => maps.find((one) => one.name === select.value) ?? null;
+  async function refresh() {
+    maps = (await call("GET", "/maps")).maps;
+    const names = maps.map((one) => one.name);
+    const ready = (name) => maps.find((one) => one.name === name)?.views.ready ?? 0;
+    const largest = names.reduce((best, name) => (ready(name) > ready(best) ? name : best), names[0] ?? "default");
+    const chosen = names.includes(chosenMap()) ? chosenMap() : largest;
+    if (!names.includes("default")) names.push("default");
+    select.replaceChildren(
+      ...names.map((name) => h("option", { value: name, selected: name === chosen }, `${name} (${ready(name)})`)),
+    );
+    select.value = chosen;
+    chooseMap(chosen);
+    changed(facts());
+    return maps;
+  }
+  return { select, refresh, facts };
+}

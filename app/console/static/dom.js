@@ -1,0 +1,211 @@
+// Elements without markup: every text stays text, whatever a name or a file contains.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** An element. `attributes`: `on*` are listeners, `style` an object, all others as in HTML; null leaves one out. */
+export function h(tag, attributes = {}, ...children) {
+  return filled(document.createElement(tag), attributes, children);
+}
+
+/** The same for SVG. */
+export function svg(tag, attributes = {}, ...children) {
+  return filled(document.createElementNS(SVG, tag), attributes, children);
+}
+
+function filled(element, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "style") for (const [key, text] of Object.entries(value)) element.style.setProperty(key, text);
+    else if (name === "value") element.value = value;
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(
+    ...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false),
+  );
+  return element;
+}
+
+let fields = 0;
+
+/** A control with its label above it. */
+export function field(text, control) {
+  control.id ||= `field-${++fields}`;
+  return h("div", { class: "field" }, h("label", { for: control.id }, text), control);
+}
+
+export function checkbox(text, attributes = {}) {
+  const box = h("input", { type: "checkbox", ...attributes });
+  return { box, label: h("label", { class: "inline" }, box, text) };
+}
+
+/** A button that opens the system's choice of files. */
+export function picker(text, attributes, chosen) {
+  const input = h("input", {
+    type: "file",
+    "aria-label": text,
+    ...attributes,
+    onchange: () => {
+      chosen([...input.files]);
+      input.value = "";
+    },
+  });
+  return h("span", { class: "button pick" }, h("span", { "aria-hidden": "true" }, text), input);
+}
+
+/** Make an element take files that are dropped on it. */
+export function takesDrops(element, dropped) {
+  element.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    element.classList.add("over");
+  });
+  element.addEventListener("dragleave", () => element.classList.remove("over"));
+  element.addEventListener("drop", (event) => {
+    event.preventDefault();
+    element.classList.remove("over");
+    if (event.dataTransfer.files.length) dropped([...event.dataTransfer.files]);
+  });
+}
+
+/** Say something to those who listen instead of looking. */
+export function announce(text) {
+  document.getElementById("announce").textContent = text;
+}
+
+/** What was wrong, what to do, and the id under which the service's log has it. */
+export function problemBox(problem) {
+  const wrong = problem.errors ?? [];
+  return h(
+    "div",
+    { class: "problem", role: "alert" },
+    h(
+      "p",
+      {},
+      h("strong", {}, problem.title ?? "Something went wrong in the console"),
+      ": ",
+      problem.detail ?? problem.message,
+    ),
+    wrong.length > 0 &&
+      h(
+        "ul",
+        {},
+        wrong.map((one) => h("li", {}, h("code", {}, one.parameter), " ", one.detail)),
+      ),
+    problem.requestId && h("p", { class: "quiet" }, "request ", h("code", {}, problem.requestId)),
+  );
+}
+
+/** Rows of names and numbers with a bar each; `of`: the value of a full bar. */
+export function bars(rows, { of = 1, text = percent, className = "bars" } = {}) {
+  return h(
+    "ul",
+    { class: className },
+    rows.map(([name, value, kind]) =>
+      h(
+        "li",
+        { class: kind },
+        h("span", { class: "name" }, name),
+        h(
+          "span",
+          { class: "bar", "aria-hidden": "true" },
+          h("span", { style: { width: `${Math.max(0, Math.min(1, value / of)) * 100}%` } }),
+        ),
+        h("span", { class: "number" }, text(value)),
+      ),
+    ),
+  );
+}
+
+/** A table of `rows`, each a list of cells. */
+export function table(columns, rows) {
+  const heads = columns.map((name) => h("th", { scope: "col" }, name));
+  const lines = rows.map((cells) =>
+    h(
+      "tr",
+      {},
+      cells.map((cell) => h("td", {}, cell)),
+    ),
+  );
+  return h("table", {}, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, lines));
+}
+
+/** Names and values, without those that are missing. */
+export function facts(rows) {
+  return h(
+    "dl",
+    {},
+    rows
+      .filter(([, value]) => value !== null && value !== undefined && value !== "")
+      .map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]),
+  );
+}
+
+export const percent = (value) =>
+  value > 0 && value < 0.01 ? "< 1 %" : value < 1 && value > 0.99 ? "> 99 %" : `${Math.round(value * 100)} %`;
+export const decimals = (value, digits = 2) => (value === null || value === undefined ? "–" : value.toFixed(digits));
+export const count = (value, one, many = `${one}s`) => `${value.toLocaleString("en-GB")} ${value === 1 ? one : many}`;
+
+export function size(bytes) {
+  for (const [unit, power] of [
+    ["GB", 1e9],
+    ["MB", 1e6],
+    ["kB", 1e3],
+  ])
+    if (bytes >= power) return `${(bytes / power).toFixed(1)} ${unit}`;
+  return `${bytes} bytes`;
+}
+
+export function moment(text) {
+  return text ? new Date(text).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" }) : null;
+}
+
+/** A position in words: metres of the map's frame, or degrees. */
+export function place(position) {
+  if (!position) return null;
+  const heading = position.heading === null ? "" : `, heading ${decimals(position.heading, 0)}°`;
+  if (position.x !== null) {
+    const height = position.z === null ? "" : `, z ${decimals(position.z)}`;
+    return `x ${decimals(position.x)}, y ${decimals(position.y)}${height} m${heading}`;
+  }
+  if (position.lat !== null) return `${decimals(position.lat, 6)}°, ${decimals(position.lon, 6)}°${heading}`;
+  return heading.slice(2) || null;
+}
+
+/** Ask before something is lost; `typed`: a text that has to be typed first. Resolves to whether it may be done. */
+export function confirmed({ title, text, action, typed = null }) {
+  return new Promise((resolve) => {
+    const input =
+      typed &&
+      h("input", {
+        autocomplete: "off",
+        spellcheck: "false",
+        oninput: () => {
+          sure.disabled = input.value !== typed;
+        },
+      });
+    const sure = h("button", { type: "submit", class: "danger", disabled: Boolean(typed) }, action);
+    const dialog = h(
+      "dialog",
+      { class: "small", "aria-labelledby": "confirm-title" },
+      h("h2", { id: "confirm-title" }, title),
+      h("p", {}, text),
+      h(
+        "form",
+        {
+          onsubmit: (event) => {
+            event.preventDefault();
+            dialog.close("yes");
+          },
+        },
+        typed && h("div", { class: "spaced" }, field(`To go on, type ${typed}`, input)),
+        h("div", { class: "row" }, sure, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel")),
+      ),
+    );
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      resolve(dialog.returnValue === "yes");
+    });
+    document.body.append(dialog);
+    dialog.showModal();
+  });
+}

@@ -1,0 +1,317 @@
+// Enrol: many photos, where each was taken, and what became of each.
+
+import { Problem, call } from "./api.js";
+import { mapSelect } from "./choice.js";
+import { attributesOf, positionsOf } from "./csv.js";
+import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
+import { placing } from "./placing.js";
+
+const AT_ONCE = 2;
+const TRIES = 5;
+const IMAGES = /\.(jpe?g|png|webp|bmp|tiff?|heic|heif)$/i;
+
+/** What was wrong with one photo, in a line. */
+function refusal({ title = "Error", detail, message, errors = [] }) {
+  const parameters = errors.map((wrong) => `; ${wrong.parameter}: ${wrong.detail}`).join("");
+  return `${title}: ${detail ?? message}${parameters}`;
+}
+
+export function enrolScreen() {
+  let entries = [];
+  let positions = null;
+  let running = false;
+  let current = null; // the photo whose fields were used last
+
+  const maps = mapSelect();
+  const other = h("input", {
+    placeholder: "a new one",
+    pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}",
+    spellcheck: "false",
+  });
+  const place = h("input", { maxlength: 200, placeholder: "for all without one" });
+  const frame = h(
+    "select",
+    {},
+    h("option", { value: "metres" }, "metres: x, y, heading"),
+    h("option", { value: "degrees" }, "degrees: lat, lon, heading"),
+  );
+  const list = h("ul", { class: "files", "aria-label": "Photos to enrol", tabindex: "0", hidden: true });
+  const told = h("div");
+  const bar = h("progress", { value: 0, max: 1, "aria-label": "Photos enrolled", hidden: true });
+  const summary = h("p", { class: "quiet" });
+  const start = h("button", { type: "submit", class: "first", disabled: true }, "Enrol");
+  const clear = h(
+    "button",
+    {
+      type: "button",
+      onclick: () => {
+        entries = [];
+        redraw();
+      },
+    },
+    "Clear the list",
+  );
+  const drop = h(
+    "div",
+    { class: "drop" },
+    h("p", {}, "Drop photos here, and a CSV file with their positions, or"),
+    h(
+      "div",
+      { class: "row" },
+      picker("Choose photos", { accept: "image/*", multiple: true }, add),
+      picker("Choose a folder", { webkitdirectory: true, multiple: true }, add),
+      picker("Take a photo", { accept: "image/*", capture: "environment" }, add),
+      picker("Positions (CSV)", { accept: ".csv,text/csv" }, add),
+    ),
+  );
+  takesDrops(drop, add);
+
+  const onPlan = placing(() => maps.select.value, nextToPlace);
+
+  /** The photo that a click on the plan places: the one in use, else the first without a position. */
+  function nextToPlace() {
+    const open = entries.filter((one) => one.state !== "done");
+    const one = open.includes(current) ? current : open.find((other) => !other.position.value);
+    return one ? { name: one.path, put: (position) => put(one, position) } : null;
+  }
+
+  function put(one, { x, y, lat, lon }) {
+    frame.value = x === undefined ? "degrees" : "metres";
+    const heading = one.position.value.split(/[\s,;]+/)[2];
+    const spot = x === undefined ? [lat.toFixed(6), lon.toFixed(6)] : [x.toFixed(2), y.toFixed(2)];
+    one.position.value = [...spot, heading].filter(Boolean).join(", ");
+    current = null;
+  }
+
+  async function add(files) {
+    told.replaceChildren();
+    const tables = files.filter((file) => /\.csv$/i.test(file.name));
+    const images = files.filter(
+      (file) => !tables.includes(file) && (file.type.startsWith("image/") || IMAGES.test(file.name)),
+    );
+    const skipped = files.filter((file) => !tables.includes(file) && !images.includes(file));
+    if (skipped.length)
+      told.append(
+        h(
+          "p",
+          { class: "refused" },
+          `Left out, since they are no images: ${skipped
+            .slice(0, 5)
+            .map((file) => file.name)
+            .join(", ")}${skipped.length > 5 ? " and others" : ""}.`,
+        ),
+      );
+    for (const table of tables) {
+      try {
+        positions = positionsOf(await table.text());
+      } catch (error) {
+        told.append(problemBox({ title: table.name, detail: error.message }));
+      }
+    }
+    entries.push(...images.map((file) => entry(file)));
+    if (positions) {
+      const fitted = entries.filter((one) => one.state !== "done" && fill(one, attributesOf(positions, one.path)));
+      told.append(
+        h(
+          "p",
+          {},
+          `The CSV file has ${count(positions.size, "row")}; `,
+          `${fitted.length} of ${count(entries.length, "photo")} have one.`,
+        ),
+      );
+    }
+    redraw();
+  }
+
+  function entry(file) {
+    const one = {
+      file,
+      path: file.webkitRelativePath || file.name,
+      state: "waiting",
+      detail: "",
+      more: {},
+      url: URL.createObjectURL(file),
+    };
+    one.place = h("input", { "aria-label": `Place of ${file.name}`, placeholder: "place", maxlength: 200 });
+    one.position = h("input", {
+      "aria-label": `Position of ${file.name}`,
+      placeholder: "position",
+      spellcheck: "false",
+    });
+    one.status = h("span", { class: "waiting" }, "waiting");
+    one.element = h(
+      "li",
+      { onfocusin: () => used(one) },
+      h("img", { src: one.url, alt: "", loading: "lazy", onerror: (event) => event.target.removeAttribute("src") }),
+      h(
+        "div",
+        {},
+        h("span", { class: "name" }, one.path),
+        " ",
+        one.status,
+        h("div", { class: "fields" }, one.place, one.position),
+      ),
+    );
+    return one;
+  }
+
+  function fill(one, row) {
+    if (!row) return false;
+    const { place: name, x, y, lat, lon, heading, ...more } = row;
+    one.place.value = name ?? one.place.value;
+    if (x !== undefined || lat !== undefined) {
+      frame.value = x === undefined ? "degrees" : "metres";
+      one.position.value = [x ?? lat, y ?? lon, heading].filter((value) => value !== undefined).join(", ");
+    } else if (heading !== undefined) more.heading = heading;
+    one.more = more;
+    return true;
+  }
+
+  function used(one) {
+    current = one;
+    onPlan.told();
+  }
+
+  function redraw() {
+    onPlan.told();
+    list.replaceChildren(...entries.map((one) => one.element));
+    list.hidden = entries.length === 0;
+    const left = entries.filter((one) => one.state !== "done").length;
+    start.disabled = running || left === 0;
+    const again = left > 0 && entries.every((one) => ["done", "refused"].includes(one.state));
+    start.textContent = left ? `${again ? "Try again: enrol" : "Enrol"} ${count(left, "photo")}` : "Enrol";
+    clear.disabled = running || entries.length === 0;
+  }
+
+  /** The parts of one enrolment; raises Problem for a position that cannot be read. */
+  function formOf(one, map) {
+    const form = new FormData();
+    form.append("image", one.file, one.file.name);
+    form.append("map", map);
+    const name = one.place.value.trim() || place.value.trim();
+    if (name) form.append("place", name);
+    const numbers = one.position.value.split(/[\s,;]+/).filter(Boolean);
+    if (numbers.length === 1 || numbers.length > 3)
+      throw new Problem(0, {
+        title: "Position",
+        detail: `two numbers are needed and perhaps a heading, as in 12.5, 3.0, 90; not ${one.position.value}`,
+      });
+    const names = frame.value === "metres" ? ["x", "y", "heading"] : ["lat", "lon", "heading"];
+    numbers.forEach((value, index) => form.append(names[index], value));
+    for (const [key, value] of Object.entries(one.more)) form.append(key, value);
+    return form;
+  }
+
+  function mark(one, state, text) {
+    one.state = state;
+    one.status.className = state;
+    one.status.replaceChildren(text);
+  }
+
+  async function enrol(one, map) {
+    for (let tried = 1; ; tried += 1) {
+      try {
+        mark(one, "waiting", "sending …");
+        const { view, created } = await call("POST", "/enroll", { form: formOf(one, map) });
+        mark(one, "done", created ? "enrolled" : "was there already");
+        one.place.value ||= view.place ?? "";
+        return;
+      } catch (error) {
+        if ([429, 503].includes(error.status) && tried < TRIES) {
+          const seconds = error.retryAfter ?? 2;
+          mark(one, "waiting", `the service is busy; again in ${seconds} s`);
+          await new Promise((resolve) => setTimeout(resolve, seconds * 1000));
+        } else {
+          mark(one, "refused", refusal(error));
+          if (error.status === 401) throw error;
+          return;
+        }
+      }
+    }
+  }
+
+  async function run(event) {
+    event.preventDefault();
+    const map = other.value.trim() || maps.select.value;
+    const queue = entries.filter((one) => one.state !== "done");
+    const whole = queue.length;
+    let finished = 0;
+    running = true;
+    bar.hidden = false;
+    redraw();
+    const tell = () => {
+      const refused = entries.filter((one) => one.state === "refused").length;
+      bar.value = whole ? finished / whole : 1;
+      summary.textContent = `${finished} of ${count(whole, "photo")} done${refused ? `, ${refused} refused` : ""}.`;
+    };
+    tell();
+    try {
+      await Promise.all(
+        Array.from({ length: AT_ONCE }, async () => {
+          for (let one = queue.shift(); one; one = queue.shift()) {
+            await enrol(one, map);
+            finished += 1;
+            tell();
+          }
+        }),
+      );
+      announce(summary.textContent);
+    } catch (error) {
+      queue.length = 0;
+      if (error.status !== 401) told.replaceChildren(problemBox(error));
+    } finally {
+      running = false;
+      sessionStorage.setItem("revisit-map", map);
+      other.value = "";
+      redraw();
+      await maps.refresh().catch(() => {});
+    }
+  }
+
+  return {
+    element: h(
+      "div",
+      {},
+      h("h1", {}, "Enrol photos of places"),
+      h(
+        "form",
+        { class: "panel", onsubmit: run },
+        drop,
+        h("p"),
+        h(
+          "div",
+          { class: "fields" },
+          field("Map", maps.select),
+          field("or a new map", other),
+          field("Place", place),
+          field("Positions are in", frame),
+        ),
+        onPlan.element,
+        told,
+        h("div", { class: "row" }, start, clear),
+        bar,
+        summary,
+      ),
+      h(
+        "section",
+        { class: "panel", "aria-label": "Photos" },
+        list,
+        h(
+          "details",
+          {},
+          h("summary", {}, "A CSV file of positions"),
+          h(
+            "p",
+            {},
+            "Its first line names columns: file, and some of place, x, y, z, lat, lon, alt, heading, captured_at. ",
+            "A row belongs to the photos whose path ends with its file:",
+          ),
+          h("pre", {}, "file,place,x,y,heading\nentrance.jpg,main entrance,12.0,3.5,90"),
+        ),
+      ),
+    ),
+    enter: async () => {
+      await maps.refresh();
+    },
+  };
+}

@@ -1,0 +1,168 @@
+// The frame: which screen is shown, sign in, light and dark.
+
+import { Problem, call, key } from "./api.js";
+import { announce, field, h, problemBox } from "./dom.js";
+import { enrolScreen } from "./enrol.js";
+import { mapScreen } from "./map.js";
+import { mapsScreen } from "./maps.js";
+import { queryScreen } from "./query.js";
+import { serviceScreen } from "./service.js";
+
+const main = document.getElementById("main");
+const kept = new Map(); // screens that go on while others are looked at
+let leave = null;
+
+const SCREENS = {
+  ask: { title: "Ask", make: queryScreen, keep: true },
+  enrol: { title: "Enrol", make: enrolScreen, keep: true },
+  maps: { title: "Maps", make: (name) => (name ? mapScreen(name) : mapsScreen()) },
+  service: { title: "Service", make: serviceScreen },
+};
+
+/** Show what the address names: `#ask`, `#maps/campus`. A screen may have `enter` and `leave`. */
+async function show() {
+  const [name, argument] = location.hash.slice(1).split("/");
+  if (name === "main") return;
+  const chosen = SCREENS[name] ? name : "ask";
+  const { title, make, keep } = SCREENS[chosen];
+  for (const link of document.querySelectorAll("nav a")) {
+    if (link.getAttribute("href") === `#${chosen}`) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  document.title = `${title} · revisit`;
+  leave?.();
+  const screen = kept.get(chosen) ?? make(argument && decodeURIComponent(argument));
+  if (keep) kept.set(chosen, screen);
+  leave = screen.leave ?? null;
+  main.replaceChildren(screen.element);
+  main.setAttribute("aria-busy", "true");
+  await screen.enter?.();
+  main.removeAttribute("aria-busy");
+  main.dataset.screen = location.hash.slice(1);
+}
+
+function shown() {
+  show().catch((error) => {
+    if (error instanceof Problem && error.status === 401) return; // the dialog is open
+    main.prepend(problemBox(error));
+  });
+}
+
+function signIn(problem = null) {
+  if (document.getElementById("sign-in")) return;
+  const input = h("input", {
+    type: "password",
+    autocomplete: "off",
+    spellcheck: "false",
+    required: true,
+    "aria-describedby": "sign-in-why",
+  });
+  const told = h("div", {}, problem && key.get() ? problemBox(problem) : null);
+  const dialog = h(
+    "dialog",
+    { id: "sign-in", class: "small", "aria-labelledby": "sign-in-title" },
+    h("h2", { id: "sign-in-title" }, "Sign in with a key"),
+    h(
+      "p",
+      { id: "sign-in-why", class: "quiet" },
+      "The key is kept in this tab alone and forgotten when it closes. ",
+      "The operator makes one with ",
+      h("code", {}, "./revisit keys create NAME"),
+      ".",
+    ),
+    told,
+    h(
+      "form",
+      { onsubmit: tried },
+      h("div", { class: "spaced" }, field("Key", input)),
+      h(
+        "div",
+        { class: "row" },
+        h("button", { type: "submit", class: "first" }, "Sign in"),
+        h("button", { type: "button", onclick: () => dialog.close() }, "Close"),
+        key.get() &&
+          h(
+            "button",
+            {
+              type: "button",
+              class: "danger",
+              onclick: () => {
+                key.forget();
+                dialog.close();
+                restart();
+              },
+            },
+            "Forget the key",
+          ),
+      ),
+    ),
+  );
+  async function tried(event) {
+    event.preventDefault();
+    const before = key.get();
+    key.set(input.value.trim());
+    try {
+      await call("GET", "/maps", { quiet: true });
+      dialog.close();
+      announce("signed in");
+      restart();
+    } catch (error) {
+      if (before) key.set(before);
+      else key.forget();
+      told.replaceChildren(problemBox(error));
+      input.focus();
+      input.select();
+    }
+  }
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+/** Begin anew, with what this key may see. */
+function restart() {
+  kept.clear();
+  shown();
+}
+
+const THEMES = { "": "Auto", light: "Light", dark: "Dark" };
+
+function theme(name) {
+  const button = document.getElementById("theme");
+  if (name) document.documentElement.dataset.theme = name;
+  else delete document.documentElement.dataset.theme;
+  button.textContent = THEMES[name];
+  button.setAttribute("aria-label", `Colours: ${THEMES[name].toLowerCase()}`);
+  localStorage.setItem("revisit-theme", name);
+  window.dispatchEvent(new Event("theme"));
+}
+
+document.getElementById("theme").addEventListener("click", () => {
+  const names = Object.keys(THEMES);
+  theme(names[(names.indexOf(document.documentElement.dataset.theme ?? "") + 1) % names.length]);
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("theme")));
+document.getElementById("key").addEventListener("click", () => signIn());
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault();
+  main.focus();
+});
+// A link sends no key: where one is needed, the documentation cannot be opened by one.
+const links = () => (document.getElementById("docs").hidden = Boolean(key.get()));
+window.addEventListener("key", links);
+links();
+window.addEventListener("unauthorized", (event) => signIn(event.detail));
+window.addEventListener("hashchange", () => {
+  shown();
+  window.scrollTo(0, 0);
+});
+
+const remembered = localStorage.getItem("revisit-theme");
+theme(remembered in THEMES ? remembered : "");
+call("GET", "/version", { quiet: true }).then(
+  (version) => {
+    document.getElementById("version").textContent = version.version;
+  },
+  () => {},
+);
+shown();

@@ -1,0 +1,95 @@
+// Maps: all of them, and new ones.
+
+import { call } from "./api.js";
+import { field, h, problemBox, size, table } from "./dom.js";
+
+export function mapsScreen() {
+  const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Maps" });
+  const told = h("div");
+  const inputs = {
+    name: h("input", { required: true, pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}", spellcheck: "false" }),
+    preset: h("input", { placeholder: "default", spellcheck: "false" }),
+    labels: h("input", { placeholder: "building, tree, road, car" }),
+    dynamic: h("input", { placeholder: "car" }),
+  };
+
+  async function load() {
+    const { maps } = await call("GET", "/maps");
+    const start = h("a", { href: "#enrol" }, "Enrol some photos");
+    list.replaceChildren(
+      maps.length
+        ? table(["Map", "Views", "Places", "Size"], maps.map(row))
+        : h("p", {}, "Nothing is enrolled yet. ", start, " to make the first map."),
+    );
+  }
+
+  async function made(event) {
+    event.preventDefault();
+    const named = (input) =>
+      input.value
+        .split(",")
+        .map((one) => one.trim())
+        .filter(Boolean);
+    const list = (input) => (input.value.trim() ? named(input) : null);
+    const wanted = {
+      labels: list(inputs.labels),
+      dynamic: list(inputs.dynamic),
+      preset: inputs.preset.value.trim() || null,
+    };
+    const given = Object.fromEntries(Object.entries(wanted).filter(([, value]) => value !== null));
+    try {
+      const facts = await call("PUT", `/maps/${encodeURIComponent(inputs.name.value.trim())}`, { json: given });
+      location.hash = `#maps/${encodeURIComponent(facts.name)}`;
+    } catch (error) {
+      told.replaceChildren(problemBox(error));
+    }
+  }
+
+  return {
+    element: h(
+      "div",
+      {},
+      h("h1", {}, "Maps"),
+      h("section", { class: "panel" }, list),
+      h(
+        "section",
+        { class: "panel" },
+        h(
+          "details",
+          {},
+          h("summary", {}, "New map"),
+          h("p", {}, "Enrolling makes a map too. Make one here to choose its labels first."),
+          told,
+          h(
+            "form",
+            { onsubmit: made },
+            h(
+              "div",
+              { class: "fields" },
+              field("Name", inputs.name),
+              field("Preset", inputs.preset),
+              field("Labels, with commas", inputs.labels),
+              field("Those that move", inputs.dynamic),
+            ),
+            h("button", { type: "submit", class: "first" }, "Make the map"),
+          ),
+        ),
+      ),
+    ),
+    enter: load,
+  };
+}
+
+function row(map) {
+  const { ready = 0, pending = 0, failed = 0 } = map.views;
+  return [
+    h("a", { href: `#maps/${encodeURIComponent(map.name)}` }, map.name),
+    [
+      ready.toLocaleString("en-GB"),
+      pending > 0 && h("span", { class: "quiet" }, `, ${pending} pending`),
+      failed > 0 && h("span", { class: "refused" }, `, ${failed} failed`),
+    ],
+    map.places.toLocaleString("en-GB"),
+    size(map.bytes),
+  ];
+}

@@ -1,0 +1,192 @@
+// A plan of positions, drawn without tiles: metres of the map's frame, or degrees laid flat around their middle.
+
+import { call } from "./api.js";
+import { count, h } from "./dom.js";
+
+const METRES_PER_DEGREE = 111_320;
+const MARGIN = 28;
+const NEAR_PX = 14;
+
+/** A position as metres east and north; `middle` is the latitude that degrees are laid flat at. */
+function flat(position, middle) {
+  if (position.x !== null && position.x !== undefined) return [position.x, position.y];
+  if (position.lat === null || position.lat === undefined) return null;
+  return [position.lon * METRES_PER_DEGREE * Math.cos((middle * Math.PI) / 180), position.lat * METRES_PER_DEGREE];
+}
+
+/**
+ * A plan of points {position, kind, name}; kinds: view, match, first.
+ * circle: {position, radius in m or null}. picked(point) is called for the point that was chosen, placed(position) for
+ * any spot.
+ * Gives {element, add(points)}.
+ */
+export function plan(points, { circle = null, picked = null, placed = null } = {}) {
+  const canvas = h("canvas", { class: picked || placed ? "plan picks" : "plan", role: "img" });
+  const said = h("p", { class: "quiet" });
+  let all = [...points];
+  let drawn = []; // [pixel x, pixel y, point]
+  let toMap = null;
+
+  function draw() {
+    const { clientWidth: width, clientHeight: height } = canvas;
+    if (!width) return;
+    const ratio = window.devicePixelRatio || 1;
+    canvas.width = width * ratio;
+    canvas.height = height * ratio;
+    const paint = canvas.getContext("2d");
+    paint.scale(ratio, ratio);
+    paint.font = "12px system-ui, sans-serif";
+    const latitudes = all.map((one) => one.position.lat).filter((lat) => lat !== null && lat !== undefined);
+    const middle = circle?.position.lat ?? (latitudes.length ? latitudes[Math.floor(latitudes.length / 2)] : 0);
+    const spots = all.map((point) => [flat(point.position, middle), point]).filter(([spot]) => spot);
+    const centre = circle && flat(circle.position, middle);
+    const reach = circle?.radius ?? 0;
+    const corners = [
+      ...spots.map(([spot]) => spot),
+      ...(centre
+        ? [
+            [centre[0] - reach, centre[1] - reach],
+            [centre[0] + reach, centre[1] + reach],
+          ]
+        : []),
+    ];
+    canvas.setAttribute(
+      "aria-label",
+      `Plan with ${count(spots.length, "position")}${centre ? " and where your photo was taken" : ""}`,
+    );
+    if (!corners.length) return;
+    const [west, east] = range(corners, 0);
+    const [south, north] = range(corners, 1);
+    const scale = Math.min(
+      (width - 2 * MARGIN) / Math.max(east - west, 1),
+      (height - 2 * MARGIN) / Math.max(north - south, 1),
+    );
+    const x = (value) => width / 2 + (value - (west + east) / 2) * scale;
+    const y = (value) => height / 2 - (value - (south + north) / 2) * scale;
+    toMap = (left, top) => {
+      const [along, up] = [
+        (left - width / 2) / scale + (west + east) / 2,
+        (height / 2 - top) / scale + (south + north) / 2,
+      ];
+      const lat = up / METRES_PER_DEGREE;
+      const lon = along / (METRES_PER_DEGREE * Math.cos((middle * Math.PI) / 180));
+      return latitudes.length ? { lat, lon } : { x: along, y: up };
+    };
+    drawn = spots.map(([spot, point]) => [x(spot[0]), y(spot[1]), point]);
+    const radius = drawn.length > 2000 ? 1.5 : drawn.length > 300 ? 2.5 : 4;
+    for (const [kind, name, bigger] of [
+      ["view", "--quiet", 0],
+      ["match", "--accent", 2],
+      ["first", "--good", 4],
+    ]) {
+      paint.fillStyle = colour(name);
+      for (const [left, top, point] of drawn) {
+        if (point.kind !== kind) continue;
+        paint.beginPath();
+        paint.arc(left, top, radius + bigger, 0, 2 * Math.PI);
+        paint.fill();
+      }
+    }
+    label(paint, width);
+    if (centre) around(paint, x(centre[0]), y(centre[1]), reach * scale);
+    scaleBar(paint, scale, height);
+  }
+
+  /** Names beside their points, the best match first; one that would cover another is left out. */
+  function label(paint, width) {
+    const named = drawn.filter(([, , { kind, name }]) => name && kind !== "view");
+    const taken = [];
+    for (const [left, top, { kind, name }] of named.sort(
+      (a, b) => (b[2].kind === "first") - (a[2].kind === "first"),
+    )) {
+      const long = paint.measureText(name).width;
+      const begin = left + 10 + long < width ? left + 10 : left - 10 - long;
+      const box = { begin, end: begin + long, top: top - 6 };
+      if (taken.some((one) => begin < one.end && box.end > one.begin && Math.abs(one.top - box.top) < 15)) continue;
+      taken.push(box);
+      paint.fillStyle = colour(kind === "first" ? "--good" : "--accent");
+      paint.fillText(name, begin, box.top);
+    }
+  }
+
+  function around(paint, left, top, reach) {
+    paint.strokeStyle = colour("--bad");
+    paint.lineWidth = 2;
+    paint.beginPath();
+    paint.arc(left, top, Math.max(reach, 7), 0, 2 * Math.PI);
+    paint.moveTo(left - 5, top);
+    paint.lineTo(left + 5, top);
+    paint.moveTo(left, top - 5);
+    paint.lineTo(left, top + 5);
+    paint.stroke();
+  }
+
+  function scaleBar(paint, scale, height) {
+    const wanted = 90 / scale;
+    const power = 10 ** Math.floor(Math.log10(wanted));
+    const length = [5, 2, 1].map((step) => step * power).find((one) => one <= wanted);
+    paint.strokeStyle = paint.fillStyle = colour("--ink");
+    paint.lineWidth = 2;
+    paint.beginPath();
+    paint.moveTo(12, height - 16);
+    paint.lineTo(12, height - 12);
+    paint.lineTo(12 + length * scale, height - 12);
+    paint.lineTo(12 + length * scale, height - 16);
+    paint.stroke();
+    paint.fillText(length >= 1000 ? `${length / 1000} km` : `${length} m`, 16, height - 18);
+  }
+
+  function colour(name) {
+    said.style.color = `var(${name})`;
+    const found = getComputedStyle(said).color;
+    said.style.color = "";
+    return found;
+  }
+
+  canvas.addEventListener("click", (event) => {
+    const found = nearest(event.offsetX, event.offsetY);
+    if (placed && toMap) placed(toMap(event.offsetX, event.offsetY));
+    else if (picked && found) picked(found);
+  });
+  canvas.addEventListener("mousemove", (event) => {
+    said.textContent = nearest(event.offsetX, event.offsetY)?.name ?? "";
+  });
+  function nearest(left, top) {
+    let [best, least] = [null, NEAR_PX];
+    for (const [x, y, point] of drawn) {
+      const distance = Math.hypot(x - left, y - top);
+      if (distance < least) [best, least] = [point, distance];
+    }
+    return best;
+  }
+  new ResizeObserver(draw).observe(canvas);
+  const redraw = () => (canvas.isConnected ? draw() : window.removeEventListener("theme", redraw));
+  window.addEventListener("theme", redraw);
+  return {
+    element: h("div", {}, canvas, said),
+    add: (more) => {
+      all = [...all, ...more];
+      draw();
+    },
+  };
+}
+
+/** Points for the views of a map that have a position: of the first page, which gives a map its shape. */
+export async function surroundings(map) {
+  const { views } = await call("GET", "/views", { query: { map, limit: 500 } });
+  return views.filter((view) => view.position).map(pointOf);
+}
+
+/** A view as a point of a plan. */
+export function pointOf(view) {
+  return { position: view.position, kind: "view", name: view.place ?? view.id.slice(-6), view };
+}
+
+function range(corners, axis) {
+  let [least, most] = [Infinity, -Infinity];
+  for (const corner of corners) {
+    least = Math.min(least, corner[axis]);
+    most = Math.max(most, corner[axis]);
+  }
+  return [least, most];
+}

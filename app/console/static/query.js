@@ -1,0 +1,173 @@
+// Ask: a photo, and where it was taken.
+
+import { answerPanel } from "./answer.js";
+import { call } from "./api.js";
+import { mapSelect } from "./choice.js";
+import { announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
+import { snippets } from "./snippets.js";
+
+export function queryScreen() {
+  let file = null;
+  let url = null;
+  let asked = 0;
+
+  const maps = mapSelect((facts) => {
+    about.textContent = facts
+      ? `${count(facts.views.ready ?? 0, "view")} of ${count(facts.places, "place")} to compare with`
+      : "nothing is enrolled there yet";
+  });
+  const about = h("p", { class: "quiet" });
+  const photo = h("div");
+  const drop = h(
+    "div",
+    { class: "drop" },
+    photo,
+    h("p", {}, "Drop a photo here, paste one, or"),
+    h(
+      "div",
+      { class: "row" },
+      picker("Choose a photo", { accept: "image/*" }, ([chosen]) => take(chosen)),
+      picker("Take a photo", { accept: "image/*", capture: "environment" }, ([chosen]) => take(chosen)),
+    ),
+  );
+  takesDrops(drop, ([dropped]) => take(dropped));
+
+  const precision = h(
+    "select",
+    {},
+    [
+      ["", "as the map says"],
+      ["0.9", "90 of 100"],
+      ["0.95", "95 of 100"],
+      ["0.97", "97 of 100"],
+      ["0.99", "99 of 100"],
+      ["0.999", "999 of 1,000"],
+    ].map(([value, text]) => h("option", { value }, text)),
+  );
+  const inputs = {
+    top: h("input", { type: "number", min: 1, max: 100, value: "5" }),
+    place: h("input", { maxlength: 200 }),
+    near: h("input", { placeholder: "12.5,3.0,20", spellcheck: "false" }),
+    after: h("input", { placeholder: "2026-03-01T09:30:00Z", spellcheck: "false" }),
+    before: h("input", { placeholder: "2026-03-31T00:00:00Z", spellcheck: "false" }),
+    exclude_last: h("input", { placeholder: "10 or 30s", spellcheck: "false" }),
+    metadata: h("input", { placeholder: "floor=2", spellcheck: "false" }),
+  };
+  const frame = h("select", {}, h("option", { value: "" }, "metres"), h("option", { value: "geo" }, "degrees"));
+  const explain = checkbox("Draw what agrees", { checked: true });
+  const again = h("button", { type: "submit", class: "first", disabled: true }, "Ask");
+  const form = h(
+    "form",
+    {
+      onsubmit: (event) => {
+        event.preventDefault();
+        ask();
+      },
+    },
+    drop,
+    h("p"),
+    h("div", { class: "fields" }, field("Map", maps.select), field("Right answers among the sure ones", precision)),
+    about,
+    h(
+      "details",
+      {},
+      h("summary", {}, "Filters and more"),
+      h(
+        "div",
+        { class: "fields" },
+        field("Matches at most", inputs.top),
+        field("Only the place", inputs.place),
+        field("Near x,y,radius", inputs.near),
+        field("Near is in", frame),
+        field("Captured after", inputs.after),
+        field("Captured before", inputs.before),
+        field("Without the newest", inputs.exclude_last),
+        field("Metadata", inputs.metadata),
+      ),
+    ),
+    h("div", { class: "row between" }, explain.label, again),
+  );
+  const result = h("div", {}, h("p", { class: "quiet" }, "The answer appears here: the place, how sure, and why."));
+  const below = h("div");
+
+  function take(chosen) {
+    if (!chosen) return;
+    if (url) URL.revokeObjectURL(url);
+    file = chosen;
+    url = URL.createObjectURL(chosen);
+    const preview = h("img", {
+      src: url,
+      alt: `Your photo, ${chosen.name}`,
+      onerror: () => {
+        preview.replaceWith(h("p", {}, chosen.name));
+      },
+    });
+    photo.replaceChildren(preview);
+    again.disabled = false;
+    ask();
+  }
+
+  /** What is sent besides the image; the console adds nothing that a curl call could not. */
+  function parameters() {
+    const given = {
+      map: maps.select.value,
+      precision: precision.value,
+      explain: explain.box.checked ? "true" : "",
+      frame: inputs.near.value && frame.value,
+    };
+    for (const [name, input] of Object.entries(inputs)) given[name] = input.value.trim();
+    const [name, ...value] = given.metadata.split("=");
+    delete given.metadata;
+    if (name) given[`metadata.${name}`] = value.join("=");
+    if (given.top === "5") delete given.top;
+    return Object.fromEntries(Object.entries(given).filter(([, text]) => text !== ""));
+  }
+
+  async function ask() {
+    if (!file) return;
+    const mine = ++asked;
+    const query = parameters();
+    const sent = new FormData();
+    sent.append("image", file, file.name || "photo");
+    again.disabled = true;
+    result.replaceChildren(h("p", {}, "Looking …"));
+    below.replaceChildren();
+    try {
+      const answer = await call("POST", "/query", { query, form: sent });
+      if (mine !== asked) return;
+      const { short, long } = answerPanel(answer, url);
+      result.replaceChildren(...short);
+      below.replaceChildren(...long, snippets(query, file.name || "photo.jpg"));
+      announce(result.querySelector("h2").textContent);
+    } catch (error) {
+      if (mine === asked) result.replaceChildren(problemBox(error));
+    } finally {
+      if (mine === asked) again.disabled = false;
+    }
+  }
+
+  function pasted(event) {
+    const image = [...event.clipboardData.files].find((one) => one.type.startsWith("image/"));
+    if (image) take(image);
+  }
+
+  return {
+    element: h(
+      "div",
+      {},
+      h("h1", {}, "Where was this taken?"),
+      h(
+        "div",
+        { class: "columns" },
+        h("section", { class: "panel", "aria-label": "Your photo" }, form),
+        h("section", { "aria-label": "Answer" }, result),
+      ),
+      below,
+    ),
+    enter: async () => {
+      document.addEventListener("paste", pasted);
+      await maps.refresh();
+    },
+    leave: () => document.removeEventListener("paste", pasted),
+  };
+}

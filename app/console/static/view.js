@@ -1,0 +1,200 @@
+// One view: its image, what the service sees in it, its attributes, and deleting it.
+
+import { call } from "./api.js";
+import { bars, confirmed, facts, field, h, moment, place as inWords, problemBox, size } from "./dom.js";
+import { drawing } from "./images.js";
+
+/** Open a dialog with a view; `changed` is called after it was edited or deleted. */
+export function openView(view, map, changed) {
+  const told = h("div");
+  const picture = h("div");
+  const kinds = [
+    [
+      "Photo",
+      () =>
+        drawing(
+          view.links.image,
+          `Photo of ${view.place ?? "a view"}`,
+          `${view.image.width} × ${view.image.height}, ${size(view.image.bytes)}`,
+        ),
+    ],
+    [
+      "Labels",
+      () =>
+        drawing(`${view.links.segmentation}?overlay=true&legend=true`, "Labels of the view", "What moves is grey."),
+    ],
+    [
+      "Graph",
+      () =>
+        drawing(`${view.links.graph}?legend=true`, "Context graph of the view", "Regions and which of them touch."),
+    ],
+  ];
+  const choices = kinds.map(([name, make]) => {
+    const button = h(
+      "button",
+      {
+        type: "button",
+        "aria-pressed": "false",
+        onclick: () => {
+          for (const other of choices) other.setAttribute("aria-pressed", other === button);
+          picture.replaceChildren(make());
+        },
+      },
+      name,
+    );
+    return button;
+  });
+  const dialog = h(
+    "dialog",
+    { "aria-labelledby": "view-title" },
+    h(
+      "div",
+      { class: "row between" },
+      h("h2", { id: "view-title" }, view.place ?? "A view without a name"),
+      h("button", { type: "button", onclick: () => dialog.close() }, "Close"),
+    ),
+    h(
+      "div",
+      { class: "columns" },
+      h("div", {}, h("div", { class: "row", role: "group", "aria-label": "Shown" }, choices), h("p"), picture),
+      h(
+        "div",
+        {},
+        told,
+        view.failure && problemBox({ title: view.failure.code, detail: view.failure.detail }),
+        facts([
+          ["Position", inWords(view.position)],
+          ["Captured", moment(view.captured_at)],
+          ["Enrolled", moment(view.enrolled_at)],
+          ["State", view.state],
+          ["Id", h("code", {}, view.id)],
+        ]),
+        view.description &&
+          h(
+            "details",
+            {},
+            h("summary", {}, "What it shows"),
+            bars(view.description.labels.slice(0, 10).map((one) => [one.label, one.share])),
+          ),
+        editor(view, map, told, done),
+        h("p"),
+        h("button", { type: "button", class: "danger", onclick: remove }, "Delete this view …"),
+      ),
+    ),
+  );
+
+  function done() {
+    dialog.close();
+    changed();
+  }
+  async function remove() {
+    if (
+      !(await confirmed({
+        title: "Delete this view?",
+        text: "The view and its image are deleted. This cannot be undone.",
+        action: "Delete the view",
+      }))
+    )
+      return;
+    try {
+      await call("DELETE", view.links.self);
+      done();
+    } catch (error) {
+      told.replaceChildren(problemBox(error));
+    }
+  }
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  choices[0].click();
+  dialog.showModal();
+}
+
+function editor(view, map, told, done) {
+  const position = view.position ?? {};
+  const geographic =
+    position.lat !== undefined && position.lat !== null
+      ? true
+      : position.x === undefined || position.x === null
+        ? isNumber(map.extent?.minimum.lat)
+        : false;
+  const names = [...(geographic ? ["lat", "lon", "alt"] : ["x", "y", "z"]), "heading"];
+  const inputs = Object.fromEntries(
+    names.map((name) => [
+      name,
+      h("input", { inputmode: "decimal", value: isNumber(position[name]) ? String(position[name]) : "" }),
+    ]),
+  );
+  const place = h("input", { maxlength: 200, value: view.place ?? "" });
+  const metadata = h("textarea", {
+    spellcheck: "false",
+    value: Object.keys(view.metadata).length ? JSON.stringify(view.metadata, null, 1) : "",
+  });
+  const units = {
+    x: "x, metres",
+    y: "y, metres",
+    z: "z, metres",
+    lat: "Latitude",
+    lon: "Longitude",
+    alt: "Altitude, metres",
+    heading: "Heading, degrees",
+  };
+
+  async function saved(event) {
+    event.preventDefault();
+    try {
+      const numbers = Object.fromEntries(
+        Object.entries(inputs).map(([name, input]) => [
+          name,
+          input.value.trim() === "" ? null : number(units[name], input.value),
+        ]),
+      );
+      const kept = metadata.value.trim() ? JSON.parse(metadata.value) : {};
+      const removed = Object.fromEntries(
+        Object.keys(view.metadata)
+          .filter((name) => !(name in kept))
+          .map((name) => [name, null]),
+      );
+      const empty = Object.values(numbers).every((value) => value === null);
+      await call("PATCH", view.links.self, {
+        json: {
+          place: place.value.trim() || null,
+          position: empty ? null : numbers,
+          metadata: { ...removed, ...kept },
+        },
+        type: "application/merge-patch+json",
+      });
+      done();
+    } catch (error) {
+      told.replaceChildren(
+        problemBox(
+          error instanceof SyntaxError ? { title: "Metadata", detail: `not a JSON object: ${error.message}` } : error,
+        ),
+      );
+    }
+  }
+  return h(
+    "details",
+    {},
+    h("summary", {}, "Edit"),
+    h(
+      "form",
+      { onsubmit: saved },
+      h("div", { class: "spaced" }, field("Place", place)),
+      h(
+        "div",
+        { class: "fields" },
+        names.map((name) => field(units[name], inputs[name])),
+      ),
+      h("div", { class: "spaced" }, field("Metadata, a JSON object", metadata)),
+      h("button", { type: "submit", class: "first" }, "Save"),
+    ),
+  );
+}
+
+const isNumber = (value) => typeof value === "number";
+
+function number(name, text) {
+  const value = Number(text.replace(",", "."));
+  if (!Number.isFinite(value)) throw Object.assign(new Error(), { title: name, detail: `${text} is no number` });
+  return value;
+}

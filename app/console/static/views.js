@@ -1,0 +1,125 @@
+// The views of a map: fetched page by page, shown as thumbnails of which only those in sight exist.
+
+import { pages } from "./api.js";
+import { h, place as inWords } from "./dom.js";
+import { image } from "./images.js";
+
+const PAGE = 500;
+const SMALLEST_PX = 128;
+const BEYOND = 2; // rows above and below what is in sight
+
+/** A list of views that grows by pages as far as somebody looks. */
+export class Views {
+  constructor(query, grown = () => {}) {
+    this.items = [];
+    this.complete = false;
+    this._grown = grown;
+    this._pages = pages("/views", { limit: PAGE, ...query });
+    this._reading = null;
+  }
+
+  /** Read on until `number` views are there, or all. */
+  async upTo(number) {
+    while (!this.complete && this.items.length < number) {
+      this._reading ??= this._next();
+      await this._reading;
+    }
+  }
+
+  async _next() {
+    try {
+      const { value, done } = await this._pages.next();
+      if (done) this.complete = true;
+      else {
+        this.items.push(...value.views);
+        this.complete = !value.next;
+        this._grown(value.views);
+      }
+    } finally {
+      this._reading = null;
+    }
+  }
+}
+
+/**
+ * A grid of thumbnails that scrolls through any number of views.
+ * total: how many there are by the map's counts, so that the bar is as long from the start.
+ */
+export function grid(views, total, chosen) {
+  const track = h("div", { class: "track", role: "list" });
+  const element = h(
+    "div",
+    { class: "grid", tabindex: "0", role: "region", "aria-label": "Thumbnails of views" },
+    track,
+  );
+  const cells = new Map(); // index -> element
+  let failed = null;
+
+  const length = () => (views.complete ? views.items.length : Math.max(total, views.items.length));
+
+  function draw() {
+    const width = element.clientWidth;
+    if (!width) return;
+    const columns = Math.max(2, Math.floor(width / SMALLEST_PX));
+    const side = width / columns;
+    const height = side * 0.75;
+    track.style.height = `${Math.ceil(length() / columns) * height}px`;
+    const top = Math.max(0, Math.floor(element.scrollTop / height) - BEYOND) * columns;
+    const bottom = Math.min(
+      length(),
+      (Math.ceil((element.scrollTop + element.clientHeight) / height) + BEYOND) * columns,
+    );
+    for (const [index, cell] of cells) {
+      if ((index < top || index >= bottom) && !cell.contains(document.activeElement)) {
+        cell.remove();
+        cells.delete(index);
+      }
+    }
+    for (let index = top; index < bottom; index += 1) {
+      const view = views.items[index];
+      if (!view) break;
+      const cell = cells.get(index) ?? made(view, index);
+      Object.assign(cell.style, {
+        width: `${side}px`,
+        height: `${height}px`,
+        left: `${(index % columns) * side}px`,
+        top: `${Math.floor(index / columns) * height}px`,
+      });
+      cell.setAttribute("aria-setsize", length());
+    }
+    if (bottom > views.items.length && !views.complete && !failed)
+      views.upTo(bottom).then(draw, (error) => {
+        failed = error;
+      });
+  }
+
+  function made(view, index) {
+    const name = view.place ?? inWords(view.position) ?? view.id.slice(-6);
+    const cell = h(
+      "div",
+      { class: "cell", role: "listitem", "aria-posinset": index + 1 },
+      h(
+        "button",
+        { type: "button", "aria-label": `View ${index + 1}: ${name}`, onclick: () => chosen(view) },
+        image(`${view.links.thumbnail}?size=256`, ""),
+        h("span", { class: "caption" }, view.state === "ready" ? name : `${view.state}: ${name}`),
+      ),
+    );
+    const after = [...cells.keys()].filter((other) => other > index).sort((a, b) => a - b)[0];
+    track.insertBefore(cell, after === undefined ? null : cells.get(after));
+    cells.set(index, cell);
+    return cell;
+  }
+
+  let waiting = false;
+  element.addEventListener("scroll", () => {
+    if (waiting) return;
+    waiting = true;
+    requestAnimationFrame(() => {
+      waiting = false;
+      draw();
+    });
+  });
+  new ResizeObserver(draw).observe(element);
+  return { element, draw };
+}

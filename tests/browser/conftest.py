@@ -1,0 +1,137 @@
+"""A browser on a running service: Debian's Chromium, driven by Playwright; nothing is downloaded."""
+
+import re
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from lab.benchmarks import screens
+from scenes import scene
+from tests.stories.photos import jpeg
+from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page, ViewportSize
+
+PLACES = {"mill lane": (0, 0), "station road": (40, 5), "rose garden": (80, -12), "castle park": (31, 60)}
+"""Names, and positions in metres."""
+PHONE: "ViewportSize" = {"width": 375, "height": 740}
+LAPTOP: "ViewportSize" = {"width": 1280, "height": 800}
+
+SKIPPED = "NOT RUN: THE CONSOLE IS NOT TRIED IN A BROWSER"
+
+Open = Callable[..., "Tab"]
+
+
+class Tab:
+    """A page of the console; `close` fails when the browser had anything to complain of.
+
+    Parameters
+    ----------
+    page : playwright.sync_api.Page
+    url : str
+        Of the service.
+    refusals : bool
+        Whether refused requests are expected, which browsers write into their console.
+    """
+
+    def __init__(self, page: "Page", url: str, refusals: bool) -> None:
+        self.page, self.url, self._refusals = page, url, refusals
+        self.complaints: list[str] = []
+        page.on("console", lambda message: self._heard(message.type, message.text))
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("request", lambda request: self._sent(request.url))
+
+    def _heard(self, kind: str, text: str) -> None:
+        refused = re.search(r"the server responded with a status of 4\d\d", text)
+        if kind in ("error", "warning") and not (refused and self._refusals):
+            self.complaints.append(text)
+
+    def _sent(self, url: str) -> None:
+        if not url.startswith((self.url, "blob:", "data:")):
+            self.complaints.append(f"asked another host: {url}")
+
+    def show(self, screen: str) -> None:
+        """Go to a screen by its address."""
+        self.page.goto(f"{self.url}/#{screen}")
+        self.page.locator(f'main[data-screen="{screen}"], #sign-in').first.wait_for()
+
+    def awaits(self, selector: str, count: int) -> None:
+        """Wait until so many elements are there."""
+        from playwright.sync_api import expect
+
+        expect(self.page.locator(selector)).to_have_count(count)
+
+    def is_wider_than_the_window(self) -> bool:
+        """Whether one has to scroll sideways."""
+        wide: bool = self.page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
+        return wide
+
+    def close(self) -> None:
+        """Close the page."""
+        self.page.context.close()
+        assert self.complaints == []
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator["Browser"]:
+    """The browser; of one module, since Playwright's event loop must not outlive it."""
+    pytest.importorskip("playwright.sync_api", reason=f"{SKIPPED}; Playwright is not installed")
+    with screens.chromium() as browser:
+        if browser is None:
+            pytest.skip(f"{SKIPPED}; install chromium (Debian: apt-get install chromium)")
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory, chromium: "Browser") -> Iterator[RunningService]:
+    """A service with the built-in encoder and the map `town` of four places."""
+    data = tmp_path_factory.mktemp("data")
+    with RunningService(data, REVISIT_ENCODER="compact", REVISIT_COMPARE="false") as running:
+        for name, (x, y) in PLACES.items():
+            for step in (0, 1):
+                look = taken(name, 12 * step)
+                fields = {"map": "town", "place": name, "x": str(x + step), "y": str(y)}
+                httpx.post(f"{running.url}/enroll", files={"image": look}, data=fields, timeout=60).raise_for_status()
+        yield running
+
+
+@pytest.fixture
+def opened(chromium: "Browser", request: pytest.FixtureRequest) -> Iterator[Open]:
+    """Opens tabs, each in a profile of its own, and closes them."""
+    tabs: list[Tab] = []
+
+    def open_tab(
+        screen: str = "ask", url: str = "", size: "ViewportSize" = LAPTOP, refusals: bool = False, **profile: Any
+    ) -> Tab:
+        page = chromium.new_context(viewport=size, **profile).new_page()
+        page.set_default_timeout(15_000)
+        tabs.append(Tab(page, url or request.getfixturevalue("service").url, refusals))
+        tabs[-1].show(screen)
+        return tabs[-1]
+
+    yield open_tab
+    for tab in tabs:
+        tab.close()
+
+
+@pytest.fixture
+def query_photo(tmp_path: Path) -> Path:
+    """Another photo of mill lane."""
+    path = tmp_path / "today.jpg"
+    path.write_bytes(taken("mill lane", 25))
+    return path
+
+
+_drawn = cache(lambda name: scene(name).pixels)
+
+
+def taken(name: str, aside: int) -> bytes:
+    """A photo of a drawn place, by a camera that is turned by some pixels."""
+    pixels = _drawn(name)
+    width = pixels.shape[1] - 40
+    return jpeg(pixels[:, aside : aside + width])
