@@ -26,6 +26,7 @@ from worker.service.attendance import Attendance, this_process
 from worker.service.calibrating import CalibrationService
 from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
+from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.jobs import JobService
@@ -327,6 +328,7 @@ def _services(
             look_for_problem=lambda image: quality.problem(image.pixels),
             calibration=calibration_of,
             explanations=explanations,
+            drives=Drives(),
             product=product,
         ),
         views=ViewService(maps=store.maps, views=store.views, removals=store.removals, listings=store.listings),

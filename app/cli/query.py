@@ -24,6 +24,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
+    parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
     parser.add_argument("--place", help="search the views of this place only")
     parser.add_argument("--near", metavar="X,Y,RADIUS", help="search views near this point only, in metres")
     parser.add_argument("--geo", action="store_true", help="--near is LAT,LON,RADIUS")
@@ -45,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
             candidates=arguments.candidates,
             precision=arguments.precision,
             explain=arguments.explain is not None,
+            drive=arguments.drive,
             place=arguments.place,
             near=None if arguments.near is None else _near(arguments.near),
             geographic=arguments.geo,
@@ -73,6 +75,8 @@ def told(answer: "QueryAnswer") -> str:
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
     if answer.reason.code != "sure":
         lines.append(f"{answer.reason.code}: {answer.reason.detail}; {answer.reason.remedy}")
+    if answer.drive is not None:
+        lines.append(f"drive: image {answer.drive.images}; this image alone: {answer.drive.single_frame_status}")
     if answer.reason.rival is not None:
         rival = answer.reason.rival
         lines.append(f"rival: {rival.view.place or rival.view.id}, score {rival.score:.3f}")

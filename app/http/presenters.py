@@ -16,6 +16,7 @@ from worker.method.evidence import GraphEvidence
 from worker.method.own_calibration import HeldOut, Share
 from worker.method.verification import Verified
 from worker.service.calibrating import CalibrationResult
+from worker.service.drives import Driven
 from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
@@ -218,6 +219,7 @@ def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
             wrong_gap=decision.levels.gap,
             views_compared=decision.levels.compared,
         ),
+        drive=None if result.driven is None else _drive(result.driven, results),
         matches=[
             match(rank, scored, confidence, recipe, graph, explained)
             for rank, (scored, confidence) in enumerate(
@@ -277,6 +279,25 @@ def _place(place: PlaceProbability, results: RankedResults) -> wire.PlaceProbabi
         position=position(attributes.position),
         probability=place.probability,
         views=[wire.ScoredId(id=one.view.id, score=one.score) for one in scored],
+    )
+
+
+def _drive(driven: Driven, results: RankedResults) -> wire.DriveFacts:
+    posterior = []
+    for one in driven.posterior:
+        views = [results.views[i].view for i in one.views]
+        place = wire.DrivePlace(
+            place=views[0].attributes.place,
+            position=position(views[0].attributes.position),
+            probability=min(one.probability, 1.0),
+            views=[view.id for view in views],
+        )
+        posterior.append(place)
+    return wire.DriveFacts(
+        images=driven.images,
+        posterior=posterior,
+        nowhere=driven.nowhere,
+        single_frame_status=driven.single_status,
     )
 
 

@@ -149,6 +149,8 @@ class Revisit:
         candidates: int | None = None,
         precision: float | None = None,
         explain: bool | None = None,
+        drive: str | None = None,
+        drive_timeout: float | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool = False,
         after: Time | None = None,
@@ -173,6 +175,10 @@ class Revisit:
             Share of answers with the status matched that must be right, 0.5 to 0.999. None: the map's.
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
+        drive : str or None
+            Name of a drive that the image is the next one of: the evidence of its images adds up.
+        drive_timeout : float or None
+            Seconds of silence after which the drive begins anew. None: 60.
         near : (float, float, float) or None
             Only views near a point: x, y and radius in metres, or with `geographic` latitude, longitude and radius in
             metres.
@@ -189,6 +195,7 @@ class Revisit:
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
+        options |= {"drive": drive, "drive_timeout": drive_timeout}
         name, data = _read(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}

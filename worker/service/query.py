@@ -26,10 +26,14 @@ from worker.method.evidence import Evidence
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
+from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView
 from worker.service.sheets import cells_of
+
+DRIVE_TIMEOUT_S = 60.0
+"""Seconds of silence after which a drive begins anew."""
 
 ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
@@ -62,6 +66,8 @@ class QueryResult:
         Where the first match and its rival differ, if the query is explained.
     explained : bool
         Whether an explanation can be drawn.
+    driven : Driven or None
+        What the images of its drive say together.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -73,6 +79,7 @@ class QueryResult:
     decision: Decision
     differs: tuple[Region, ...]
     explained: bool
+    driven: Driven | None
     timing_ms: Mapping[str, float]
 
 
@@ -96,6 +103,7 @@ class QueryService:
         Map to the calibration of its confidences.
     explanations : Explanations
         Where the latest explained queries are kept.
+    drives : Drives
     product : Product
         Multiplies dense cells; the choice affects speed, not results.
     """
@@ -117,6 +125,7 @@ class QueryService:
         look_for_problem: Callable[[Image], str | None],
         calibration: Callable[[MapRecord], Calibration],
         explanations: Explanations,
+        drives: Drives,
         product: Product,
     ) -> None:
         self._maps, self._views, self._listings = maps, views, listings
@@ -125,6 +134,7 @@ class QueryService:
         self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
         self._levels: dict[str, tuple[tuple[datetime, int], MapLevels]] = {}
         self._calibration, self._explanations, self._product = calibration, explanations, product
+        self._drives = drives
 
     def query(
         self,
@@ -136,6 +146,8 @@ class QueryService:
         filters: Filters | None = None,
         precision: float | None = None,
         explain: bool = False,
+        drive: str | None = None,
+        drive_timeout_s: float = DRIVE_TIMEOUT_S,
     ) -> QueryResult:
         """Which views of a map show the place of an image.
 
@@ -153,6 +165,10 @@ class QueryService:
             Share of matched answers that must be right, 0.5..0.999; None takes the map's setting.
         explain : bool
             Keep the query, so that its explanation can be drawn.
+        drive : str, optional
+            Name of the drive that the image is the next one of.
+        drive_timeout_s : float
+            The drive begins anew when its last image is older.
 
         Raises
         ------
@@ -163,7 +179,7 @@ class QueryService:
         image = self._decode(data)
         decoded = time.perf_counter()
         described, results = self._describe_and_search(
-            image, map_name, describer, filters or Filters(), max(top, GROUPED), candidates
+            image, map_name, describer, filters or Filters(), max(top, GROUPED if drive is None else DRIVEN), candidates
         )
         decision = decide(
             results.ranking,
@@ -174,6 +190,9 @@ class QueryService:
             shown=top,
             measured_alike=candidates != 0 or results.recipe.ranking.candidates == 0,
         )
+        driven = None
+        if drive is not None:
+            results, decision, driven = self._drives.follow((map_name, drive), drive_timeout_s, results, decision)
         if decision.status != "matched":
             decision = blame_image(decision, self._problem(image, described.value))
         query_id = str(uuid7())
@@ -192,6 +211,7 @@ class QueryService:
             decision=decision,
             differs=differs,
             explained=explain,
+            driven=driven,
             timing_ms={
                 "decode": (decoded - began) * 1000,
                 "queue": described.queue_ms,
