@@ -381,6 +381,8 @@ class Candidates:
         Number of views searched.
     seqs : int64 of shape (n,)
         Sequence numbers of the candidates, ascending: enrolment order.
+    order : int64 of shape (n,)
+        How many views of the map were enrolled before each of them.
     distances : mapping of channel to float32 of shape (n,)
         Euclidean distance (not squared), for all candidates.
     ranks : mapping of channel to int64 of shape (n,)
@@ -390,5 +392,6 @@ class Candidates:
     revision: int
     searched: int
     seqs: Sequence64
+    order: Sequence64
     distances: Mapping[str, Floats]
     ranks: Mapping[str, Sequence64]

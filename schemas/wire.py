@@ -50,6 +50,12 @@ from .wire_query import (
     Difference as Difference,
 )
 from .wire_query import (
+    DriveFacts as DriveFacts,
+)
+from .wire_query import (
+    DrivePlace as DrivePlace,
+)
+from .wire_query import (
     Estimate as Estimate,
 )
 from .wire_query import (

@@ -169,6 +169,26 @@ class DecisionFacts(Answer):
     views_compared: int = Field(description="Views of the map that these two were measured with.")
 
 
+class DrivePlace(Answer):
+    """A place, and how likely the images of a drive make it."""
+
+    place: str | None
+    position: Position | None
+    probability: float = Field(ge=0, le=1)
+    views: list[str] = Field(description="Ids of its views, likeliest first.")
+
+
+class DriveFacts(Answer):
+    """What the images of a drive say together."""
+
+    images: int = Field(description="Images that count, this one included; 1: the drive is new, or was forgotten.")
+    posterior: list[DrivePlace] = Field(description="Places of the candidates of this image, likeliest first.")
+    nowhere: float = Field(description="Probability that the image shows none of these places.", ge=0, le=1)
+    single_frame_status: Literal["matched", "ambiguous", "no_match"] = Field(
+        description="The verdict on this image alone."
+    )
+
+
 class QueryAnswer(Answer):
     """The answer to a query: places and views of the map that it may show, best first."""
 
@@ -185,6 +205,7 @@ class QueryAnswer(Answer):
     places: list[PlaceProbability] = Field(description="Best first; with `nowhere` their probabilities sum to 1.")
     nowhere: float = Field(description="Probability that the image shows none of the places.", ge=0, le=1)
     decision: DecisionFacts
+    drive: DriveFacts | None = Field(None, description="With `drive`: what its images say together.")
     matches: list[Match]
     estimate: Estimate | None
     timing_ms: dict[str, float]

@@ -8,17 +8,17 @@ from datetime import UTC, datetime
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.settings import MEGA, Settings
-from worker.configure import configure, configure_torch, keep_freed_memory
+from worker.configure import configure
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
+from worker.engines import make_decoder, make_encoder, make_product
 from worker.images import codec, quality
-from worker.images.apart.pool import DecoderPool
-from worker.images.decoder import Decoder, InProcessDecoder
+from worker.images.decoder import Decoder
 from worker.loop import Loop
-from worker.method.byte_vectors import Product, float_product
+from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
@@ -26,6 +26,7 @@ from worker.service.attendance import Attendance, this_process
 from worker.service.calibrating import CalibrationService
 from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
+from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.health import HealthService
@@ -144,49 +145,6 @@ class Runtime:
 
 MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
 """From settings and a number of threads to an encoder and its segmenter, if any."""
-
-
-def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter | None]:
-    """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported."""
-    if settings.encoder == "color":
-        from worker.encoders.color import ColorEncoder
-
-        return ColorEncoder(), None
-    if settings.encoder == "lseg" or settings.device != "cpu":
-        keep_freed_memory()
-        configure_torch(threads, settings.device)
-    if settings.encoder == "compact":
-        from worker.encoders.compact.encoder import CompactEncoder
-
-        compact = CompactEncoder(settings.device, threads=threads)
-        return compact, compact.segmenter()
-    from worker.encoders.lseg.encoder import LsegEncoder
-
-    lseg = LsegEncoder.open(
-        settings.weights,
-        vocabulary=settings.bpe,
-        mode=settings.lseg_mode,
-        device=settings.device,
-        batch=settings.batch,
-    )
-    return lseg, None
-
-
-def make_decoder(settings: Settings) -> Decoder:
-    """Decoders in processes of their own, or in this one where the settings ask for none."""
-    limits = codec.Limits.of(settings)
-    return DecoderPool(settings.decoders, limits, settings.decode_s) if settings.decoders else InProcessDecoder(limits)
-
-
-def make_product(settings: Settings) -> Product:
-    """The product of int8 vectors: float32 for `color`, which loads no torch; otherwise the fastest."""
-    if settings.encoder == "color":
-        return float_product
-    from worker.search.byte_product import fastest_product
-
-    if settings.encoder == "compact" and settings.device == "cpu":
-        configure_torch(1)  # nothing but these products runs in torch then: more threads would only spin
-    return fastest_product()
 
 
 def build(
@@ -345,6 +303,7 @@ def _services(
             kept=store.kept_queries,
             calibration=calibration_of,
             explanations=explanations,
+            drives=Drives(),
             product=product,
         ),
         views=ViewService(maps=store.maps, views=store.views, removals=store.removals, listings=store.listings),

@@ -25,6 +25,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
+    parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
     chooses(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     speaks(parser)
@@ -44,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
             candidates=arguments.candidates,
             precision=arguments.precision,
             explain=arguments.explain is not None,
+            drive=arguments.drive,
             **filters,
         )
         if arguments.explain is not None and answer.matches:
@@ -61,6 +63,8 @@ def told(answer: "QueryAnswer") -> str:
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
     if answer.reason.code != "sure":
         lines.append(f"{answer.reason.code}: {answer.reason.detail}; {answer.reason.remedy}")
+    if answer.drive is not None:
+        lines.append(f"drive: image {answer.drive.images}; this image alone: {answer.drive.single_frame_status}")
     if answer.reason.rival is not None:
         rival = answer.reason.rival
         lines.append(f"rival: {rival.view.place or rival.view.filename or rival.view.id}, score {rival.score:.3f}")

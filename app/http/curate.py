@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from app.http import presenters, snapshot_presenters
+from app.http.calibration_report import calibration_report
 from app.http.health_report import map_health, unknown_places
 from schemas import wire
 from schemas.health import Code as HealthCode
@@ -201,7 +202,7 @@ class Curator:
             within_m=labels.within,
             trial=labels.dry_run,
         )
-        return presenters.calibration_report(await asyncio.to_thread(calibrate, name, observed, queries))
+        return calibration_report(await asyncio.to_thread(calibrate, name, observed, queries))
 
     async def forget_calibration(self, name: str) -> wire.MapFacts:
         """Return a map to the shipped calibration."""

@@ -26,6 +26,7 @@ def _text(**schema: object) -> WithJsonSchema:
     return WithJsonSchema({"type": "string", **schema})
 
 
+DriveName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of a drive.", examples=["robot-7"])]
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -190,6 +191,16 @@ class QueryParameters(FilterParameters):
         le=0.999,
         description="Share of answers with the status matched that must be right: the higher, the more often the "
         "status is ambiguous. Default: the map's, 0.97 unless it was changed.",
+    )
+    drive: DriveName | None = Field(
+        None,
+        description="Name of a drive that this image is the next one of: the evidence of its images adds up.",
+    )
+    drive_timeout: float = Field(
+        60,
+        ge=0.1,
+        le=86400,
+        description="Seconds of silence after which the drive begins anew. Of use only with drive.",
     )
     explain: bool = Field(
         False,

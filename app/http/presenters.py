@@ -13,9 +13,8 @@ from worker.images.palette import colour
 from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
 from worker.method.evidence import GraphEvidence
-from worker.method.own_calibration import HeldOut, Share
 from worker.method.verification import Verified
-from worker.service.calibrating import CalibrationResult
+from worker.service.drives import Driven
 from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
@@ -220,6 +219,7 @@ def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
             wrong_gap=decision.levels.gap,
             views_compared=decision.levels.compared,
         ),
+        drive=None if result.driven is None else _drive(result.driven, results),
         matches=[
             match(rank, scored, confidence, recipe, graph, explained)
             for rank, (scored, confidence) in enumerate(
@@ -282,6 +282,25 @@ def _place(place: PlaceProbability, results: RankedResults) -> wire.PlaceProbabi
     )
 
 
+def _drive(driven: Driven, results: RankedResults) -> wire.DriveFacts:
+    posterior = []
+    for one in driven.posterior:
+        views = [results.views[i].view for i in one.views]
+        place = wire.DrivePlace(
+            place=views[0].attributes.place,
+            position=position(views[0].attributes.position),
+            probability=min(one.probability, 1.0),
+            views=[view.id for view in views],
+        )
+        posterior.append(place)
+    return wire.DriveFacts(
+        images=driven.images,
+        posterior=posterior,
+        nowhere=driven.nowhere,
+        single_frame_status=driven.single_status,
+    )
+
+
 def _graph(evidence: GraphEvidence, recipe: DescriptionRecipe, query: ContextGraph, explain: bool) -> wire.GraphMatch:
     pairs = None
     if explain:
@@ -326,56 +345,3 @@ def estimate(results: RankedResults, decision: Decision, top: int) -> wire.Estim
     known = position(fix.position)
     assert known is not None, "a fix has a position"
     return wire.Estimate(position=known, radius_m=fix.radius_m, views=[found[i].view.id for i in fix.agreeing])
-
-
-def calibration_report(result: CalibrationResult) -> wire.CalibrationReport:
-    """What came of a calibration."""
-    fitted, labelled, calibration = result.fitted, result.labelled, result.fitted.own.calibration
-    lines = zip(calibration.precisions, calibration.thresholds, calibration.shares, strict=True)
-    return wire.CalibrationReport(
-        map=result.record.name,
-        revision=result.record.revision,
-        kept=result.kept,
-        transfers=fitted.transfers,
-        detail=_outcome(result),
-        queries=len(labelled.right),
-        unanswered=result.unanswered,
-        right=int(labelled.right.sum()),
-        unknown=int((~labelled.known).sum()),
-        blocks=fitted.blocks,
-        folds=fitted.folds,
-        precision=result.precision,
-        shipped=_held_out(fitted.shipped_does),
-        own=_held_out(fitted.own_does),
-        thresholds=[
-            wire.PrecisionThreshold(precision=float(wanted), threshold=float(limit), matched_share=float(share))
-            for wanted, limit, share in lines
-        ],
-    )
-
-
-def _outcome(result: CalibrationResult) -> str:
-    if not result.fitted.transfers:
-        return (
-            "what was learned from some of these queries does not transfer to the others: the shipped calibration does "
-            "better on them; nothing was changed"
-        )
-    if result.trial:
-        return "it does better on held-out queries than the shipped calibration; as a trial, nothing was changed"
-    return "it does better on held-out queries than the shipped calibration, and decides from now on"
-
-
-def _held_out(figures: HeldOut) -> wire.HeldOutFigures:
-    return wire.HeldOutFigures(
-        log_loss=figures.log_loss,
-        expected_error=figures.expected_error,
-        precision=_rate(figures.precision),
-        matched_share=_rate(figures.matched_share),
-        false_accepts_per_1000=_rate(figures.false_accepts, 1000),
-    )
-
-
-def _rate(share: Share, per: float = 1.0) -> wire.MeasuredRate:
-    lowest, highest = share.interval
-    value = None if share.value is None else share.value * per
-    return wire.MeasuredRate(value=value, interval=(lowest * per, highest * per), count=share.count, of=share.of)

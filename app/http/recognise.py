@@ -104,6 +104,8 @@ class Recogniser:
         filters: Filters,
         precision: float | None,
         explain: bool,
+        drive: str | None,
+        drive_timeout_s: float,
     ) -> wire.QueryAnswer:
         """Rank the views of a map that may show the place of an image; raises as `QueryService.query`."""
         query = partial(
@@ -115,6 +117,8 @@ class Recogniser:
             filters=filters,
             precision=precision,
             explain=explain,
+            drive=drive,
+            drive_timeout_s=drive_timeout_s,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
         return presenters.query_answer(map_name, result)

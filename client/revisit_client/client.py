@@ -15,6 +15,7 @@ from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed
 from revisit_client.health import HealthCalls
+from revisit_client.images import ImageCalls
 from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
 from revisit_client.snapshots import SnapshotCalls
 
@@ -23,7 +24,7 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
 
-class Revisit(HealthCalls, SnapshotCalls):
+class Revisit(ImageCalls, HealthCalls, SnapshotCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters
@@ -150,6 +151,8 @@ class Revisit(HealthCalls, SnapshotCalls):
         candidates: int | None = None,
         precision: float | None = None,
         explain: bool | None = None,
+        drive: str | None = None,
+        drive_timeout: float | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool | None = None,
         after: Time | None = None,
@@ -174,6 +177,10 @@ class Revisit(HealthCalls, SnapshotCalls):
             Share of answers with the status matched that must be right, 0.5 to 0.999. None: the map's.
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
+        drive : str or None
+            Name of a drive that the image is the next one of: the evidence of its images adds up.
+        drive_timeout : float or None
+            Seconds of silence after which the drive begins anew. None: 60.
         near : (float, float, float) or None
             Only views near a point: x, y or latitude, longitude, and the radius in metres.
         geographic : bool or None
@@ -191,16 +198,11 @@ class Revisit(HealthCalls, SnapshotCalls):
         """
         chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
+        options |= {"drive": drive, "drive_timeout": drive_timeout}
         name, data = named(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}
         )
-
-    def explanation(self, query_id: str, view: str | None = None) -> bytes:
-        """PNG of what decided about a match (default: the best) of a query made with `explain`, beside a rival."""
-        return self._connection.send(
-            "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
-        ).content
 
     # views
 
@@ -245,24 +247,6 @@ class Revisit(HealthCalls, SnapshotCalls):
     def delete(self, view_id: str) -> wire.Deleted:
         """Delete a view and its image."""
         return self._connection.receive(wire.Deleted, "DELETE", f"/views/{view_id}")
-
-    def image(self, view_id: str) -> bytes:
-        """The image as it was enrolled, byte for byte."""
-        return self._connection.send("GET", f"/views/{view_id}/image").content
-
-    def thumbnail(self, view_id: str) -> bytes:
-        """A small JPEG of the image."""
-        return self._connection.send("GET", f"/views/{view_id}/thumbnail").content
-
-    def segmentation(self, view_id: str, *, overlay: bool = False, legend: bool = False) -> bytes:
-        """Indexed PNG of the map's labels; with `overlay` their colours over the image, with `legend` a key below."""
-        params = texts({"overlay": overlay or None, "legend": legend or None})
-        return self._connection.send("GET", f"/views/{view_id}/segmentation.png", params=params).content
-
-    def graph(self, view_id: str, *, legend: bool = False) -> bytes:
-        """PNG of the context graph over the image, with `legend` a key below."""
-        params = texts({"legend": legend or None})
-        return self._connection.send("GET", f"/views/{view_id}/graph.png", params=params).content
 
     # maps, places, jobs
 

@@ -32,6 +32,7 @@ def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = Non
     nothing = np.zeros(n, np.intp)
     return Ranking(
         np.arange(n),
+        np.arange(n),
         np.array(scores, np.float32),
         {},
         nothing,

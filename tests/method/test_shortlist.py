@@ -104,7 +104,9 @@ def test_one_channel_is_enough_to_be_worth_a_look() -> None:
 
 
 def test_a_channel_that_found_nothing_does_not_matter() -> None:
-    nothing = Candidates(1, 2, np.array([1, 2]), {"a": np.zeros(2, np.float32)}, {"a": np.zeros(2, np.int64)})
+    nothing = Candidates(
+        1, 2, np.array([1, 2]), np.arange(2), {"a": np.zeros(2, np.float32)}, {"a": np.zeros(2, np.int64)}
+    )
     assert not worth_a_look(nothing, 1, 5).any()
 
 

@@ -112,7 +112,12 @@ def found(distances: Mapping[str, Sequence[float]], count: int = 100) -> Candida
     ranks = {name: np.argsort(np.argsort(values, kind="stable")) + 1 for name, values in measured.items()}
     seqs = np.arange(10, 10 + len(next(iter(measured.values()))), dtype=np.int64)
     return Candidates(
-        1, len(seqs), seqs, measured, {name: np.where(rank <= count, rank, 0) for name, rank in ranks.items()}
+        1,
+        len(seqs),
+        seqs,
+        seqs - 10,
+        measured,
+        {name: np.where(rank <= count, rank, 0) for name, rank in ranks.items()},
     )
 
 

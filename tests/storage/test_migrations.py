@@ -309,7 +309,12 @@ def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> No
             connection.exec_driver_sql(f"DROP INDEX {name}_unsealed")
         connection.exec_driver_sql("DROP TABLE keys")  # of later versions, as what follows
         connection.exec_driver_sql("DROP TABLE kept_queries")
-        for table, name in (("views", "filename"), ("comparisons", "rival"), ("comparisons", "own"), ("maps", "keep_queries")):
+        for table, name in (
+            ("views", "filename"),
+            ("comparisons", "rival"),
+            ("comparisons", "own"),
+            ("maps", "keep_queries"),
+        ):
             connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")
         tables = [table.name for table in METADATA.sorted_tables if "checksum" in table.c]
         for name in [name for name in tables if name not in LATER]:

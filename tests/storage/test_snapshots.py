@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, Damaged, NotFound
 from schemas.records import Filters, ViewAttributes
 from tests.storage.carried import JOB, contents, filled, made, views
-from tests.storage.databases import POSTGRES, data_folder, postgres_schema
+from tests.storage.databases import data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
 from worker.service.snapshots import SnapshotService
 from worker.storage.store import SqlStore, open_store
@@ -126,10 +126,8 @@ def test_snapshots_are_listed_and_deleted_and_leftovers_swept(store: SqlStore, d
             store.snapshots.get(missing)
 
 
-@pytest.mark.skipif(not POSTGRES, reason="REVISIT_TEST_POSTGRES has the URL of no PostgreSQL database")
 def test_from_postgresql_to_sqlite(elsewhere: SqlStore) -> None:
-    assert POSTGRES is not None
-    with postgres_schema(POSTGRES) as url, data_folder() as folder, closing(open_store(url, folder)) as server:
+    with postgres_schema() as url, data_folder() as folder, closing(open_store(url, folder)) as server:
         filled(server)
         elsewhere.restoring.restore(made(server), None, NOW)
         assert contents(elsewhere) == contents(server)

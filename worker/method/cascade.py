@@ -257,6 +257,7 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
     rival = rivals[0] if rivals else None
     return Ranking(
         seqs=candidates.seqs[order],
+        order=candidates.order[order],
         scores=score[order],
         terms={name: term[order] for name, term in evidence.terms.items()},
         inliers=inliers[order],

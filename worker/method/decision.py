@@ -218,7 +218,7 @@ def decide(
     reason = _reason(status, outrivalled, searched)
     if not measured_alike:
         reason = Reason("weak", HISTOGRAMS_ALONE, "query with candidates above 0")
-    return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), _confidences(places), first)
+    return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), confidences(places), first)
 
 
 def best_unlike(ranking: Ranking) -> float:
@@ -245,7 +245,8 @@ def blame_image(decision: Decision, problem: str | None) -> Decision:
 BETTER_PHOTO = "take another photo of the place: lit, sharp, and of things that stay"
 
 
-def _confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
+def confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
+    """Of the views of some places, never rising with rank: the probability of each one's place."""
     of_view = {view: place.probability for place in places for view in place.views}
     return tuple(np.minimum.accumulate([of_view[view] for view in sorted(of_view)]).tolist())
 

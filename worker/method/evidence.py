@@ -111,6 +111,8 @@ class Ranking:
     ----------
     seqs : int64 of shape (candidates,)
         Sequence numbers, best first.
+    order : int64 of shape (candidates,)
+        How many views of the map were enrolled before each of them.
     scores : float32 of shape (candidates,)
     terms : mapping of term to float32 of shape (candidates,)
         0..1, before weighting; zero where a candidate was not compared.
@@ -134,6 +136,7 @@ class Ranking:
     """
 
     seqs: Sequence64
+    order: Sequence64
     scores: Floats
     terms: Mapping[str, Floats]
     inliers: Rows

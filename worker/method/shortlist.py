@@ -66,7 +66,9 @@ def only(candidates: Candidates, kept: Booleans) -> Candidates:
     """The candidates that a mask, bool of shape (candidates,), keeps."""
     distances = {name: values[kept] for name, values in candidates.distances.items()}
     ranks = {name: values[kept] for name, values in candidates.ranks.items()}
-    return replace(candidates, seqs=candidates.seqs[kept], distances=distances, ranks=ranks)
+    return replace(
+        candidates, seqs=candidates.seqs[kept], order=candidates.order[kept], distances=distances, ranks=ranks
+    )
 
 
 def rough_similarity(query: Int8s, candidates: Sequence[Int8s], product: Product = float_product) -> Floats:

@@ -89,7 +89,7 @@ class FlatIndex:
         for name, rows in found.items():
             ranks[name] = np.zeros(len(union), np.int64)
             ranks[name][np.searchsorted(union, rows)] = np.arange(1, len(rows) + 1)
-        return Candidates(revision, available, seqs, distances, ranks)
+        return Candidates(revision, available, seqs, union, distances, ranks)
 
     def _nearest(
         self, channel: str, vector: Floats, wanted: int, available: int, selector: "faiss.IDSelector | None"

@@ -23,17 +23,20 @@ from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide
-from worker.method.evidence import Evidence
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import DescriptionReader
+from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.inbox import KeptQueries
 from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView
 from worker.service.sheets import cells_of
+from worker.service.stopwatch import Stopwatch
 
 log = logging.getLogger("revisit.service")
+DRIVE_TIMEOUT_S = 60.0
+"""Seconds of silence after which a drive begins anew."""
 
 ROUNDS = 5
 """Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
@@ -69,6 +72,8 @@ class QueryResult:
         Where the first match and its rival differ, if the query is explained.
     explained : bool
         Whether an explanation can be drawn.
+    driven : Driven or None
+        What the images of its drive say together.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -80,6 +85,7 @@ class QueryResult:
     decision: Decision
     differs: tuple[Region, ...]
     explained: bool
+    driven: Driven | None
     timing_ms: Mapping[str, float]
 
 
@@ -107,6 +113,7 @@ class QueryService:
         Map to the calibration of its confidences.
     explanations : Explanations
         Where the latest explained queries are kept.
+    drives : Drives
     product : Product
         Multiplies dense cells; the choice affects speed, not results.
     """
@@ -130,6 +137,7 @@ class QueryService:
         kept: KeptQueries,
         calibration: Callable[[MapRecord], Calibration],
         explanations: Explanations,
+        drives: Drives,
         product: Product,
     ) -> None:
         self._maps, self._views, self._listings = maps, views, listings
@@ -139,6 +147,7 @@ class QueryService:
         self._levels: dict[str, tuple[tuple[datetime, int], MapLevels]] = {}
         self._thumbnail, self._kept = thumbnail, kept
         self._calibration, self._explanations, self._product = calibration, explanations, product
+        self._drives = drives
 
     def query(
         self,
@@ -150,6 +159,8 @@ class QueryService:
         filters: Filters | None = None,
         precision: float | None = None,
         explain: bool = False,
+        drive: str | None = None,
+        drive_timeout_s: float = DRIVE_TIMEOUT_S,
     ) -> QueryResult:
         """Which views of a map show the place of an image.
 
@@ -167,6 +178,10 @@ class QueryService:
             Share of matched answers that must be right, 0.5..0.999; None takes the map's setting.
         explain : bool
             Keep the query, so that its explanation can be drawn.
+        drive : str, optional
+            Name of the drive that the image is the next one of.
+        drive_timeout_s : float
+            The drive begins anew when its last image is older.
 
         Raises
         ------
@@ -177,7 +192,7 @@ class QueryService:
         image = self._decode(data)
         decoded = time.perf_counter()
         described, results = self._describe_and_search(
-            image, map_name, describer, filters or Filters(), max(top, GROUPED), candidates
+            image, map_name, describer, filters or Filters(), max(top, GROUPED if drive is None else DRIVEN), candidates
         )
         decision = decide(
             results.ranking,
@@ -188,6 +203,9 @@ class QueryService:
             shown=top,
             measured_alike=candidates != 0 or results.recipe.ranking.candidates == 0,
         )
+        driven = None
+        if drive is not None:
+            results, decision, driven = self._drives.follow((map_name, drive), drive_timeout_s, results, decision)
         if decision.status != "matched":
             decision = blame_image(decision, self._problem(image, described.value))
         query_id = str(uuid7())
@@ -209,6 +227,7 @@ class QueryService:
             decision=decision,
             differs=differs,
             explained=explain,
+            driven=driven,
             timing_ms={
                 "decode": (decoded - began) * 1000,
                 "queue": described.queue_ms,
@@ -301,7 +320,7 @@ class QueryService:
         gone: frozenset[int] = frozenset()
         rounds = 0
         while rounds < ROUNDS:
-            watch = _Stopwatch(observe)
+            watch = Stopwatch(observe)
             # Counted first: a view described between the two reads is found and counted, never neither.
             pending = self._queue.count_pending(map_name)
             index, record = self._catalogue.index(map_name)
@@ -358,25 +377,3 @@ def without(selection: Selection, gone: frozenset[int]) -> Selection:
     if not gone:
         return selection
     return Selection(selection.only, np.union1d(selection.never, np.array(sorted(gone), np.int64)))
-
-
-class _Stopwatch:
-    """Times the stages of a search: ``search`` ends with the histograms, ``rerank`` with the full cells."""
-
-    def __init__(self, observe: cascade.Observe) -> None:
-        self._observe = observe
-        self._ends = {"began": time.perf_counter()}
-
-    def observe(self, stage: str, evidence: Evidence) -> None:
-        self._ends[stage] = time.perf_counter()
-        self._observe(stage, evidence)
-
-    def timing_ms(self) -> dict[str, float]:
-        ends = self._ends
-        searched = ends["histograms"]
-        compared = ends.get("full", searched)
-        return {
-            "search": (searched - ends["began"]) * 1000,
-            "rerank": (compared - searched) * 1000,
-            "verify": (time.perf_counter() - compared) * 1000,
-        }

@@ -54,6 +54,8 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures, acc
         filters=params.filters(),
         precision=params.precision,
         explain=params.explain,
+        drive=params.drive,
+        drive_timeout_s=params.drive_timeout,
     )
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)

@@ -1,0 +1,34 @@
+"""Calls that answer images."""
+
+from revisit_client.connection import Connection
+from revisit_client.parameters import texts
+
+
+class ImageCalls:
+    """The part of `Revisit` that fetches images of views, and what is drawn from them."""
+
+    _connection: Connection
+
+    def explanation(self, query_id: str, view: str | None = None) -> bytes:
+        """PNG of what decided about a match (default: the best) of a query made with `explain`, beside a rival."""
+        return self._connection.send(
+            "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
+        ).content
+
+    def image(self, view_id: str) -> bytes:
+        """The image as it was enrolled, byte for byte."""
+        return self._connection.send("GET", f"/views/{view_id}/image").content
+
+    def thumbnail(self, view_id: str) -> bytes:
+        """A small JPEG of the image."""
+        return self._connection.send("GET", f"/views/{view_id}/thumbnail").content
+
+    def segmentation(self, view_id: str, *, overlay: bool = False, legend: bool = False) -> bytes:
+        """Indexed PNG of the map's labels; with `overlay` their colours over the image, with `legend` a key below."""
+        params = texts({"overlay": overlay or None, "legend": legend or None})
+        return self._connection.send("GET", f"/views/{view_id}/segmentation.png", params=params).content
+
+    def graph(self, view_id: str, *, legend: bool = False) -> bytes:
+        """PNG of the context graph over the image, with `legend` a key below."""
+        params = texts({"legend": legend or None})
+        return self._connection.send("GET", f"/views/{view_id}/graph.png", params=params).content

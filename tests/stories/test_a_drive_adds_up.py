@@ -1,0 +1,88 @@
+"""A robot asks image after image: where single images leave it in doubt, the drive decides."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.http.application import create_app
+from scenes import scene
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.stories.photos import photo
+from worker.runtime import build
+
+JPEG = {"content-type": "image/jpeg"}
+STREET = [0.0, 3.0, 6.0, 9.0, 12.0, 15.0]
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
+    folder: Path = tmp_path_factory.mktemp("drive")
+    with CheckedClient(create_app(build(Settings(data=folder, encoder="compact", threads=1)))) as running:
+        street = scene("mill lane")
+        for ahead in STREET:
+            sent = photo(street.seen_from(ahead=ahead))
+            assert running.post(f"/enroll?place={ahead:g}", content=sent, headers=JPEG).status_code == 201
+        yield running
+
+
+def asked(client: CheckedClient, ahead: float, **parameters: Any) -> Any:
+    taken = photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead + 0.4, turn=4).at("dusk"))
+    answer = client.post("/query", params=parameters, content=taken, headers=JPEG)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_images_of_a_drive_are_counted_and_make_it_surer(client: CheckedClient) -> None:
+    alone = [asked(client, ahead) for ahead in STREET]
+    together = [asked(client, ahead, drive="robot-1") for ahead in STREET]
+
+    assert all("drive" not in answer or answer["drive"] is None for answer in alone)
+    assert [answer["drive"]["images"] for answer in together] == [1, 2, 3, 4, 5, 6]
+    assert [answer["drive"]["single_frame_status"] for answer in together] == [answer["status"] for answer in alone]
+    for single, driven in zip(alone, together, strict=True):
+        sums = sum(place["probability"] for place in driven["drive"]["posterior"]) + driven["drive"]["nowhere"]
+        assert sums == pytest.approx(1)
+        assert sum(place["probability"] for place in driven["places"]) + driven["nowhere"] == pytest.approx(1)
+        if single["status"] == "matched":
+            assert driven["status"] == "matched"
+    assert together[0]["matches"] == alone[0]["matches"]
+
+
+def test_what_the_drive_is_sure_of_comes_first_everywhere_in_the_answer(client: CheckedClient) -> None:
+    answers = [asked(client, ahead, drive="robot-2", precision=0.5) for ahead in STREET]
+    decided = [answer for answer in answers if answer["reason"]["detail"].startswith("the images of this drive")]
+    assert decided
+    for answer in decided:
+        likeliest = answer["drive"]["posterior"][0]
+        assert answer["status"] == "matched"
+        assert answer["matches"][0]["view"]["place"] == answer["places"][0]["place"] == likeliest["place"]
+        assert answer["confidence"] == answer["places"][0]["probability"] == likeliest["probability"]
+        assert [match["rank"] for match in answer["matches"]] == list(range(1, len(answer["matches"]) + 1))
+
+
+def test_a_drive_is_forgotten_and_others_go_their_own_way(client: CheckedClient) -> None:
+    asked(client, 3.0, drive="robot-3")
+    assert asked(client, 6.0, drive="robot-3", drive_timeout=600)["drive"]["images"] == 2
+    assert asked(client, 6.0, drive="robot-4")["drive"]["images"] == 1
+    assert asked(client, 9.0, drive="robot-3", drive_timeout=0.1)["drive"]["images"] in (1, 3)
+    assert asked(client, 9.0, drive="robot-3", drive_timeout=600)["drive"]["images"] >= 2
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"drive": ""}, {"drive": "a b"}, {"drive": "a", "drive_timeout": 0}, {"drive": "x" * 200}]
+)
+def test_wrong_names_and_times_are_refused(client: CheckedClient, wrong: dict[str, Any]) -> None:
+    taken = photo(scene("mill lane").seen_from())
+    refused = client.post("/query", params=wrong, content=taken, headers=JPEG)
+    assert refused.status_code == 422
+    assert refused.json()["errors"][0]["parameter"].startswith("drive")
+
+
+def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:
+    assert client.put("/maps/empty", json={}).status_code == 201
+    answer = asked(client, 0.0, map="empty", drive="robot-5")
+    assert (answer["status"], answer["drive"]["images"], answer["drive"]["posterior"]) == ("no_match", 0, [])
+    assert answer["drive"]["nowhere"] == 1

@@ -1,0 +1,151 @@
+"""Drives under way: what their images say together, and the decision that follows from it."""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from worker.method.decision import SOFTENING, Decision, PlaceProbability, Reason, confidences
+from worker.method.drive import Drive, Single, follow, spread
+from worker.method.evidence import Ranking
+from worker.service.results import RankedResults
+
+DRIVEN = 20
+"""Views that an image of a drive may be decided for, at least; a single image decides for fewer."""
+
+MOST = 1000
+"""Drives that are followed at once; the one that was silent longest is forgotten first."""
+
+TOGETHER = Reason("sure", "the images of this drive together single out one place", "nothing")
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What the images of a drive say together.
+
+    Parameters
+    ----------
+    images : int
+        That were followed, this one included; 1 when the drive is new, or was forgotten.
+    posterior : tuple of PlaceProbability
+        Most probable first; indices into the views of the results.
+    single_status : str
+        The verdict on this image alone.
+    """
+
+    images: int
+    posterior: tuple[PlaceProbability, ...]
+    single_status: str
+
+    @property
+    def nowhere(self) -> float:
+        """Probability that the image shows none of these places."""
+        return max(0.0, 1.0 - sum(place.probability for place in self.posterior))
+
+
+@dataclass(frozen=True)
+class _Kept:
+    drive: Drive
+    recipe: str
+    revision: int
+    at: float
+
+
+class Drives:
+    """Follows drives. They are kept in memory: a restart begins them anew, which `Driven.images` shows.
+
+    Parameters
+    ----------
+    now : function
+        Seconds of a clock that never goes back.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def follow(
+        self, key: tuple[str, str], timeout_s: float, results: RankedResults, decision: Decision
+    ) -> tuple[RankedResults, Decision, Driven]:
+        """Take one more image of a drive into account.
+
+        Where the images together are as sure as the precision asks for, the decision is theirs and the views of their
+        place come first. Otherwise the image's own decision stands.
+
+        Parameters
+        ----------
+        key : (str, str)
+            Map and name of the drive.
+        timeout_s : float
+            The drive is forgotten when its last image is older.
+        results : RankedResults
+            With `DRIVEN` views or more, if there are so many.
+        decision : Decision
+            On the image alone.
+        """
+        if not results.views:
+            return results, decision, Driven(self._images(key), (), decision.status)
+        single = _single(results, decision)
+        recipe, now = results.recipe.description.id, self._now()
+        with self._lock:
+            kept = self._kept.pop(key, None)
+            fits = kept is not None and kept.recipe == recipe and kept.revision <= results.revision
+            before = kept.drive if kept is not None and fits and now - kept.at <= timeout_s else Drive()
+            after, together = follow(before, single)
+            self._kept[key] = _Kept(after, recipe, results.revision, now)
+            while len(self._kept) > MOST:
+                self._kept.popitem(last=False)
+        posterior = _by_place(
+            results.ranking, len(results.views), dict(zip(single.seqs.tolist(), together, strict=True))
+        )
+        driven = Driven(after.images, posterior, decision.status)
+        if after.images == 1 or posterior[0].probability < decision.threshold:
+            return results, decision, driven
+        order = [view for place in posterior for view in place.views]
+        rank = {view: i for i, view in enumerate(order)}
+        moved = tuple(PlaceProbability(p.probability, tuple(rank[view] for view in p.views)) for p in posterior)
+        decided = replace(
+            decision,
+            status="matched",
+            confidence=moved[0].probability,
+            reason=TOGETHER,
+            places=moved,
+            confidences=confidences(moved),
+        )
+        return replace(results, views=tuple(results.views[i] for i in order)), decided, replace(driven, posterior=moved)
+
+    def _images(self, key: tuple[str, str]) -> int:
+        with self._lock:
+            return self._kept[key].drive.images if key in self._kept else 0
+
+
+def _single(results: RankedResults, decision: Decision) -> Single:
+    """What the image says on its own of each re-ranked candidate."""
+    ranking = results.ranking
+    count = ranking.reranked or len(ranking.seqs)
+    seqs, order, scores = ranking.seqs[:count], ranking.order[:count], ranking.scores[:count].astype(np.float64)
+    best = decision.places[0]
+    first = np.zeros(count, np.bool_)
+    first[[view for view in best.views if view < count]] = True
+    shared = spread(scores, first, best.probability, decision.nowhere, decision.levels.gap + SOFTENING)
+    ascending = np.argsort(seqs)
+    return Single(seqs[ascending], order[ascending], shared[ascending], results.searched)
+
+
+def _by_place(ranking: Ranking, count: int, probability: dict[int, float]) -> tuple[PlaceProbability, ...]:
+    """Probabilities of views, added up by place: a place is that of its likeliest view, and its neighbours' count for
+    it, as they are no rivals of it."""
+    seqs = [int(seq) for seq in ranking.seqs[:count]]
+    left = sorted(range(count), key=lambda view: (-probability.get(seqs[view], 0.0), view))
+    places = []
+    while left:
+        best = seqs[left[0]]
+        near = {view for view in left if not ranking.places.apart(best, seqs[view])}
+        mass = sum(probability.get(seqs[view], 0.0) for view in near)
+        places.append(PlaceProbability(float(mass), tuple(view for view in left if view in near)))
+        left = [view for view in left if view not in near]
+    return tuple(sorted(places, key=lambda place: -place.probability))
