@@ -18,13 +18,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 
 from lab.datasets import pairs
 from lab.datasets.dataset import Dataset
+from lab.libraries import FOR_FITTING, for_studies, require
 from lab.scale.cache import Cache
 from lab.scale.measuring import EVERYTHING
-from lab.scale.pool import PoolFetch, Pool, placed, query_of
+from lab.scale.pool import Pool, PoolFetch, placed, query_of
 from schemas.description import Floats, LocalFeatures
 from schemas.image import Bytes2D
 from schemas.recipe import MapRecipe
@@ -36,6 +36,7 @@ from worker.description.presets import Wanted, make_recipe
 from worker.images import codec
 from worker.images.codec import Limits
 from worker.method import cascade, score_fusion, verification
+from worker.method.byte_vectors import Product
 from worker.method.evidence import Evidence
 from worker.runtime import make_encoder, make_product
 from worker.search.flat_index import FlatIndex
@@ -45,6 +46,9 @@ Booleans = npt.NDArray[np.bool_]
 
 CELLS = 4
 """Rows and columns of the grid over the query in which the spread of inliers is counted."""
+
+SOFT = 12.0
+"""Inliers and matches added before quotients, so that a few over none are weak evidence."""
 
 EPIPOLAR = 3 / 640
 """Largest distance of an inlier from its epipolar line, as a fraction of the longer side."""
@@ -103,7 +107,7 @@ VARIANTS: Mapping[str, tuple[Features, Callable[[Floats, Floats], Booleans]]] = 
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class TopTen:
     """One query.
 
     Parameters
@@ -120,18 +124,17 @@ class Asked:
     counted: Mapping[str, Doubles]
 
 
-def ask(dataset: Dataset, root: Path, pool: Pool, recipe: MapRecipe) -> list[Asked]:
+def top_tens(dataset: Dataset, root: Path, pool: Pool, recipe: MapRecipe, product: Product) -> list[TopTen]:
     """The first ten of every query of a set, verified by every variant."""
     one = placed(dataset, root, pool)
     if one is None:
         return []
-    product = make_product(Settings(encoder="compact", threads=1))
     seqs = np.sort(np.random.default_rng(0).permutation(one.database)).astype(np.int64) + 1
     described = recipe.description
     index = FlatIndex({name: c.length for name, c in described.parameters.channels.items()}, described.id)
     index.apply(Changes(1, described.id, seqs, pool.vectors[seqs - 1], np.zeros(0, np.int64)))
     weights = {name: w for name, w in recipe.ranking.weights.terms().items() if name != "verification"}
-    asked, found = [], cache(partial(_found, root, pool))
+    tens, found = [], cache(partial(_found, root, pool))
     for row, right in zip(one.queries.tolist(), one.right, strict=True):
         seen: list[Evidence] = []
         query = query_of(pool, row, described)
@@ -144,7 +147,7 @@ def ask(dataset: Dataset, root: Path, pool: Pool, recipe: MapRecipe) -> list[Ask
             PoolFetch(pool),
             top=1,
             product=product,
-            observe=lambda stage, evidence, seen=seen: seen.append(evidence) if stage == "verification" else None,
+            observe=partial(_keep, seen),
         )
         [evidence] = seen
         first = np.array(sorted(evidence.verified), np.intp)
@@ -152,8 +155,13 @@ def ask(dataset: Dataset, root: Path, pool: Pool, recipe: MapRecipe) -> list[Ask
         rows = [seq - 1 for seq in evidence.seqs(first)]
         counted = {name: _counted(name, row, rows, found) for name in VARIANTS}
         base = score[first].astype(np.float64) * sum(weights.values())
-        asked.append(Asked(base, np.isin(rows, right), counted))
-    return asked
+        tens.append(TopTen(base, np.isin(rows, right), counted))
+    return tens
+
+
+def _keep(seen: list[Evidence], stage: str, evidence: Evidence) -> None:
+    if stage == "verification":
+        seen.append(evidence)
 
 
 def _found(root: Path, pool: Pool, features: Features, row: int) -> LocalFeatures:
@@ -164,7 +172,9 @@ def _counted(name: str, query: int, views: Sequence[int], found: Callable[[Featu
     features, consensus = VARIANTS[name]
     ours, theirs = found(features, query), [found(features, view) for view in views]
     rows = []
-    for view, matched in zip(theirs, verification.match(ours.descriptors, [v.descriptors for v in theirs]), strict=True):
+    for view, matched in zip(
+        theirs, verification.match(ours.descriptors, [v.descriptors for v in theirs]), strict=True
+    ):
         source, target = ours.positions[matched[:, 0]], view.positions[matched[:, 1]]
         inliers = consensus(source, target)
         cells = np.minimum((source[inliers] * CELLS).astype(int), CELLS - 1)
@@ -172,29 +182,21 @@ def _counted(name: str, query: int, views: Sequence[int], found: Callable[[Featu
     return np.array(rows, np.float64)
 
 
-# Rules: each gives a number for every candidate of a query; the largest is first.
-
-
-def evidence_of(asked: Asked, variant: str) -> Doubles:
+def evidence_of(ten: TopTen, variant: str) -> Doubles:
     """What the learned rule reads, float64 (candidates, 4); all of it rises with the evidence.
 
     Score without verification (less the best's), logarithm of inliers over the median of the ten, share of the matches
     that are inliers, spread.
     """
-    inliers, matches, spread = asked.counted[variant].T
+    inliers, matches, spread = ten.counted[variant].T
     ratio = np.log((inliers + SOFT) / (np.median(inliers) + SOFT))
-    return np.stack([asked.base - asked.base.max(), np.maximum(ratio, 0), inliers / (matches + SOFT), spread], axis=1)
+    return np.stack([ten.base - ten.base.max(), np.maximum(ratio, 0), inliers / (matches + SOFT), spread], axis=1)
 
 
-SOFT = 12.0
-"""Inliers and matches added before quotients, so that a few over none are weak evidence."""
-
-STEEP = 0.5
-"""Of the penalty on squared weights, per query."""
-
-
-def learn(queries: Sequence[Sequence[Asked]], variant: str) -> Doubles:
+def learn(queries: Sequence[Sequence[TopTen]], variant: str) -> Doubles:
     """Weights of `evidence_of`, none below 0: conditional logistic regression, every set counting the same."""
+    with for_studies():
+        from scipy.optimize import minimize  # type: ignore[import-untyped]
     cases = [
         (evidence_of(one, variant), one.right, 1 / len(some))
         for some in queries
@@ -202,25 +204,26 @@ def learn(queries: Sequence[Sequence[Asked]], variant: str) -> Doubles:
         if one.right.any() and not one.right.all()
     ]
 
-    def loss(weights: Doubles) -> float:
-        total = 1e-4 * float(weights @ weights)
+    def loss(weights: Doubles) -> tuple[float, Doubles]:
+        total, slope = 1e-4 * float(weights @ weights), 2e-4 * weights
         for read, right, share in cases:
-            value = read @ weights
-            value = value - value.max()
-            total += share * float(np.log(np.exp(value).sum()) - np.log(np.exp(value[right]).sum()))
-        return total
+            odds = np.exp(read @ weights - (read @ weights).max())
+            all_odds, good = odds.sum(), np.where(right, odds, 0)
+            total += share * float(np.log(all_odds) - np.log(max(good.sum(), 1e-300)))
+            slope = slope + share * (odds / all_odds - good / max(good.sum(), 1e-300)) @ read
+        return total, slope
 
     start = np.array([20.0, 1, 1, 1])
-    found = minimize(loss, start, method="L-BFGS-B", bounds=[(0, None)] * 4)
+    found = minimize(loss, start, method="L-BFGS-B", jac=True, bounds=[(0, None)] * 4)
     return np.asarray(found.x, np.float64)
 
 
-def first_right(queries: Sequence[Asked], value: Callable[[Asked], Doubles]) -> Booleans:
+def first_right(queries: Sequence[TopTen], value: Callable[[TopTen], Doubles]) -> Booleans:
     """Whether the first answer is right, bool (queries,); ties go to the better score, then to the earlier enrolled."""
     return np.array([one.right[np.lexsort((-one.base, -value(one)))[0]] for one in queries], np.bool_)
 
 
-def separation(queries: Sequence[Asked], variant: str) -> float:
+def separation(queries: Sequence[TopTen], variant: str) -> float:
     """Area under the curve of inliers, right candidates against wrong ones of the same query; ties count half."""
     areas = []
     for one in queries:
@@ -231,17 +234,17 @@ def separation(queries: Sequence[Asked], variant: str) -> float:
     return float(np.mean(areas)) if areas else float("nan")
 
 
-def gated(variant: str, weight: float) -> Callable[[Asked], Doubles]:
+def gated(variant: str, weight: float) -> Callable[[TopTen], Doubles]:
     """The service's rule: weight times the bonus over the median."""
     return lambda one: one.base + weight * verification.gated_bonus(one.counted[variant][:, 0])
 
 
-def linear(variant: str, weights: Doubles) -> Callable[[Asked], Doubles]:
+def linear(variant: str, weights: Doubles) -> Callable[[TopTen], Doubles]:
     """The learned rule."""
     return lambda one: evidence_of(one, variant) @ weights
 
 
-def tables(results: Mapping[str, Sequence[Asked]]) -> None:
+def tables(results: Mapping[str, Sequence[TopTen]]) -> None:
     """recall@1 of every rule and variant, and how well inliers alone separate."""
     names = list(results)
     print("\n| queries | " + " | ".join(f"{name} ({len(results[name])})" for name in names) + " | mean |")
@@ -284,11 +287,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="revisit benchmark geometry", description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--encoder", choices=("compact", "color"), default="compact")
     parser.add_argument("--only", action="append", default=[], help="sets whose name contains this")
     parser.add_argument("--out", type=Path, help="JSON file: counts are kept in it set by set, and read where they are")
     options = parser.parse_args(arguments)
+    require(FOR_FITTING)
     configure(1)
-    encoder, _ = make_encoder(Settings(encoder="compact", threads=1), 1)
+    settings = Settings(encoder=options.encoder, threads=1)
+    encoder, _ = make_encoder(settings, 1)
+    product = make_product(settings)
     recipe = make_recipe(encoder, Wanted(), preset="default")
     pool = Pool.of(Cache(options.cache, recipe.description))
     results = _read(options.out)
@@ -296,28 +303,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
         wanted = any(text in dataset.name for text in options.only or [""])
         if wanted and dataset.name not in results:
             began = time.monotonic()
-            asked = ask(dataset, options.data, pool, recipe)
-            print(f"{dataset.name}: {len(asked)} queries, {time.monotonic() - began:.0f} s", flush=True)
-            if asked:
-                results[dataset.name] = asked
+            tens = top_tens(dataset, options.data, pool, recipe, product)
+            print(f"{dataset.name}: {len(tens)} queries, {time.monotonic() - began:.0f} s", flush=True)
+            if tens:
+                results[dataset.name] = tens
                 _write(options.out, results)
     tables(results)
     cost(sorted((options.data / "places").rglob("*.jpg"))[::40])
 
 
-def _read(path: Path | None) -> dict[str, list[Asked]]:
+def _read(path: Path | None) -> dict[str, list[TopTen]]:
     if path is None or not path.is_file():
         return {}
     return {
         name: [
-            Asked(np.array(o["base"]), np.array(o["right"]), {v: np.array(c) for v, c in o["counted"].items()})
-            for o in asked
+            TopTen(np.array(o["base"]), np.array(o["right"]), {v: np.array(c) for v, c in o["counted"].items()})
+            for o in tens
         ]
-        for name, asked in json.loads(path.read_text()).items()
+        for name, tens in json.loads(path.read_text()).items()
     }
 
 
-def _write(path: Path | None, results: Mapping[str, Sequence[Asked]]) -> None:
+def _write(path: Path | None, results: Mapping[str, Sequence[TopTen]]) -> None:
     if path is not None:
         plain = {
             name: [
@@ -326,9 +333,9 @@ def _write(path: Path | None, results: Mapping[str, Sequence[Asked]]) -> None:
                     "right": o.right.tolist(),
                     "counted": {v: c.tolist() for v, c in o.counted.items()},
                 }
-                for o in asked
+                for o in tens
             ]
-            for name, asked in results.items()
+            for name, tens in results.items()
         }
         path.write_text(json.dumps(plain))
 
