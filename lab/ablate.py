@@ -28,8 +28,7 @@ from schemas.settings import Settings, read_settings
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, make_recipe
 from worker.description.vocabularies import Vocabulary
-from worker.engines import make_encoder
-from worker.runtime import Runtime
+from worker.runtime import Runtime, make_encoder
 
 Change = Callable[[MapRecipe], MapRecipe]
 

@@ -42,7 +42,7 @@ BANNED_NAMES = frozenset(
 )
 """Names that may not be given, compared whole."""
 
-BANNED_FIELDS = frozenset({"word", "close", "typical", "high", "keypoints", "alone", "shares", "drive"})
+BANNED_FIELDS = frozenset({"word", "close", "typical", "high", "keypoints", "alone", "shares"})
 """Former names of fields on the wire."""
 
 KEPT = frozenset({"views_by_picture", "no-picture", "not-a-picture"})

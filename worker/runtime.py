@@ -6,19 +6,19 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from schemas.image import Image
-from schemas.recipe import DescriptionRecipe, MapRecipe
+from schemas.recipe import MapRecipe
 from schemas.settings import MEGA, Settings
-from worker.configure import configure
+from worker.configure import configure, configure_torch, keep_freed_memory
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
-from worker.engines import make_decoder, make_encoder, make_product
 from worker.images import codec, quality
+from worker.images.apart.pool import make_decoder
 from worker.images.decoder import Decoder
 from worker.loop import Loop
-from worker.method.byte_vectors import Product
+from worker.method.byte_vectors import Product, float_product
 from worker.method.calibration import Calibration
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
@@ -147,6 +147,43 @@ MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
 """From settings and a number of threads to an encoder and its segmenter, if any."""
 
 
+def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter | None]:
+    """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported."""
+    if settings.encoder == "color":
+        from worker.encoders.color import ColorEncoder
+
+        return ColorEncoder(), None
+    if settings.encoder == "lseg" or settings.device != "cpu":
+        keep_freed_memory()
+        configure_torch(threads, settings.device)
+    if settings.encoder == "compact":
+        from worker.encoders.compact.encoder import CompactEncoder
+
+        compact = CompactEncoder(settings.device, threads=threads)
+        return compact, compact.segmenter()
+    from worker.encoders.lseg.encoder import LsegEncoder
+
+    lseg = LsegEncoder.open(
+        settings.weights,
+        vocabulary=settings.bpe,
+        mode=settings.lseg_mode,
+        device=settings.device,
+        batch=settings.batch,
+    )
+    return lseg, None
+
+
+def make_product(settings: Settings) -> Product:
+    """The product of int8 vectors: float32 for `color`, which loads no torch; otherwise the fastest."""
+    if settings.encoder == "color":
+        return float_product
+    from worker.search.byte_product import fastest_product
+
+    if settings.encoder == "compact" and settings.device == "cpu":
+        configure_torch(1)  # nothing but these products runs in torch then: more threads would only spin
+    return fastest_product()
+
+
 def build(
     settings: Settings,
     *,
@@ -183,7 +220,7 @@ def build(
         product = make_product(settings)
         general = [general_vocabulary(encoder, name) for name in PRESETS]
         describers = Describers(encoder, store.vocabularies, general, product)
-        catalogue = Catalogue(store.maps, store.descriptions, _empty_index)
+        catalogue = Catalogue(store.maps, store.descriptions, FlatIndex.of)
         decoder = make_decoder(settings)
         trainer = VocabularyTrainer(
             maps=store.maps,
@@ -349,10 +386,6 @@ def _services(
             product=product,
         ),
     )
-
-
-def _empty_index(recipe: DescriptionRecipe) -> FlatIndex:
-    return FlatIndex({name: channel.length for name, channel in recipe.parameters.channels.items()}, recipe.id)
 
 
 def _never(busy: bool) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.image import Bytes2D
-from worker.description.local_features import local_features, reduce
+from worker.description.local_features import local_features, reduce, root_descriptors
 from worker.method import verification
 
 
@@ -53,3 +53,22 @@ def test_a_part_of_an_image_lies_where_it_was_cut() -> None:
     # x in fractions of 320 becomes (320 x + 80) / 480; y likewise with 40.
     expected = [[2 / 3, 0, 1 / 6], [0, 2 / 3, 1 / 12]]
     np.testing.assert_allclose(found.transform, expected, atol=0.02)
+
+
+def test_upright_keypoints_match_where_the_camera_is_held_straight_and_not_where_it_is_turned() -> None:
+    whole = textured(320, 480)
+    part = np.ascontiguousarray(whole[40:280, 80:400])
+    turned = np.ascontiguousarray(np.rot90(part))
+
+    def matches(query: Bytes2D, upright: bool) -> int:
+        ours, theirs = (reduce(root_descriptors(pixels, 300, upright=upright)[1]) for pixels in (query, whole))
+        return len(verification.match(ours, [theirs])[0])
+
+    assert matches(part, upright=True) > 30
+    assert matches(turned, upright=True) < matches(turned, upright=False) / 2
+
+
+def test_an_upright_keypoint_is_described_once() -> None:
+    positions, descriptors = root_descriptors(textured(), 200, upright=True)
+    assert len(np.unique(positions, axis=0)) > 0.9 * len(positions)
+    np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1, atol=1e-4)

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.settings import Settings
-from worker.engines import make_product
 from worker.method import dense_cells, vocabulary
 from worker.method.byte_vectors import float_product, quantise
 from worker.method.unit_length import unit
+from worker.runtime import make_product
 from worker.search import byte_product
 
 

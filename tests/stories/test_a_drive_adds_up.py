@@ -28,7 +28,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
         yield running
 
 
-def asked(client: CheckedClient, ahead: float, **parameters: Any) -> Any:
+def put(client: CheckedClient, ahead: float, **parameters: Any) -> Any:
     taken = photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead + 0.4, turn=4).at("dusk"))
     answer = client.post("/query", params=parameters, content=taken, headers=JPEG)
     assert answer.status_code == 200, answer.text
@@ -36,8 +36,8 @@ def asked(client: CheckedClient, ahead: float, **parameters: Any) -> Any:
 
 
 def test_images_of_a_drive_are_counted_and_make_it_surer(client: CheckedClient) -> None:
-    alone = [asked(client, ahead) for ahead in STREET]
-    together = [asked(client, ahead, drive="robot-1") for ahead in STREET]
+    alone = [put(client, ahead) for ahead in STREET]
+    together = [put(client, ahead, drive="robot-1") for ahead in STREET]
 
     assert all("drive" not in answer or answer["drive"] is None for answer in alone)
     assert [answer["drive"]["images"] for answer in together] == [1, 2, 3, 4, 5, 6]
@@ -52,7 +52,7 @@ def test_images_of_a_drive_are_counted_and_make_it_surer(client: CheckedClient) 
 
 
 def test_what_the_drive_is_sure_of_comes_first_everywhere_in_the_answer(client: CheckedClient) -> None:
-    answers = [asked(client, ahead, drive="robot-2", precision=0.5) for ahead in STREET]
+    answers = [put(client, ahead, drive="robot-2", precision=0.5) for ahead in STREET]
     decided = [answer for answer in answers if answer["reason"]["detail"].startswith("the images of this drive")]
     assert decided
     for answer in decided:
@@ -64,11 +64,11 @@ def test_what_the_drive_is_sure_of_comes_first_everywhere_in_the_answer(client: 
 
 
 def test_a_drive_is_forgotten_and_others_go_their_own_way(client: CheckedClient) -> None:
-    asked(client, 3.0, drive="robot-3")
-    assert asked(client, 6.0, drive="robot-3", drive_timeout=600)["drive"]["images"] == 2
-    assert asked(client, 6.0, drive="robot-4")["drive"]["images"] == 1
-    assert asked(client, 9.0, drive="robot-3", drive_timeout=0.1)["drive"]["images"] in (1, 3)
-    assert asked(client, 9.0, drive="robot-3", drive_timeout=600)["drive"]["images"] >= 2
+    put(client, 3.0, drive="robot-3")
+    assert put(client, 6.0, drive="robot-3", drive_timeout=600)["drive"]["images"] == 2
+    assert put(client, 6.0, drive="robot-4")["drive"]["images"] == 1
+    assert put(client, 9.0, drive="robot-3", drive_timeout=0.1)["drive"]["images"] in (1, 3)
+    assert put(client, 9.0, drive="robot-3", drive_timeout=600)["drive"]["images"] >= 2
 
 
 @pytest.mark.parametrize(
@@ -83,6 +83,6 @@ def test_wrong_names_and_times_are_refused(client: CheckedClient, wrong: dict[st
 
 def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:
     assert client.put("/maps/empty", json={}).status_code == 201
-    answer = asked(client, 0.0, map="empty", drive="robot-5")
+    answer = put(client, 0.0, map="empty", drive="robot-5")
     assert (answer["status"], answer["drive"]["images"], answer["drive"]["posterior"]) == ("no_match", 0, [])
     assert answer["drive"]["nowhere"] == 1

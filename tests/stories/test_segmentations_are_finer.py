@@ -14,8 +14,7 @@ from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
 from worker.description.ports import Encoder, Segmenter
 from worker.encoders.color import ColorEncoder
-from worker.engines import make_encoder
-from worker.runtime import build
+from worker.runtime import build, make_encoder
 
 
 class StripesOfSkyAndRoad:

@@ -1,5 +1,6 @@
 """Keypoints of an image for geometric verification: SIFT on the equalised luminance, descriptors of 48 bytes."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -47,8 +48,19 @@ def local_features(pixels: Bytes2D, keypoints: int) -> LocalFeatures:
     return LocalFeatures(positions, reduce(descriptors))
 
 
-def root_descriptors(pixels: Bytes2D, keypoints: int) -> tuple[Floats, Floats]:
-    """Keypoints before reduction; parameters as of `local_features`.
+def root_descriptors(
+    pixels: Bytes2D, keypoints: int, longer_side: int = LONGER_SIDE, upright: bool = False
+) -> tuple[Floats, Floats]:
+    """Keypoints before reduction.
+
+    Parameters
+    ----------
+    pixels, keypoints
+        As of `local_features`.
+    longer_side : int
+        Pixels to which the longer side is scaled.
+    upright : bool
+        Describe every keypoint along the image's axes instead of its own direction.
 
     Returns
     -------
@@ -56,9 +68,12 @@ def root_descriptors(pixels: Bytes2D, keypoints: int) -> tuple[Floats, Floats]:
     descriptors : float32 of shape (n, 128)
         RootSIFT, unit length, non-negative.
     """
-    image = _evened(pixels)
+    image = _evened(pixels, longer_side)
     sift = cv2.SIFT_create(nfeatures=max(1, keypoints), contrastThreshold=CONTRAST)
-    found, descriptors = sift.detectAndCompute(image, None)
+    if upright:
+        found, descriptors = sift.compute(image, _turned_up(sift.detect(image, None)))
+    else:
+        found, descriptors = sift.detectAndCompute(image, None)
     if descriptors is None or keypoints < 1:
         return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
     spots = np.array([(*key.pt, key.response, key.size, key.angle) for key in found], np.float32)
@@ -92,11 +107,19 @@ def reduction() -> tuple[Floats, Floats]:
         return stored["mean"].astype(np.float32), stored["matrix"].astype(np.float32)
 
 
-def _evened(pixels: Bytes2D) -> Bytes2D:
-    """Luminance with its longer side at `LONGER_SIDE`, contrast equalised, uint8 (height, width)."""
+def _turned_up(found: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
+    """Keypoints without direction; of those with several directions one."""
+    spots = {(*key.pt, key.size): key for key in found}
+    for key in spots.values():
+        key.angle = 0.0
+    return list(spots.values())
+
+
+def _evened(pixels: Bytes2D, longer_side: int) -> Bytes2D:
+    """Luminance with its longer side at so many pixels, contrast equalised, uint8 (height, width)."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
-    scale = LONGER_SIDE / max(height, width)
+    scale = longer_side / max(height, width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     evened: Bytes2D = cv2.createCLAHE(CLIP_LIMIT, (8, 8)).apply(grey)

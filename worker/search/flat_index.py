@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats
+from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Changes, Selection, Sequence64
 
 DECIMALS = 6
@@ -39,6 +40,11 @@ class FlatIndex:
         self._lock = threading.Lock()
         self._seqs: Sequence64 = np.zeros(0, np.int64)
         self._channels = {name: faiss.IndexFlatL2(size) for name, size in self._dimensions.items()}
+
+    @classmethod
+    def of(cls, recipe: DescriptionRecipe) -> "FlatIndex":
+        """An empty index of the channels of a recipe."""
+        return cls({name: channel.length for name, channel in recipe.parameters.channels.items()}, recipe.id)
 
     def __len__(self) -> int:
         return len(self._seqs)

@@ -12,10 +12,12 @@ import numpy as np
 
 from schemas.errors import BadImage, BodyTooLarge, Busy, RevisitError, Unavailable
 from schemas.image import Image
+from schemas.settings import Settings
 from worker.images.apart.buffers import Buffers
 from worker.images.apart.process import DecoderProcess, Died, Hung
 from worker.images.apart.protocol import DECODE, THUMBNAIL
 from worker.images.codec import Limits, check_length
+from worker.images.decoder import Decoder, InProcessDecoder
 
 log = logging.getLogger(__name__)
 
@@ -151,3 +153,9 @@ def _raise_refusal(reply: dict[str, object]) -> None:
             raise BodyTooLarge(str(reply["detail"]))
         refusal: RevisitError = BadImage(str(reply["code"]), str(reply["detail"]))
         raise refusal
+
+
+def make_decoder(settings: Settings) -> Decoder:
+    """Decoders in processes of their own, or in this one where the settings ask for none."""
+    limits = Limits.of(settings)
+    return DecoderPool(settings.decoders, limits, settings.decode_s) if settings.decoders else InProcessDecoder(limits)
