@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator, FormatChecker
 
-from app.http.values import moment
+from schemas.values import moment
 
 _FORMATS = FormatChecker(())
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from app.http import values
 from app.http.validation import Parameters
+from schemas import values
 from schemas.errors import ParameterError
 from schemas.records import Filters, Position, ViewAttributes
 
