@@ -28,10 +28,12 @@ from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
+from worker.service.importing import Importer, ImportService
 from worker.service.jobs import JobService
 from worker.service.keys import KeyService
 from worker.service.maps import MapService
 from worker.service.query import QueryService
+from worker.service.recordings import Limits
 from worker.service.renderings import RenderingService
 from worker.service.settlements import Settlements
 from worker.service.trouble import StoringTrouble
@@ -55,6 +57,7 @@ class Services:
     jobs: JobService
     calibration: CalibrationService
     keys: KeyService
+    imports: ImportService
 
 
 @dataclass(frozen=True)
@@ -235,15 +238,24 @@ def build(
         )
         settlements = Settlements(store.views)
         me = this_process("serve" if serving else "worker")
-        loop = None
+        loop: Loop | None = None
         if settings.inline_worker or not serving:
+            importer = Importer(
+                uploads=store.uploads,
+                jobs=store.jobs,
+                enrolment=store.enrolment,
+                settlements=settlements,
+                decode=decoder.decode_patiently,
+                limits=Limits.of(settings),
+                wake=lambda: loop.wake() if loop is not None else None,
+            )
             loop = Loop(
                 jobs=store.jobs,
                 views=store.views,
                 pruning=store.pruning,
                 scheduler=scheduler,
                 describers=describers,
-                train=trainer.run,
+                map_jobs={"vocabulary": trainer.run, "import": importer.run},
                 compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
                 decode=decoder.decode_patiently,
                 name=me.name,
@@ -344,6 +356,7 @@ def _services(
             maps=store.maps,
             removals=store.removals,
             jobs=store.jobs,
+            uploads=store.uploads,
             comparisons=store.comparisons,
             shipped=shipped_calibration,
             encoder=encoder,
@@ -352,8 +365,15 @@ def _services(
             preset=settings.preset,
             wake=_nothing if loop is None else loop.wake_all,
         ),
-        jobs=JobService(store.jobs),
+        jobs=JobService(store.jobs, store.uploads),
         keys=KeyService(store.keys),
+        imports=ImportService(
+            uploads=store.uploads,
+            jobs=store.jobs,
+            limits=Limits.of(settings),
+            default_recipe=default_recipe,
+            wake=_nothing if loop is None else loop.wake_all,
+        ),
         calibration=CalibrationService(
             maps=store.maps,
             views=store.views,

@@ -11,6 +11,7 @@ GROUPS = (
     "serve",
     "demo",
     "enroll",
+    "recordings",
     "query",
     "browse",
     "recipes",

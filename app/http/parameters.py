@@ -219,7 +219,9 @@ class ListJobs(Parameters):
     """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
-    kind: Literal["describe", "recipe", "vocabulary"] | None = Field(None, description="Only jobs of this kind.")
+    kind: Literal["describe", "recipe", "vocabulary", "import"] | None = Field(
+        None, description="Only jobs of this kind."
+    )
     state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(
         None, description="Only jobs in this state."
     )

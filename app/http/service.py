@@ -54,6 +54,7 @@ class Service:
                 services.jobs,
                 services.calibration,
                 runtime.store.calls,
+                services.imports,
             ),
             lifecycle,
             runtime.settings,

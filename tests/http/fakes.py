@@ -4,7 +4,7 @@ It keeps views in dictionaries, checks images with the real codec, and fails on 
 """
 
 import asyncio
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, cast
@@ -287,6 +287,13 @@ class FakeRecogniser:
     async def train_vocabulary(self, name: str) -> wire.Job:
         await self.map(name)
         return self._job("j2")
+
+    async def import_recording(
+        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None]
+    ) -> wire.Job:
+        async for _ in body:
+            pass
+        return self._job("j3")
 
     async def job(self, job_id: str) -> wire.Job:
         if job_id == "gone":

@@ -27,6 +27,7 @@ from worker.storage.removals import Removals
 from worker.storage.rows import batches
 from worker.storage.space import Space
 from worker.storage.tables import CALLS, CLOCK, VIEWS
+from worker.storage.uploads import Uploads
 from worker.storage.views import Views
 from worker.storage.workers import Workers
 
@@ -49,7 +50,7 @@ class SqlStore:
     database : Database
         Migrated to the tables of this version.
     data : Path
-        Data folder; its folder ``pictures`` holds the enrolled images.
+        Data folder; its folder ``pictures`` holds the enrolled images, ``imports`` recordings until they are imported.
     share : FolderLock
         Shared lock that keeps migrations out; released by `close`.
     lost : str or None
@@ -74,6 +75,7 @@ class SqlStore:
         self.calls = Calls(database, images)
         self.keys = Keys(database, images)
         self.pruning = Pruning(database, images)
+        self.uploads = Uploads(data / "imports", database.space)
 
     def _owned(self, digests: list[str]) -> set[str]:
         """The digests among `digests` that views need."""
@@ -84,7 +86,8 @@ class SqlStore:
         return found
 
     def recover(self) -> None:
-        """Clean up after a crash: delete unfinished calls and image files without a view, finish deletions.
+        """Clean up after a crash: delete unfinished calls, image files without a view and uploads
+        without a job, finish deletions.
 
         Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
         """
@@ -92,6 +95,7 @@ class SqlStore:
         try:
             self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
             self.removals.clear_deleted_maps()
+            self.uploads.sweep(self.jobs.unfinished_imports())
             if self._lost is None:
                 self._images.sweep()
             else:  # an image without a view may be all that is left of it
