@@ -28,7 +28,8 @@ from schemas.settings import Settings, read_settings
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, make_recipe
 from worker.description.vocabularies import Vocabulary
-from worker.runtime import Runtime, make_encoder
+from worker.encoders.choosing import make_encoder
+from worker.runtime import Runtime
 
 Change = Callable[[MapRecipe], MapRecipe]
 

@@ -15,7 +15,7 @@ from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 Sequence64 = npt.NDArray[np.int64]
 
 JobState = Literal["waiting", "running", "done", "failed", "cancelled"]
-JobKind = Literal["describe", "recipe", "vocabulary", "snapshot"]
+JobKind = Literal["describe", "recipe", "vocabulary", "snapshot", "import"]
 ViewState = Literal["pending", "ready", "failed"]
 
 
@@ -142,13 +142,13 @@ class JobRecord:
     ----------
     kind : str
         ``describe``: describe one view; ``recipe``: describe all views of a map by another recipe; ``vocabulary``:
-        train a vocabulary on a map's views, then describe them by it.
+        train a vocabulary on a map's views, then describe them by it; ``import``: enrol the images of a recording.
     view_id : str or None
         Of a describe job.
     progress : JobProgress or None
         None for a describe job.
     result : mapping or None
-        Of a finished job, such as the recipe's id.
+        Of a finished job, such as the recipe's id; of an import from its beginning.
     failure : (str, str) or None
         Code and detail.
     """

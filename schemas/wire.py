@@ -274,13 +274,15 @@ class Job(Answer):
     """A background job."""
 
     id: str
-    kind: Literal["describe", "recipe", "vocabulary", "snapshot"]
+    kind: Literal["describe", "recipe", "vocabulary", "snapshot", "import"]
     state: Literal["waiting", "running", "done", "failed", "cancelled"]
     map: str
     view: str | None
     attempts: int
     progress: JobProgress | None = Field(description="Of a job of a map that has started.")
-    result: dict[str, Any] | None = Field(description="Of a finished job, such as the id of the map's recipe.")
+    result: dict[str, Any] | None = Field(
+        description="Of a finished job, such as the id of the map's recipe; of an import, its report so far."
+    )
     created_at: Moment
     finished_at: Moment | None
     failure: Failure | None

@@ -9,7 +9,7 @@ from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator, FormatChecker
 
 from app.console.files import files
-from app.http.values import moment
+from schemas.values import moment
 
 _FORMATS = FormatChecker(())
 

@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from schemas.description import Description
 from schemas.errors import LeaseLost, RevisitError
 from schemas.image import Image
 from schemas.log_context import bound
-from schemas.records import Claim, MapClaim
+from schemas.records import Claim, JobKind, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 from worker.service.trouble import STORAGE_ERRORS, StoringTrouble
@@ -125,7 +125,7 @@ class Loop:
         pruning: Pruning,
         scheduler: Scheduler,
         describers: Describers,
-        work: Callable[[MapClaim, Callable[[], bool]], None],
+        map_jobs: Mapping[JobKind, Callable[[MapClaim, Callable[[], bool]], None]],
         compare: Callable[[bool], bool] = lambda busy: False,
         decode: Decode,
         name: str,
@@ -136,7 +136,7 @@ class Loop:
         self._jobs, self._views, self._pruning = jobs, views, pruning
         self._scheduler = scheduler
         self._describers = describers
-        self._work, self._compare = work, compare
+        self._map_jobs, self._compare = map_jobs, compare
         self._decode = decode
         self._name = name
         self._batch = batch
@@ -227,7 +227,7 @@ class Loop:
                 claim = self._jobs.claim_map_job(self._name, None, _now())
                 if claim is not None:
                     with bound(job_id=claim.job_id, map=claim.map):
-                        self._work(claim, self._stopping.is_set)
+                        self._map_jobs[claim.kind](claim, self._stopping.is_set)
                     continue
                 if time.monotonic() - pruned >= PRUNE_EVERY_S:
                     if self._pruning.prune():

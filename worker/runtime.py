@@ -8,12 +8,13 @@ from datetime import UTC, datetime
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.settings import MEGA, Settings
-from worker.configure import configure, configure_torch, keep_freed_memory
+from worker.configure import configure, configure_torch
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
+from worker.encoders.choosing import make_encoder
 from worker.images import codec, quality
 from worker.images.apart.pool import make_decoder
 from worker.images.decoder import Decoder
@@ -30,11 +31,13 @@ from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.health import HealthService
+from worker.service.importing import Importer, ImportService
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.keys import KeyService
 from worker.service.maps import MapService
 from worker.service.query import QueryService
+from worker.service.recordings import Limits
 from worker.service.renderings import RenderingService
 from worker.service.settlements import Settlements
 from worker.service.snapshots import SnapshotService
@@ -62,6 +65,7 @@ class Services:
     inbox: InboxService
     keys: KeyService
     snapshots: SnapshotService
+    imports: ImportService
 
 
 @dataclass(frozen=True)
@@ -147,32 +151,6 @@ MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
 """From settings and a number of threads to an encoder and its segmenter, if any."""
 
 
-def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter | None]:
-    """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported."""
-    if settings.encoder == "color":
-        from worker.encoders.color import ColorEncoder
-
-        return ColorEncoder(), None
-    if settings.encoder == "lseg" or settings.device != "cpu":
-        keep_freed_memory()
-        configure_torch(threads, settings.device)
-    if settings.encoder == "compact":
-        from worker.encoders.compact.encoder import CompactEncoder
-
-        compact = CompactEncoder(settings.device, threads=threads)
-        return compact, compact.segmenter()
-    from worker.encoders.lseg.encoder import LsegEncoder
-
-    lseg = LsegEncoder.open(
-        settings.weights,
-        vocabulary=settings.bpe,
-        mode=settings.lseg_mode,
-        device=settings.device,
-        batch=settings.batch,
-    )
-    return lseg, None
-
-
 def make_product(settings: Settings) -> Product:
     """The product of int8 vectors: float32 for `color`, which loads no torch; otherwise the fastest."""
     if settings.encoder == "color":
@@ -240,18 +218,26 @@ def build(
         comparer = MapComparer(
             comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
         )
-        work_of = {"vocabulary": trainer.run, "snapshot": snapshots.run}
         settlements = Settlements(store.views)
         me = this_process("serve" if serving else "worker")
         loop: Loop | None = None
         if settings.inline_worker or not serving:
+            importer = Importer(
+                uploads=store.uploads,
+                jobs=store.jobs,
+                enrolment=store.enrolment,
+                settlements=settlements,
+                decode=decoder.decode_patiently,
+                limits=Limits.of(settings),
+                wake=lambda: loop.wake() if loop is not None else None,
+            )
             loop = Loop(
                 jobs=store.jobs,
                 views=store.views,
                 pruning=store.pruning,
                 scheduler=scheduler,
                 describers=describers,
-                work=lambda claim, stopping: work_of[claim.kind](claim, stopping),
+                map_jobs={"vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run},
                 compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
                 decode=decoder.decode_patiently,
                 name=me.name,
@@ -358,6 +344,7 @@ def _services(
             maps=store.maps,
             removals=store.removals,
             jobs=store.jobs,
+            uploads=store.uploads,
             comparisons=store.comparisons,
             shipped=shipped_calibration,
             encoder=encoder,
@@ -366,7 +353,7 @@ def _services(
             preset=settings.preset,
             wake=_nothing if loop is None else loop.wake_all,
         ),
-        jobs=JobService(store.jobs),
+        jobs=JobService(store.jobs, store.uploads),
         keys=KeyService(store.keys),
         health=HealthService(
             maps=store.maps,
@@ -375,6 +362,13 @@ def _services(
             calibration=calibration_of,
         ),
         snapshots=snapshots,
+        imports=ImportService(
+            uploads=store.uploads,
+            jobs=store.jobs,
+            limits=Limits.of(settings),
+            default_recipe=default_recipe,
+            wake=_nothing if loop is None else loop.wake_all,
+        ),
         calibration=CalibrationService(
             maps=store.maps,
             views=store.views,

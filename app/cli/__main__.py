@@ -12,6 +12,7 @@ GROUPS = (
     "serve",
     "demo",
     "enroll",
+    "recordings",
     "query",
     "browse",
     "recipes",

@@ -1,10 +1,9 @@
 """Finds images (files, folders, globs) and their attributes (CSV files of positions, EXIF)."""
 
-import csv
 import glob
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,6 @@ from typing import Any
 from app.cli.console import wrong_use
 
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"))
-NUMBERS = ("x", "y", "z", "lat", "lon", "alt", "heading")
-TEXTS = ("place", "captured_at")
 
 Known = dict[str, Any]
 """Arguments of `Revisit.enroll` for one image."""
@@ -71,58 +68,40 @@ def _not_taken(path: Path) -> str | None:
 
 
 class Positions:
-    """A CSV file of attributes: columns `file`, x,y[,z] or lat,lon[,alt], heading, place, captured_at.
+    """A manifest: columns `file`, x,y[,z] or lat,lon[,alt], heading, place, captured_at, or their other names.
 
     A row belongs to the images whose path ends with its `file`. Positions in metres or degrees (WGS 84), heading in
     degrees clockwise from north. Raises Failure when the file cannot be used.
     """
 
     def __init__(self, path: Path) -> None:
+        from worker.service import manifests
+
         self.path = path
-        self._rows: dict[str, Known] = {}
-        self._used: set[str] = set()
         try:
-            text = path.read_text(encoding="utf-8-sig")
+            self._manifest = manifests.read_manifest(str(path), path.read_bytes())
+            self._known = {row.line: manifests.attributes(row, str(path)) for row in self._manifest.rows}
         except FileNotFoundError:
             wrong_use(f"{path}: there is no such file or folder")
-        except UnicodeDecodeError:
-            wrong_use(f"{path}: not a CSV file in UTF-8")
-        reader = csv.DictReader(text.splitlines())
-        columns = reader.fieldnames or []
-        if "file" not in columns or not set(columns) & {*NUMBERS, *TEXTS}:
-            wrong_use(f"{path}: the first line needs to name columns: file and some of {', '.join(NUMBERS + TEXTS)}")
-        if unknown := set(columns) - {"file", *NUMBERS, *TEXTS}:
-            wrong_use(f"{path}: unknown columns {', '.join(sorted(map(str, unknown)))}")
-        for line, row in enumerate(reader, start=2):
-            self._rows[Path(row["file"] or "").as_posix()] = self._known(line, row)
-
-    def _known(self, line: int, row: Mapping[str, str | None]) -> Known:
-        known: Known = {name: row[name] for name in TEXTS if row.get(name)}
-        for name in NUMBERS:
-            text = (row.get(name) or "").strip()
-            if not text:
-                continue
-            try:
-                known[name] = float(text)
-            except ValueError:
-                known[name] = math.nan
-            if not math.isfinite(known[name]):
-                wrong_use(f"{self.path}, line {line}: {name} is {text!r}, which is no number")
-        return known
+        except ValueError as error:
+            wrong_use(str(error))
+        if not set(self._manifest.columns) & manifests.NAMES.keys() - {"file"}:
+            wrong_use(f"{path}: names no column beside file; some of {', '.join(manifests.NAMES)} are needed")
+        if unknown := set(self._manifest.columns) - manifests.NAMES.keys():
+            wrong_use(f"{path}: unknown columns {', '.join(sorted(unknown))}")
 
     def of(self, image: Path) -> Known | None:
         """The attributes of an image; None without a row."""
-        parts = image.resolve().as_posix().split("/")
-        for begin in range(len(parts)):  # the longest ending first: the most specific row
-            name = "/".join(parts[begin:])
-            if name in self._rows:
-                self._used.add(name)
-                return self._rows[name]
-        return None
+        row = self._manifest.of(image.resolve().as_posix())
+        if row is None:
+            return None
+        found = self._known[row.line]
+        known = {"place": found.place, "captured_at": found.captured_at, **asdict(found.position)}
+        return {name: value for name, value in known.items() if value is not None}
 
     def unused(self) -> list[str]:
         """`file` of the rows that `of` has not returned."""
-        return sorted(self._rows.keys() - self._used)
+        return sorted(row.file for row in self._manifest.unused())
 
 
 def from_exif(path: Path) -> Known:

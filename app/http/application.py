@@ -21,6 +21,7 @@ from app.http.routes import (
     enroll,
     health,
     images,
+    imports,
     jobs,
     map_health,
     maps,
@@ -33,7 +34,6 @@ from app.http.routes import (
 from app.http.service import Service
 from app.http.tracing import Tracing, make_provider
 from app.version import VERSION
-from schemas.settings import MEGA
 
 if TYPE_CHECKING:
     from worker.runtime import Runtime
@@ -43,7 +43,7 @@ TAGS = [
     {"name": "views", "description": "Enrolled images and their attributes."},
     {"name": "images", "description": "Images of views: as enrolled, small, and as drawings."},
     {"name": "maps", "description": "Named sets of views that are searched together."},
-    {"name": "jobs", "description": "Work in the background: describing, recipes, vocabularies."},
+    {"name": "jobs", "description": "Work in the background: describing, recipes, vocabularies, imports."},
     {"name": "snapshots", "description": "Maps as files: made, given away, restored."},
     {"name": "service", "description": "Health, metrics and version."},
 ]
@@ -92,13 +92,13 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
-    for group in (views, images, maps, map_health, unknown, places, jobs, snapshots, health, console):
+    for group in (views, images, maps, imports, map_health, unknown, places, jobs, snapshots, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
     # The middleware added last is outermost: RequestContext sees every answer, and no body is read before
     # ReadinessGate, KeyGate, RateLimit and BodyLimit let the request through.
-    app.add_middleware(BodyLimit, max_bytes=round(service.settings.max_body_mb * MEGA), seconds=service.settings.body_s)
+    app.add_middleware(BodyLimit, settings=service.settings)
     app.add_middleware(RateLimit, settings=service.settings)
     app.add_middleware(KeyGate, keys=service.keys)
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))

@@ -11,8 +11,8 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import Scope
 
-from app.http.values import file_name, strict_json
 from schemas.errors import BadBody, BadImage, BodyTooLarge, InvalidParameters, ParameterError, UnexpectedBody, echoed
+from schemas.values import file_name, strict_json
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks

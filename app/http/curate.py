@@ -1,7 +1,7 @@
 """Use-cases for views, images, maps and jobs: each runs in a thread, and its result becomes an answer."""
 
 import asyncio
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -18,12 +18,16 @@ from worker.description.presets import Wanted
 from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
 from worker.service.health import HealthService
+from worker.service.importing import ImportService
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.renderings import RenderingService
 from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
+
+RECEIVED_AT_ONCE = 1_000_000
+"""Bytes of a recording that are written together."""
 
 
 class Calls(Protocol):
@@ -65,6 +69,7 @@ class Curator:
     snapshots : SnapshotService
     calls : Calls
         Answers of calls with an Idempotency-Key.
+    imports : ImportService
     """
 
     def __init__(
@@ -78,10 +83,11 @@ class Curator:
         inbox: InboxService,
         snapshots: SnapshotService,
         calls: Calls,
+        imports: ImportService,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
         self._calibrations, self._health, self._inbox = calibrations, health, inbox
-        self._snapshots = snapshots
+        self._snapshots, self._imports = snapshots, imports
 
     # views
 
@@ -247,6 +253,40 @@ class Curator:
     async def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on a map's own views and describe them by it, in the background."""
         return presenters.job(await asyncio.to_thread(self._maps.train_vocabulary, name))
+
+    async def import_recording(
+        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None]
+    ) -> wire.Job:
+        """Receive a recording and queue its import.
+
+        Parameters
+        ----------
+        name : str
+            Of the map, which is made when there is none.
+        body : async iterator of bytes
+        announced : int
+            Bytes that will come; 0: unknown.
+        charge : function
+            Called with the number of its images, once they are known.
+
+        Raises
+        ------
+        BadBody, BodyTooLarge, DiskFull, StorageFailed
+            Nothing of it is left.
+        """
+        upload = await asyncio.to_thread(self._imports.receive, announced)
+        try:
+            pieces = bytearray()
+            async for chunk in body:
+                pieces += chunk
+                if len(pieces) >= RECEIVED_AT_ONCE:
+                    await asyncio.to_thread(upload.write, bytes(pieces))
+                    pieces.clear()
+            await asyncio.to_thread(upload.write, bytes(pieces))
+            charge(await asyncio.to_thread(self._imports.check, upload))
+            return presenters.job(await asyncio.to_thread(self._imports.accept, upload, name))
+        finally:
+            await asyncio.to_thread(upload.discard)  # does nothing to one that was accepted
 
     async def job(self, job_id: str) -> wire.Job:
         """One job."""

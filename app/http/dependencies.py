@@ -13,9 +13,9 @@ from app.http.metrics import Metrics
 from app.http.parameters import NoParameters
 from app.http.recognise import Recogniser
 from app.http.validation import OnceEach
-from app.http.values import MAP_NAME
 from schemas.errors import NotFound
 from schemas.keys import Access
+from schemas.values import MAP_NAME
 
 
 async def _recogniser(request: Request) -> Recogniser:

@@ -19,10 +19,12 @@ from app.http.problems import internal
 from app.http.refusing import refuse
 from schemas.errors import BodyTooLarge, RequestTimeout, Unavailable
 from schemas.log_context import bound
+from schemas.settings import MEGA, Settings
 
 access = logging.getLogger("revisit.access")
 
 _SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
+_IMPORTS = re.compile("/maps/[^/]+/imports")
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 ALWAYS_OPEN = frozenset({"/livez", "/readyz", "/metrics"})
@@ -186,27 +188,28 @@ class BodyLimit:
     Parameters
     ----------
     app : ASGIApp
-    max_bytes : int
-        Bytes of the largest body.
-        Those of `STREAMED` have no bound here: the disk bounds them.
-    seconds : float
-        Seconds in which a body has to arrive, and one more for each `SLOWEST_BYTES_S` bytes that have arrived.
+    settings : Settings
+        ``max_body_mb``, ``max_import_mb`` for recordings, and ``body_s``: the seconds in which a body has to arrive,
+        and one more for each `SLOWEST_BYTES_S` bytes that have arrived. Those of `STREAMED` have no bound here: the
+        disk bounds them.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int, seconds: float) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
-        self._max_bytes = max_bytes
-        self._seconds = seconds
+        self._most = round(settings.max_body_mb * MEGA)
+        self._most_imported = round(settings.max_import_mb * MEGA)
+        self._seconds = settings.body_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request whose body is counted while it is read."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        most = self._most_imported if _IMPORTS.fullmatch(scope["path"]) else self._most
         announced = Headers(scope=scope).get("content-length", "")
         bounded = (scope["method"], scope["path"]) not in STREAMED
-        if bounded and announced.isdigit() and int(announced) > self._max_bytes:
-            await refuse(self._too_large(f"{int(announced):,}"), scope, receive, send)
+        if bounded and announced.isdigit() and int(announced) > most:
+            await refuse(_too_large(f"{int(announced):,}", most), scope, receive, send)
             return
         received = 0
         complete = not has_body(scope)
@@ -227,12 +230,13 @@ class BodyLimit:
             complete = not message.get("more_body", False)
             if message["type"] == "http.request":
                 received += len(message.get("body", b""))
-                if bounded and received > self._max_bytes:
+                if bounded and received > most:
                     # Raised inside the route that reads the body, so that it is answered like any other refusal.
-                    raise self._too_large(f"more than {self._max_bytes:,}")
+                    raise _too_large(f"more than {most:,}", most)
             return message
 
         await self._app(scope, receive_counted, send)
 
-    def _too_large(self, size: str) -> BodyTooLarge:
-        return BodyTooLarge(f"the body has {size} bytes; at most {self._max_bytes:,} are taken")
+
+def _too_large(size: str, most: int) -> BodyTooLarge:
+    return BodyTooLarge(f"the body has {size} bytes; at most {most:,} are taken")

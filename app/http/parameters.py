@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from app.http import values
 from app.http.validation import Parameters
+from schemas import values
 from schemas.errors import ParameterError
 from schemas.records import Filters, Position, ViewAttributes
 from schemas.wire import HealthCode
@@ -262,7 +262,7 @@ class ListJobs(Parameters):
     """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
-    kind: Literal["describe", "recipe", "vocabulary", "snapshot"] | None = Field(
+    kind: Literal["describe", "recipe", "vocabulary", "snapshot", "import"] | None = Field(
         None, description="Only jobs of this kind."
     )
     state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(

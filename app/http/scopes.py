@@ -42,6 +42,7 @@ WRITE: tuple[tuple[str, str], ...] = (
     ("PATCH", "/views/{view_id}"),
     ("DELETE", "/views/{view_id}"),
     ("DELETE", "/views"),
+    ("POST", "/maps/{map}/imports"),
 )
 ADMIN: tuple[tuple[str, str], ...] = (
     ("PUT", "/maps/{map}"),

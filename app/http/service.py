@@ -57,6 +57,7 @@ class Service:
                 services.inbox,
                 services.snapshots,
                 runtime.store.calls,
+                services.imports,
             ),
             lifecycle,
             runtime.settings,

@@ -7,24 +7,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import islice
 from types import TracebackType
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self
 
 import httpx
 
 from revisit_client import wire
 from revisit_client.connection import Connection
-from revisit_client.errors import JobFailed
 from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
+from revisit_client.jobs import JobCalls
 from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
 from revisit_client.snapshots import SnapshotCalls
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
-Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
-
-class Revisit(ImageCalls, HealthCalls, SnapshotCalls):
+class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters
@@ -231,7 +229,7 @@ class Revisit(ImageCalls, HealthCalls, SnapshotCalls):
         page = page if limit is None else max(1, min(page, limit))
         params = texts({"map": map, "state": state, "sort": sort, "words": words, "limit": page, **chosen})
         yield from islice(
-            (view for answer in self._pages(wire.Views, "/views", params) for view in answer.views), limit
+            (view for answer in self._connection.pages(wire.Views, "/views", params) for view in answer.views), limit
         )
 
     def view(self, view_id: str) -> wire.View:
@@ -248,7 +246,7 @@ class Revisit(ImageCalls, HealthCalls, SnapshotCalls):
         """Delete a view and its image."""
         return self._connection.receive(wire.Deleted, "DELETE", f"/views/{view_id}")
 
-    # maps, places, jobs
+    # maps, places
 
     def maps(self) -> list[wire.MapFacts]:
         """All maps, by name."""
@@ -317,55 +315,8 @@ class Revisit(ImageCalls, HealthCalls, SnapshotCalls):
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
         """Iterate over all places, fetched in pages as needed."""
-        for page in self._pages(wire.Places, "/places", texts({"map": map})):
+        for page in self._connection.pages(wire.Places, "/places", texts({"map": map})):
             yield from page.places
-
-    def job(self, job_id: str) -> wire.Job:
-        """One job."""
-        return self._connection.receive(wire.Job, "GET", f"/jobs/{job_id}")
-
-    def jobs(self, map: str | None = None, *, kind: str | None = None, state: str | None = None) -> Iterator[wire.Job]:
-        """Iterate over jobs, newest first, fetched in pages as needed."""
-        for page in self._pages(wire.Jobs, "/jobs", texts({"map": map, "kind": kind, "state": state})):
-            yield from page.jobs
-
-    def cancel_job(self, job_id: str) -> wire.Job:
-        """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
-        return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
-
-    def wait_for_job(
-        self, job_id: str, *, timeout: float = 600.0, follow: Callable[[wire.Job], None] = lambda job: None
-    ) -> wire.Job:
-        """Wait until a job is done, at most `timeout` seconds; `follow` is called with each state of it on the way.
-
-        Raises
-        ------
-        JobFailed
-            The job failed or was cancelled.
-        TimeoutError
-            The job is still waiting or running.
-        """
-        deadline, pause = self._clock() + timeout, 0.05
-        while True:
-            job = self.job(job_id)
-            follow(job)
-            if job.state == "done":
-                return job
-            if job.state in ("failed", "cancelled"):
-                raise JobFailed(job)
-            if self._clock() + pause > deadline:
-                raise TimeoutError(f"job {job_id} is still {job.state} after {timeout:g} s")
-            self._sleep(pause)
-            pause = min(1.0, pause * 1.5)
-
-    def _pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:
-        """Iterate over the pages of a list, fetched as needed."""
-        while True:
-            page = self._connection.receive(model, "GET", path, params=params)
-            yield page
-            if page.next is None:
-                return
-            params = {**params, "cursor": page.next}
 
     # the service
 

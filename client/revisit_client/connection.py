@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 import httpx
 from pydantic import BaseModel, ValidationError
 
+from revisit_client import wire
 from revisit_client.errors import ClientError, RevisitProblem, Unreachable, problem_of, reason, retry_after
 
 USER_AGENT = "revisit-client"
@@ -14,6 +15,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 8.0
 """Seconds between repetitions without Retry-After: each pause is twice the previous one."""
 
 Answer = TypeVar("Answer", bound=BaseModel)
+Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
 
 
 class Connection:
@@ -91,8 +93,24 @@ class Connection:
         except httpx.TransportError as error:
             raise Unreachable(self.url, reason(error)) from error
 
+    def pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:
+        """Iterate over the pages of a list, fetched as needed."""
+        while True:
+            page = self.receive(model, "GET", path, params=params)
+            yield page
+            if page.next is None:
+                return
+            params = {**params, "cursor": page.next}
+
     def send(
-        self, method: str, path: str, *, repeat: bool = True, accept: int | None = None, **request: Any
+        self,
+        method: str,
+        path: str,
+        *,
+        repeat: bool = True,
+        accept: int | None = None,
+        once: bool = False,
+        **request: Any,
     ) -> httpx.Response:
         """Send a request; repeat it within `patience` seconds while that may help.
 
@@ -102,6 +120,8 @@ class Connection:
             Whether the request may be sent twice after a lost connection, because its work is then done once.
         accept : int or None
             A status of 400 or more that is returned instead of raised.
+        once : bool
+            Whether its body can be read once alone, so that it is never repeated.
         **request
             Further arguments of `httpx.Client.request`.
 
@@ -126,7 +146,7 @@ class Connection:
                 trouble = RevisitProblem(problem_of(answer), named)
                 # 429 and 503 are answered before any work is done: every request may be repeated.
                 again, wait = answer.status_code in (429, 503), pause if named is None else named
-            if not again or self._clock() + wait > deadline:
+            if once or not again or self._clock() + wait > deadline:
                 raise trouble
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)

@@ -33,12 +33,13 @@ from schemas.settings import Settings
 from worker.configure import configure
 from worker.description import local_features
 from worker.description.presets import Wanted, make_recipe
+from worker.encoders.choosing import make_encoder
 from worker.images import codec
 from worker.images.codec import Limits
 from worker.method import cascade, score_fusion, verification
 from worker.method.byte_vectors import Product
 from worker.method.evidence import Evidence
-from worker.runtime import make_encoder, make_product
+from worker.runtime import make_product
 from worker.search.flat_index import FlatIndex
 
 Doubles = npt.NDArray[np.float64]

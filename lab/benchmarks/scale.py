@@ -31,9 +31,10 @@ from worker.configure import configure
 from worker.description.describer import Describer
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, changed_ranking, general_vocabulary, make_recipe
+from worker.encoders.choosing import make_encoder
 from worker.images import codec
 from worker.images.codec import Limits
-from worker.runtime import make_encoder, make_product
+from worker.runtime import make_product
 
 SIZES = (100, 1_000, 10_000, 20_000)
 FORECAST = (100_000, 1_000_000)

@@ -20,7 +20,8 @@ from worker.description.describer import Describer
 from worker.description.presets import Wanted, make_recipe
 from worker.description.scheduler import Scheduler
 from worker.description.vocabularies import Vocabulary
-from worker.runtime import MakeEncoder, Runtime, build, make_encoder
+from worker.encoders.choosing import make_encoder
+from worker.runtime import MakeEncoder, Runtime, build
 
 
 @contextmanager

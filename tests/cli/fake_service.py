@@ -26,7 +26,14 @@ class FakeService:
 def fake_service() -> Iterator[FakeService]:
     class Handler(BaseHTTPRequestHandler):
         def answer(self) -> None:
-            body = self.rfile.read(int(self.headers.get("content-length") or 0))
+            if self.headers.get("transfer-encoding") == "chunked":
+                body = b""
+                while size := int(self.rfile.readline(), 16):
+                    body += self.rfile.read(size)
+                    self.rfile.readline()
+                self.rfile.readline()
+            else:
+                body = self.rfile.read(int(self.headers.get("content-length") or 0))
             service.keys.append(self.headers.get("authorization"))
             service.requests.append((f"{self.command} {self.path}", body))
             reply = service.replies.get(f"{self.command} {self.path.partition('?')[0]}")

@@ -265,7 +265,7 @@ class TestSegmenter:
 class TestFiles:
     def test_the_engine_on_a_cpu_does_without_torch(self) -> None:
         command = (
-            "import sys; from worker.runtime import make_encoder; from schemas.settings import Settings; "
+            "import sys; from worker.encoders.choosing import make_encoder; from schemas.settings import Settings; "
             "make_encoder(Settings(), 1); print('torch' in sys.modules, 'onnxruntime' in sys.modules)"
         )
         loaded = subprocess.run([sys.executable, "-c", command], cwd=ROOT, capture_output=True, text=True, check=True)

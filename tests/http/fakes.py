@@ -4,7 +4,7 @@ It keeps views in dictionaries, checks images with the real codec, and fails on 
 """
 
 import asyncio
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, cast
@@ -33,6 +33,7 @@ from schemas.statistics import (
     ServiceStatistics,
     StoreStatistics,
 )
+from tests.http.fake_inbox import FakeInbox
 from tests.http.fake_snapshots import FakeSnapshots
 from worker.images.codec import Limits, decode, facts, thumbnail
 
@@ -74,7 +75,7 @@ class Kept:
 
 
 @dataclass
-class FakeRecogniser(FakeSnapshots):
+class FakeRecogniser(FakeSnapshots, FakeInbox):
     """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))
@@ -259,19 +260,6 @@ class FakeRecogniser(FakeSnapshots):
     async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"keep_queries": count})
 
-    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
-        await self.map(name)
-        return wire.UnknownPlaces(map=name, keep_queries=0, kept=0, examined=0, count=0, places=[])
-
-    async def unknown_image(self, name: str, query_id: str) -> bytes:
-        raise NotFound("kept query", query_id)
-
-    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
-        raise NotFound("unknown place", place_id)
-
-    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
-        return wire.DismissedPlace(queries=3)
-
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         if any(kept.map == name for kept in self.kept.values()):
             raise Conflict(f"the map {name!r} has views; POST /maps/{name}/recipe describes them anew")
@@ -315,6 +303,13 @@ class FakeRecogniser(FakeSnapshots):
     async def train_vocabulary(self, name: str) -> wire.Job:
         await self.map(name)
         return self._job("j2")
+
+    async def import_recording(
+        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None]
+    ) -> wire.Job:
+        async for _ in body:
+            pass
+        return self._job("j3")
 
     async def job(self, job_id: str) -> wire.Job:
         if job_id == "gone":

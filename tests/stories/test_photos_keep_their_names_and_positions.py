@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from app.http.application import create_app
-from app.http.values import LONGEST_FILE_NAME, file_name
 from scenes import scene
 from schemas.settings import Settings
+from schemas.values import LONGEST_FILE_NAME, file_name
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.runtime import build

@@ -13,8 +13,9 @@ from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
 from worker.description.ports import Encoder, Segmenter
+from worker.encoders.choosing import make_encoder
 from worker.encoders.color import ColorEncoder
-from worker.runtime import build, make_encoder
+from worker.runtime import build
 
 
 class StripesOfSkyAndRoad:

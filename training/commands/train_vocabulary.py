@@ -20,8 +20,8 @@ from training.data.images import read_rgb
 from worker.description.ports import Encoder
 from worker.description.presets import PRESETS, Preset, carried
 from worker.description.vocabularies import SHIPPED, Vocabulary, train
+from worker.encoders.choosing import make_encoder
 from worker.method import labels, static_mask
-from worker.runtime import make_encoder
 
 FOLDERS = (
     ("segmentation/camvid/train", 120),

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from datetime import UTC, datetime
 
 from schemas.records import JobKind, JobRecord, JobState
-from worker.service.ports import Jobs
+from worker.service.ports import Jobs, UploadRemoval
 
 
 class JobService:
@@ -14,10 +14,12 @@ class JobService:
     ----------
     jobs : Jobs
         The store's.
+    uploads : UploadRemoval
+        Recordings of imports.
     """
 
-    def __init__(self, jobs: Jobs) -> None:
-        self._jobs = jobs
+    def __init__(self, jobs: Jobs, uploads: UploadRemoval) -> None:
+        self._jobs, self._uploads = jobs, uploads
 
     def get(self, job_id: str) -> JobRecord:
         """One job; raises NotFound."""
@@ -41,4 +43,7 @@ class JobService:
 
     def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job; raises NotFound, or Conflict when it can no longer be cancelled."""
-        return self._jobs.cancel(job_id, datetime.now(UTC))
+        cancelled = self._jobs.cancel(job_id, datetime.now(UTC))
+        if cancelled.kind == "import":
+            self._uploads.discard(job_id)
+        return cancelled

@@ -14,7 +14,7 @@ from worker.method.calibration import Calibration
 from worker.method.own_calibration import OwnCalibration
 from worker.search.catalogue import Catalogue
 from worker.service.calibrating import own_calibration
-from worker.service.ports import Comparisons, Jobs, Maps, Removals
+from worker.service.ports import Comparisons, Jobs, Maps, Removals, UploadRemoval
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class MapService:
 
     Parameters
     ----------
-    maps, removals, jobs, comparisons
+    maps, removals, jobs, uploads, comparisons
         Parts of the store.
     shipped : function
         Recipe to the calibration shipped for it.
@@ -54,6 +54,7 @@ class MapService:
         maps: Maps,
         removals: Removals,
         jobs: Jobs,
+        uploads: UploadRemoval,
         comparisons: Comparisons,
         shipped: Callable[[MapRecipe], Calibration],
         encoder: Encoder,
@@ -62,7 +63,7 @@ class MapService:
         preset: str,
         wake: Callable[[], None],
     ) -> None:
-        self._maps, self._removals, self._jobs = maps, removals, jobs
+        self._maps, self._removals, self._jobs, self._uploads = maps, removals, jobs, uploads
         self._comparisons, self._shipped = comparisons, shipped
         self._encoder, self._describers, self._catalogue = encoder, describers, catalogue
         self._preset, self._wake = preset, wake
@@ -101,7 +102,10 @@ class MapService:
 
     def delete(self, name: str) -> Removal:
         """Remove a map and all its views; raises NotFound."""
+        imports = self._jobs.unfinished_imports(name)
         receipt = self._removals.delete_map(name)
+        for job_id in imports:
+            self._uploads.discard(job_id)
         self._catalogue.forget(name)
         return receipt
 

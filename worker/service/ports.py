@@ -70,10 +70,11 @@ class Enrolment(Protocol):
         recipe: MapRecipe,
         now: datetime,
         steady_s: float | None = None,
+        background: bool = False,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
 
-        `steady_s` is the reading of a steady clock at `now`.
+        `steady_s` is the reading of a steady clock at `now`; `background`: other enrolments are described first.
 
         Raises
         ------
@@ -187,6 +188,14 @@ class JobQueue(Protocol):
         ...
 
 
+class UploadRemoval(Protocol):
+    """Recordings on disk."""
+
+    def discard(self, job_id: str) -> None:
+        """Remove the file of an import that has ended; does nothing when there is none."""
+        ...
+
+
 class Jobs(Protocol):
     """Work in the background."""
 
@@ -217,4 +226,8 @@ class Jobs(Protocol):
 
     def queue_vocabulary(self, name: str, now: datetime) -> JobRecord:
         """Queue the training of a vocabulary on a map's views; raises NotFound, Conflict."""
+        ...
+
+    def unfinished_imports(self, name: str | None = None) -> set[str]:
+        """Ids of the imports, into a map if one is named, that wait or run."""
         ...

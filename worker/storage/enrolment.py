@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
-from schemas.records import Submitted, ViewAttributes
+from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.storage import checksums, switching
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
@@ -88,13 +88,15 @@ class Enrolment(Part):
         image: bytes,
         facts: ImageFacts,
         attributes: ViewAttributes,
-        recipe: MapRecipe,
+        recipe: MapRecipe | None,
         now: datetime,
         steady_s: float | None = None,
+        background: bool = False,
     ) -> Submitted:
-        """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
+        """Store an image durably and queue its description; creates the map, if `recipe` is given.
 
-        `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured.
+        `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured;
+        `background`: other enrolments are described first.
 
         For an image that the map has already the result is its view, which is queued again if it had failed.
 
@@ -102,6 +104,8 @@ class Enrolment(Part):
         ------
         Conflict
             The map has the image with other attributes.
+        NotFound
+            There is no map, and no recipe to create it with.
         DiskFull
         ValueError
             The SHA-256 in `facts` is not that of the image.
@@ -112,12 +116,26 @@ class Enrolment(Part):
             try:
                 row = find_map(connection, name)
             except NotFound:
+                if recipe is None:
+                    raise
                 make_map(connection, name, recipe, now)
                 row = find_map(connection, name)
             view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
-                return self._enrol(connection, row, facts, attributes, now, steady_s)
-            return self._enrol_again(connection, row, view, facts, attributes, now)
+                return self._enrol(connection, row, facts, attributes, now, steady_s, background)
+            return self._enrol_again(connection, row, view, facts, attributes, now, background)
+
+    def known(self, name: str, sha256: str, attributes: ViewAttributes) -> ViewRecord | None:
+        """The view that a map has of an image, if it is sound and its attributes are these; else None."""
+        with self._database.reading() as connection:
+            try:
+                row = find_map(connection, name)
+            except NotFound:
+                return None
+            view = connection.execute(_same_image(), {"map_id": row.id, "sha256": sha256}).one_or_none()
+            if view is None or view.state == "failed" or not has_whole_attributes(view):
+                return None
+            return None if contradictions(attributes_of(view), attributes) else view_record(view)
 
     def _enrol(
         self,
@@ -127,6 +145,7 @@ class Enrolment(Part):
         attributes: ViewAttributes,
         now: datetime,
         steady_s: float | None,
+        background: bool,
     ) -> Submitted:
         view_id, elapsed_us = self._order.following(connection, now, steady_s)
         columns = {
@@ -143,7 +162,7 @@ class Enrolment(Part):
         view = view_record(find_view(connection, view_id))
         self._order.note(view.seq, elapsed_us, steady_s)
         keep_pairs(connection, view.seq, attributes)
-        job = self._queue(connection, row, view.seq, now)
+        job = self._queue(connection, row, view.seq, now, background)
         return Submitted(view, job, created=True, revision=row.revision)
 
     def _enrol_again(
@@ -154,6 +173,7 @@ class Enrolment(Part):
         facts: ImageFacts,
         attributes: ViewAttributes,
         now: datetime,
+        background: bool,
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
             columns = {
@@ -176,7 +196,7 @@ class Enrolment(Part):
             )
         job: str | None
         if view.state == "failed":  # sending it again means trying again
-            job = self._queue(connection, row, view.seq, now)
+            job = self._queue(connection, row, view.seq, now, background)
             connection.execute(
                 sa.update(VIEWS)
                 .where(VIEWS.c.seq == view.seq)
@@ -187,11 +207,11 @@ class Enrolment(Part):
             job = switching.unfinished_job(connection, view.seq, row.recipe)
         return Submitted(view_record(view), job, created=False, revision=row.revision)
 
-    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, now: datetime) -> str:
+    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, now: datetime, background: bool) -> str:
         """Queue the description of a view by the map's recipe and, in a recipe switch, by the next; returns the job."""
         job = switching.unfinished_job(connection, seq, row.recipe)
         if job is None:
-            [job] = switching.queue(connection, row.id, [seq], row.recipe, now, background=False)
+            [job] = switching.queue(connection, row.id, [seq], row.recipe, now, background=background)
         following = row.next_recipe
         if following is not None and not switching.settled(connection, seq, following):
             switching.queue(connection, row.id, [seq], following, now, background=True)

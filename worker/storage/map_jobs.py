@@ -3,6 +3,7 @@
 A job of the kind ``recipe`` runs until the last of the map's views is described. One of the kind ``vocabulary`` is
 first claimed by a worker, which trains the vocabulary, and then runs like one of the kind ``recipe``. One of the kind
 ``snapshot`` is claimed by a worker, which writes the file. It leaves its map as it is and may run beside the others.
+``import`` is claimed by a worker until the last image of its recording is described.
 """
 
 import json
@@ -20,6 +21,7 @@ from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, switching
 from worker.storage.jobs import ATTEMPTS, Jobs
+from worker.storage.maps import make_map
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, maps_named
 from worker.storage.switching import UNFINISHED
@@ -89,9 +91,54 @@ class MapJobs(Jobs):
 
     # both
 
+    # import
+
+    def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
+        """Queue the import of a recording that is kept already; creates the map (with `recipe`) when there is none."""
+        with self._database.writing() as connection:
+            try:
+                row = find_map(connection, name)
+            except NotFound:
+                make_map(connection, name, recipe, now)
+                row = find_map(connection, name)
+            new = {"id": job_id, "kind": "import", "map_id": row.id, "background": True}
+            connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
+            return _record(connection, job_id)
+
+    def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
+        """Report the progress of an import and what came of it so far; raises LeaseLost, also when it was cancelled.
+
+        One that was resumed begins anew with what is there already: its progress is not told before it gets further,
+        and from then on the attempts count anew.
+        """
+        with self._database.writing(in_turn=False) as connection:
+            job = _held(connection, claim)
+            values: dict[str, Any] = {"progress_total": progress.total}
+            if job.progress_done is None or progress.done > job.progress_done:
+                values |= {"progress_done": progress.done, "result": as_json(result), "attempts": 1}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
+
+    def finish_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any], now: datetime) -> None:
+        """End an import as done; raises LeaseLost."""
+        with self._database.writing(in_turn=False) as connection:
+            job = _held(connection, claim)
+            ended = {"state": "done", "token": None, "lease_until": None, "finished_at": now}
+            told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
+
+    def unfinished_imports(self, name: str | None = None) -> set[str]:
+        """Ids of the imports, into a map if one is named, that wait or run."""
+        mine = sa.select(JOBS.c.id).where(JOBS.c.kind == "import", JOBS.c.state.in_(UNFINISHED))
+        if name is not None:
+            mine = mine.where(JOBS.c.map_id.in_(maps_named([name])))
+        with self._database.reading() as connection:
+            return set(connection.scalars(mine))
+
+    # claims
+
     def claim_map_job(self, worker: str, lease: timedelta | None, now: datetime) -> MapClaim | None:
         """Claim the oldest job of a map that waits or whose lease has ended; a job at most three times."""
-        waits = JOBS.c.kind.in_(("vocabulary", "snapshot")) & JOBS.c.recipe.is_(None)
+        waits = JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
         left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
         mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
@@ -142,7 +189,7 @@ class MapJobs(Jobs):
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a claimed job back without counting the attempt; does nothing when the lease is lost."""
-        with self._database.writing(in_turn=False) as connection:
+        with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(
                 sa.update(JOBS)
                 .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
@@ -209,9 +256,13 @@ class MapJobs(Jobs):
             else:
                 if job.recipe is not None:
                     switching.stop(connection, job.map_id, job.recipe, now)
-                kept = "no snapshot was made" if job.kind == "snapshot" else "the map keeps the recipe that it has"
+                kept = _LEFT.get(job.kind, "the map keeps the recipe that it has")
                 _end(connection, job.number, "cancelled", now, ("cancelled", kept))
             return _record(connection, job_id)
+
+
+_LEFT = {"snapshot": "no snapshot was made", "import": "what was imported before stays"}
+"""What is left of a job that was cancelled, by its kind."""
 
 
 def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
@@ -310,7 +361,7 @@ def _damaged_record(row: sa.Row[Any]) -> JobRecord:
 
 
 def _progress(connection: sa.Connection, row: sa.Row[Any]) -> JobProgress | None:
-    """Progress of a job of a map: reported by training, counted over the describe jobs for a recipe."""
+    """Progress of a job of a map: reported by training and importing, counted over the describe jobs for a recipe."""
     if row.kind == "describe":
         return None
     if row.recipe is None or row.state != "running":

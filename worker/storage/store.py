@@ -30,6 +30,7 @@ from worker.storage.rows import batches
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
 from worker.storage.tables import CALLS, CLOCK, VIEWS
+from worker.storage.uploads import Uploads
 from worker.storage.views import Views
 from worker.storage.workers import Workers
 
@@ -52,7 +53,7 @@ class SqlStore:
     database : Database
         Migrated to the tables of this version.
     data : Path
-        Data folder; its folder ``pictures`` holds the enrolled images.
+        Data folder; its folder ``pictures`` holds the enrolled images, ``imports`` recordings until they are imported.
     share : FolderLock
         Shared lock that keeps migrations out; released by `close`.
     lost : str or None
@@ -80,6 +81,7 @@ class SqlStore:
         self.pruning = Pruning(database, images)
         self.snapshots = Snapshots(database, images, data / "snapshots")
         self.restoring = Restoring(database, images, self.removals)
+        self.uploads = Uploads(data / "imports", database.space)
 
     def _owned(self, digests: list[str]) -> set[str]:
         """The digests among `digests` that views need."""
@@ -90,7 +92,8 @@ class SqlStore:
         return found
 
     def recover(self) -> None:
-        """Clean up after a crash: delete unfinished calls, maps, snapshots and images, finish deletions.
+        """Clean up after a crash: delete unfinished calls, maps, snapshots and images, and uploads without a job;
+        finish deletions.
 
         Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
         """
@@ -99,6 +102,7 @@ class SqlStore:
             self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
             self.removals.clear_deleted_maps()
             self.snapshots.sweep()
+            self.uploads.sweep(self.jobs.unfinished_imports())
             if self._lost is None:
                 self._images.sweep()
             else:  # an image without a view may be all that is left of it

@@ -183,7 +183,7 @@ JOBS = sa.Table(
     METADATA,
     sa.Column("number", big_key(), primary_key=True),  # in queueing order
     sa.Column("id", sa.Text, nullable=False, unique=True),
-    sa.Column("kind", sa.Text, nullable=False),  # describe (a view); recipe, vocabulary or snapshot (a map)
+    sa.Column("kind", sa.Text, nullable=False),  # describe (a view); recipe, vocabulary, snapshot, import (a map)
     sa.Column("map_id", sa.BigInteger, nullable=False),
     sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE")),  # NULL for a job of a map
     sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL before training has ended, and of a snapshot
@@ -193,7 +193,7 @@ JOBS = sa.Table(
     sa.Column("worker", sa.Text),
     sa.Column("token", sa.Text),
     sa.Column("lease_until", UtcDateTime),
-    sa.Column("progress_done", sa.Integer),  # of training; describing is counted in jobs
+    sa.Column("progress_done", sa.Integer),  # of training and importing; describing is counted in jobs
     sa.Column("progress_total", sa.Integer),
     sa.Column("result", sa.Text),  # JSON
     sa.Column("created_at", UtcDateTime, nullable=False),

@@ -14,9 +14,9 @@ from app.http.merge_patch import merge
 from app.http.openapi import refusals, takes_json
 from app.http.parameters import AttributesDocument, DeleteViews, ListViews
 from app.http.validation import validated
-from app.http.values import METADATA_DEPTH, within_depth
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.records import ViewAttributes
+from schemas.values import METADATA_DEPTH, within_depth
 from schemas.wire import Deleted, Position, View, Views, rfc3339
 
 router = APIRouter(tags=["views"])

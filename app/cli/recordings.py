@@ -1,0 +1,78 @@
+"""``revisit import``: send a recording (an archive, or a folder of images), and follow its import."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli.console import DONE, FAILED, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
+
+if TYPE_CHECKING:
+    from revisit_client import Revisit
+    from revisit_client.wire import Job
+
+MOST_SHOWN = 20
+"""Errors printed; --json has all."""
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "import",
+        help="import a recording: a zip archive or a folder of images, with a manifest",
+        description="Send a zip archive or a folder of images. A manifest (manifest.csv or manifest.ndjson inside) has "
+        "the columns file, place, x, y, z, lat, lon, alt, heading, captured_at; any other is kept as metadata. Images "
+        "that are in the map already are skipped: repeat the command to continue.",
+    )
+    parser.add_argument("source", type=Path, metavar="FILE|DIR", help="zip archive, or folder (with all inside)")
+    parser.add_argument("--map", default="default", help="map to import into (default: default)")
+    parser.add_argument("--manifest", type=Path, metavar="FILE", help="manifest of a folder that holds none")
+    parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
+    speaks(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Import; returns 1 when some images were refused."""
+    from revisit_client import Revisit
+
+    with Revisit(arguments.url, key=arguments.key, timeout=600) as revisit:
+        try:
+            job = revisit.import_recording(arguments.source, map=arguments.map, manifest=arguments.manifest)
+        except ValueError as error:
+            wrong_use(str(error))
+        if not arguments.no_wait:
+            say(f"job {job.id} is running; interrupting this command does not stop it")
+            job = _followed(revisit, job, quiet=arguments.json)
+    if arguments.json:
+        show_json(job.model_dump(mode="json"))
+    elif job.result is None:
+        show(f"job {job.id} of map {job.map}: {job.state}")
+    else:
+        _show(job)
+    return FAILED if job.result is not None and job.result.get("failed") else DONE
+
+
+def _followed(revisit: "Revisit", job: "Job", *, quiet: bool) -> "Job":
+    """The job once it is done, with a progress bar."""
+    until = job
+    while until.progress is None and until.state in ("waiting", "running"):
+        until = revisit.wait_for_progress(until)
+    with progress_bar(until.progress.total if until.progress else 0, "images", quiet=quiet) as step:
+        done = 0
+        while True:
+            for _ in range(done, until.progress.done if until.progress else 0):
+                step("")
+                done += 1
+            if until.state not in ("waiting", "running"):
+                return revisit.wait_for_job(job.id)
+            until = revisit.wait_for_progress(until)
+
+
+def _show(job: "Job") -> None:
+    report = job.result or {}
+    show(f"{report['enrolled']} enrolled, {report['already_there']} already there, {report['failed']} failed")
+    for error in report["errors"][:MOST_SHOWN]:
+        say(f"  {error['file']}: {error['detail']}")
+    left = len(report["errors"]) - MOST_SHOWN + report["errors_left_off"]
+    if left > 0:
+        say(f"  and {left} more; GET /jobs/{job.id} lists them")

@@ -1,0 +1,45 @@
+"""`POST /maps/{map}/imports`: enrol the images of a recording."""
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse, Response
+from python_multipart.multipart import parse_options_header
+
+from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.notes import note
+from app.http.openapi import refusals
+from app.http.rate_limits import charge_images
+from schemas.errors import BadBody
+from schemas.wire import Job
+
+router = APIRouter(tags=["maps"], dependencies=[no_parameters])
+
+TYPES = ("application/zip", "application/x-zip-compressed", "application/octet-stream")
+
+_STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
+_ZIP = {"schema": {"type": "string", "format": "binary", "description": "A zip archive of images."}}
+
+
+@router.post(
+    "/maps/{map}/imports",
+    status_code=202,
+    response_model=Job,
+    openapi_extra={"requestBody": {"required": True, "content": dict.fromkeys(TYPES, _ZIP)}},
+    responses={202: _STARTED, **refusals("malformed-body", "body-too-large", "disk-full")},
+)
+async def import_recording(name: MapName, request: Request, curator: Curates) -> Response:
+    """Enrol the images of a zip archive, with a manifest of what is known of them or without, as a job."""
+    kind = parse_options_header(request.headers.get("content-type", ""))[0].decode("latin-1")
+    if kind not in TYPES:
+        sent = f"of the type {kind}" if kind else "without a content type"
+        raise BadBody("malformed-body", f"the body is {sent}; send a zip archive as the body, as {TYPES[0]}")
+    announced = request.headers.get("content-length", "")
+    job = await curator.import_recording(
+        name,
+        request.stream(),
+        int(announced) if announced.isdigit() else 0,
+        lambda images: charge_images(request, images + 1),  # an upload is no image by itself
+    )
+    note(job_ids=[job.id])
+    return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})

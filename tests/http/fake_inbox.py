@@ -1,0 +1,23 @@
+"""Unknown places of a runtime that keeps no queries."""
+
+from schemas import wire
+from schemas.errors import NotFound
+from schemas.records import ViewAttributes
+
+
+class FakeInbox:
+    """No unknown place of any map but ``nowhere``, which does not exist."""
+
+    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
+        if name == "nowhere":
+            raise NotFound("map", name)
+        return wire.UnknownPlaces(map=name, keep_queries=0, kept=0, examined=0, count=0, places=[])
+
+    async def unknown_image(self, name: str, query_id: str) -> bytes:
+        raise NotFound("kept query", query_id)
+
+    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
+        raise NotFound("unknown place", place_id)
+
+    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        return wire.DismissedPlace(queries=3)

@@ -1,0 +1,263 @@
+"""A recording is sent as a zip: its images are enrolled with what the manifest knows, whatever happens meanwhile."""
+
+import io
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.sample_images import drawn, encoded, photo
+from tests.stories.running import RunningService
+
+ZIP = {"content-type": "application/zip"}
+
+
+def zipped(files: Mapping[str, bytes | str]) -> bytes:
+    """An archive of these files."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+def photos(count: int, size: int = 64) -> dict[str, bytes | str]:
+    """Images of different places, by name."""
+    return {f"walk/{i:04}.jpg": encoded(drawn(size, size, i)) for i in range(count)}
+
+
+def ended(client: httpx.Client, job_id: str, within_s: float = 60) -> dict[str, Any]:
+    """The job once it has ended."""
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        job: dict[str, Any] = client.get(f"/jobs/{job_id}").json()
+        if job["state"] not in ("waiting", "running"):
+            return job
+        time.sleep(0.02)
+    raise AssertionError(f"the job has not ended: {job}")
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    with RunningService(tmp_path_factory.mktemp("imports"), REVISIT_COMPARE="false", REVISIT_MAX_IMPORT_MB="2") as one:
+        yield one
+
+
+@pytest.fixture
+def client(service: RunningService) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=service.url, timeout=60) as one:
+        yield one
+
+
+def sent(client: httpx.Client, name: str, files: Mapping[str, bytes | str]) -> dict[str, Any]:
+    """The ended job of an import."""
+    answer = client.post(f"/maps/{name}/imports", content=zipped(files), headers=ZIP)
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["location"] == f"/jobs/{answer.json()['id']}"
+    return ended(client, answer.json()["id"])
+
+
+def test_a_recording_with_a_manifest_is_enrolled_and_each_fault_is_told(
+    client: httpx.Client, service: RunningService
+) -> None:
+    manifest = (
+        "Filename;Easting;Northing;heading;timestamp;camera\n"
+        "0000.jpg;1,5;2;350;1767225600;front\n"
+        "walk/0001.jpg;3;4;-90;2026-01-01T00:00:00Z;rear\n"
+        "0002.jpg;far;4;;;\n"
+        "0009.jpg;5;6;;;\n"
+    )
+    files = {**photos(4), "walk/broken.png": photo(9, "png")[:-30], "notes.txt": "a fine day", "manifest.csv": manifest}
+
+    job = sent(client, "walk", files)
+
+    assert (job["kind"], job["state"], job["progress"]) == ("import", "done", {"done": 5, "total": 5})
+    report = job["result"]
+    assert {key: report[key] for key in ("images", "enrolled", "already_there", "failed")} == {
+        "images": 5,
+        "enrolled": 3,
+        "already_there": 0,
+        "failed": 2,
+    }
+    assert (report["rows_without_file"], report["files_without_row"], report["errors_left_off"]) == (1, 2, 0)
+    told = {(error["file"], error["problem"]): error["detail"] for error in report["errors"]}
+    assert set(told) == {
+        ("walk/0002.jpg", "bad-row"),
+        ("0009.jpg", "no-file"),
+        ("walk/0003.jpg", "no-row"),
+        ("walk/broken.png", "no-row"),
+        ("walk/broken.png", "undecodable-picture"),
+        ("notes.txt", "no-image"),
+    }
+    assert "line 4: x is 'far', which is no number" in told["walk/0002.jpg", "bad-row"]
+    views = client.get("/views?map=walk").json()["views"]
+    assert [view["state"] for view in views] == ["ready"] * 3
+    first, second, bare = views
+    assert {key: first["position"][key] for key in ("x", "y", "heading")} == {"x": 1.5, "y": 2.0, "heading": 350.0}
+    assert first["captured_at"] == second["captured_at"] == "2026-01-01T00:00:00.000000Z"
+    assert (first["metadata"], second["metadata"]) == ({"camera": "front"}, {"camera": "rear"})
+    assert second["position"]["heading"] == 270.0
+    assert (bare["position"], bare["metadata"]) == (None, {})
+    assert not any((service.data / "imports").iterdir())
+
+
+def test_the_same_recording_again_adds_nothing(client: httpx.Client) -> None:
+    rows = "\n".join(f'{{"file": "{i:04}.jpg", "place": "p{i}", "floor": {i}}}' for i in range(3))
+    files = {**photos(3), "manifest.ndjson": rows}
+    first = sent(client, "twice", files)["result"]
+    again = sent(client, "twice", {**files, **photos(4)})["result"]
+
+    assert (first["enrolled"], first["already_there"]) == (3, 0)
+    assert (again["enrolled"], again["already_there"], again["failed"]) == (1, 3, 0)
+    assert [view["metadata"] for view in client.get("/views?map=twice&place=p2").json()["views"]] == [{"floor": 2}]
+
+
+def test_other_attributes_for_an_image_that_is_there_are_an_error(client: httpx.Client) -> None:
+    sent(client, "moved", {**photos(1), "manifest.csv": "file,x,y\n0000.jpg,1,2\n"})
+
+    report = sent(client, "moved", {**photos(1), "manifest.csv": "file,x,y\n0000.jpg,1,3\n"})["result"]
+
+    assert (report["already_there"], report["failed"], report["errors"][0]["problem"]) == (0, 1, "conflict")
+
+
+def test_an_import_is_cancelled_and_what_it_enrolled_stays(client: httpx.Client, service: RunningService) -> None:
+    answer = client.post("/maps/long/imports", content=zipped(photos(300, 96)), headers=ZIP)
+    while client.get(f"/jobs/{answer.json()['id']}").json()["state"] == "waiting":
+        time.sleep(0.01)
+
+    cancelled = client.delete(f"/jobs/{answer.json()['id']}").json()
+
+    assert (cancelled["state"], cancelled["failure"]["code"]) == ("cancelled", "cancelled")
+    assert not any((service.data / "imports").iterdir())
+    until = time.monotonic() + 30
+    while (views := client.get("/maps/long").json()["views"])["pending"] and time.monotonic() < until:
+        time.sleep(0.05)
+    assert views["pending"] == 0
+    assert views["ready"] < 300
+    assert sent(client, "after", photos(1))["state"] == "done"
+
+
+def test_a_deleted_map_takes_its_import_along(client: httpx.Client, service: RunningService) -> None:
+    client.post("/maps/gone/imports", content=zipped(photos(200, 96)), headers=ZIP)
+    client.post("/maps/gone/imports", content=zipped(photos(3)), headers=ZIP)
+
+    assert client.delete("/maps/gone").status_code == 200
+
+    assert sent(client, "after", photos(1))["state"] == "done"
+    assert client.get("/maps/gone").status_code == 404
+    assert not any((service.data / "imports").iterdir())
+
+
+def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) -> None:
+    data, environment = tmp_path / "data", {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
+    job_id, killed = None, False
+    while True:
+        with RunningService(data, **environment) as service, httpx.Client(base_url=service.url, timeout=60) as client:
+            if job_id is None:
+                answer = client.post("/maps/walk/imports", content=zipped(photos(100, 96)), headers=ZIP)
+                job_id = answer.json()["id"]
+            before = client.get("/maps/walk").json()["views"]["ready"]
+            while not killed and (now := client.get("/maps/walk").json()["views"]["ready"]) < min(before + 10, 100):
+                time.sleep(0.01)
+            if not killed:
+                killed = True
+                assert now < 100, "it was over before the kill"
+                service.kill()
+                continue
+            job = ended(client, job_id)
+            assert (job["state"], job["progress"]) == ("done", {"done": 100, "total": 100})
+            report = job["result"]
+            assert (report["enrolled"], report["already_there"], report["errors"]) == (100, 0, [])
+            assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 100, "failed": 0}
+            assert not any((data / "imports").iterdir())
+            return
+
+
+def lying_about_its_size() -> bytes:
+    return zipped({"a.jpg": photo(1)}).replace(b"PK\x05\x06\0\0\0\0\x01\0\x01\0", b"PK\x05\x06\0\0\0\0\xff\xff\xff\xff")
+
+
+def linking() -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        link = zipfile.ZipInfo("a.jpg")
+        link.external_attr = 0o120777 << 16
+        archive.writestr(link, "/etc/passwd")
+    return out.getvalue()
+
+
+def bomb() -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.bmp", bytes(40_000_000))
+    return out.getvalue()
+
+
+def of_many_files() -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for number in range(15_000):
+            archive.writestr(f"{number}.jpg", b"")
+    raw = bytearray(out.getvalue())
+    raw[-12:-10] = (60_000).to_bytes(2, "little")
+    return bytes(raw)
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "words"),
+    [
+        (b"", 400, "not a zip archive"),
+        (b"hello", 400, "not a zip archive"),
+        (photo(1), 400, "not a zip archive"),
+        (zipped(photos(2))[:-30], 400, "breaks off"),
+        (zipped({"notes.txt": "none"}), 400, "holds no image"),
+        (zipped({"../a.jpg": photo(1)}), 400, "leads out of the archive"),
+        (zipped({"walk\\..\\..\\a.jpg": photo(1)}), 400, "leads out of the archive"),
+        (zipped({"/etc/a.jpg": photo(1)}), 400, "is absolute"),
+        (zipped({"C:/a.jpg": photo(1)}), 400, "is absolute"),
+        (zipped({"a\nb.jpg": photo(1)}), 400, "control characters"),
+        (zipped({"a" * 2000 + ".jpg": photo(1)}), 400, "2,004 letters"),
+        (zipped({"a/b.jpg": photo(1), "a\\b.jpg": photo(2)}), 400, "two of its files have the name"),
+        (linking(), 400, "symbolic link"),
+        (bomb(), 400, "more than 100 times as many"),
+        (of_many_files(), 413, "60,000 files"),
+        (zipped({**photos(1), "manifest.csv": "x,y\n1,2\n"}), 400, "needs to name a column file"),
+        (zipped({**photos(1), "manifest.csv": "file,x,easting\na,1,2\n"}), 400, "both mean x"),
+        (zipped({**photos(1), "manifest.csv": "file,x\na,1\na,2\n"}), 400, "lines 2 and 3 are both about a"),
+        (zipped({**photos(1), "manifest.csv": b"\xff\xfe\0"}), 400, "UTF-8"),
+        (zipped({**photos(1), "manifest.ndjson": "[1]"}), 400, "needs to be a JSON object"),
+        (zipped({**photos(1), "manifest.csv": "file", "b/manifest.csv": "file"}), 400, "2 manifests"),
+        (zipped({"a.jpg": bytes(2_100_000)}), 413, "at most 2,000,000 are taken"),
+    ],
+)
+def test_a_hostile_archive_is_refused_in_words_and_leaves_nothing(
+    client: httpx.Client, service: RunningService, body: bytes, status: int, words: str
+) -> None:
+    answer = client.post("/maps/hostile/imports", content=body, headers=ZIP)
+
+    assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+    assert words in answer.json()["detail"]
+    assert client.get("/maps/hostile").status_code == 404
+    assert not (service.data / "imports").exists() or not any((service.data / "imports").iterdir())
+
+
+def test_a_directory_that_lies_about_its_files_is_no_way_in(client: httpx.Client) -> None:
+    answer = client.post("/maps/hostile/imports", content=lying_about_its_size(), headers=ZIP)
+
+    assert answer.status_code == 413
+
+
+def test_an_image_that_is_damaged_in_the_archive_is_an_error_of_its_own(client: httpx.Client) -> None:
+    whole = zipped(photos(2))
+    at = whole.index(encoded(drawn(64, 64, 1))) + 100
+    torn = whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
+
+    job = ended(client, client.post("/maps/torn/imports", content=torn, headers=ZIP).json()["id"])
+
+    assert (job["result"]["enrolled"], job["result"]["failed"]) == (1, 1)
+    assert job["result"]["errors"][0]["file"] == "walk/0001.jpg"
+    assert "damaged in the archive" in job["result"]["errors"][0]["detail"]

@@ -1,0 +1,101 @@
+"""Ports of imports to the store; each declares only the methods that they call."""
+
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from schemas.image import ImageFacts
+from schemas.recipe import MapRecipe
+from schemas.records import JobProgress, JobRecord, MapClaim, Submitted, ViewAttributes, ViewRecord
+
+
+class Upload(Protocol):
+    """A file that is being received."""
+
+    @property
+    def path(self) -> Path:
+        """Of the file."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Add bytes; raises DiskFull, StorageFailed."""
+        ...
+
+    def end(self) -> None:
+        """Make what was received durable; raises DiskFull, StorageFailed."""
+        ...
+
+    def discard(self) -> None:
+        """Remove it."""
+        ...
+
+
+class Uploads(Protocol):
+    """Recordings on disk."""
+
+    def receive(self, announced: int = 0) -> Upload:
+        """Begin to receive a file of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
+        ...
+
+    def keep(self, upload: Any, job_id: str, request: Mapping[str, Any]) -> None:
+        """Keep a received file durably for a job; raises DiskFull, StorageFailed."""
+        ...
+
+    def find(self, job_id: str) -> tuple[Path, dict[str, Any]]:
+        """The file of a job and what was asked; raises FileNotFoundError, ValueError."""
+        ...
+
+    def discard(self, job_id: str) -> None:
+        """Remove the file of a job that has ended; does nothing when there is none."""
+        ...
+
+
+class ImportJobs(Protocol):
+    """Jobs of the kind ``import``."""
+
+    def get(self, job_id: str) -> JobRecord:
+        """One job; raises NotFound."""
+        ...
+
+    def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
+        """Queue the import of a recording that is kept already; creates the map (with `recipe`) when there is none."""
+        ...
+
+    def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
+        """Report the progress of an import and what came of it so far; raises LeaseLost."""
+        ...
+
+    def finish_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any], now: datetime) -> None:
+        """End an import as done; raises LeaseLost."""
+        ...
+
+    def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
+        """End a job as failed; raises LeaseLost."""
+        ...
+
+    def release_map_job(self, claim: MapClaim) -> None:
+        """Put a job back without counting the attempt."""
+        ...
+
+
+class ImportEnrolment(Protocol):
+    """Storing images."""
+
+    def known(self, name: str, sha256: str, attributes: ViewAttributes) -> ViewRecord | None:
+        """The view that a map has of an image, if it is sound and its attributes are these; else None."""
+        ...
+
+    def submit(
+        self,
+        name: str,
+        image: bytes,
+        facts: ImageFacts,
+        attributes: ViewAttributes,
+        recipe: MapRecipe | None,
+        now: datetime,
+        steady_s: float | None = None,
+        background: bool = False,
+    ) -> Submitted:
+        """As `worker.service.ports.Enrolment.submit`."""
+        ...

@@ -1,0 +1,328 @@
+"""Import recordings: receive an upload, then enrol its images as a durable job."""
+
+import hashlib
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from uuid6 import uuid7
+
+from schemas.errors import LeaseLost, NotFound, RevisitError, StorageFailed
+from schemas.image import Image
+from schemas.recipe import MapRecipe
+from schemas.records import JobProgress, JobRecord, MapClaim, Submitted, ViewRecord
+from worker.images.codec import facts
+from worker.service import steady
+from worker.service.import_ports import ImportEnrolment, ImportJobs, Upload, Uploads
+from worker.service.recordings import Item, Limits, Note, open_recording
+from worker.service.settlements import Settlements
+from worker.service.trouble import STORAGE_ERRORS
+
+log = logging.getLogger("revisit.worker")
+
+AHEAD = 32
+"""Images stored ahead of the encoder."""
+
+DECODED_AHEAD = 4
+"""Images read and decoded ahead of the store."""
+
+TOLD_EVERY_S = 0.5
+"""Seconds between reports of progress, which also learn of a cancellation."""
+
+PAUSE_S = 0.02
+
+MOST_NOTES = 1000
+"""Notes that a report lists; the others are counted."""
+
+
+class ImportService:
+    """The use-case: receive a recording, check it, and queue its import.
+
+    Parameters
+    ----------
+    uploads, jobs
+        Parts of the store.
+    limits : Limits
+    default_recipe : MapRecipe
+        Recipe of a map that an import creates.
+    wake : function
+        Called when a job was queued.
+    """
+
+    def __init__(
+        self,
+        *,
+        uploads: Uploads,
+        jobs: ImportJobs,
+        limits: Limits,
+        default_recipe: MapRecipe,
+        wake: Callable[[], None],
+    ) -> None:
+        self._uploads, self._jobs, self._limits = uploads, jobs, limits
+        self._default_recipe, self._wake = default_recipe, wake
+
+    def receive(self, announced: int) -> Upload:
+        """Begin to receive a recording of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
+        return self._uploads.receive(announced)
+
+    def check(self, upload: Upload) -> int:
+        """Number of images of a received recording.
+
+        Raises
+        ------
+        BadBody, BodyTooLarge
+            Nothing of it can be imported; the text says why.
+        """
+        upload.end()
+        with open_recording(upload.path, self._limits) as recording:
+            return len(recording.items) + recording.failed
+
+    def accept(self, upload: Upload, name: str) -> JobRecord:
+        """Queue the import of a checked recording into a map, which is made when there is none.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+        """
+        job_id = str(uuid7())
+        self._uploads.keep(upload, job_id, {})
+        try:
+            job = self._jobs.queue_import(job_id, name, self._default_recipe, datetime.now(UTC))
+        except BaseException:
+            self._uploads.discard(job_id)
+            raise
+        self._wake()
+        return job
+
+
+class _Stop(Exception):
+    """The worker is stopping: the job is put back."""
+
+
+@dataclass
+class _Report:
+    """What came of an import so far; its fields are those of the job's `result`."""
+
+    images: int = 0
+    enrolled: int = 0
+    already_there: int = 0
+    failed: int = 0
+    rows_without_file: int = 0
+    files_without_row: int = 0
+    errors: list[dict[str, str]] = field(default_factory=list)
+    errors_left_off: int = 0
+
+    def add(self, note: Note) -> None:
+        if len(self.errors) < MOST_NOTES:
+            self.errors.append(asdict(note))
+        else:
+            self.errors_left_off += 1
+
+    @property
+    def progress(self) -> JobProgress:
+        return JobProgress(self.enrolled + self.already_there + self.failed, self.images)
+
+
+class Importer:
+    """Runs jobs of the kind ``import``.
+
+    Parameters
+    ----------
+    uploads, jobs, enrolment
+        Parts of the store.
+    settlements : Settlements
+        Waits for views to be described.
+    decode : function
+        Bytes to Image; raises BadImage.
+    limits : Limits
+    wake : function
+        Called when a description was queued.
+    """
+
+    def __init__(
+        self,
+        *,
+        uploads: Uploads,
+        jobs: ImportJobs,
+        enrolment: ImportEnrolment,
+        settlements: Settlements,
+        decode: Callable[[bytes], Image],
+        limits: Limits,
+        wake: Callable[[], None],
+    ) -> None:
+        self._uploads, self._jobs, self._enrolment, self._settlements = uploads, jobs, enrolment, settlements
+        self._decode, self._limits, self._wake = decode, limits, wake
+
+    def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
+        """Import a recording until `stopping()` is true; what is there already is skipped, an error fails the job.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+            The job was put back, and is to be tried again.
+        """
+        try:
+            path, _ = self._uploads.find(claim.job_id)
+            with open_recording(path, self._limits) as recording:
+                report = _Report(images=len(recording.items) + recording.failed, failed=recording.failed)
+                for note in recording.notes:
+                    report.rows_without_file += note.problem == "no-file"
+                    report.files_without_row += note.problem == "no-row"
+                    report.add(note)
+                _Run(self, claim, stopping, report).all(recording.items)
+            self._jobs.finish_import(claim, report.progress, asdict(report), _now())
+        except _Stop:
+            self._jobs.release_map_job(claim)
+            return
+        except LeaseLost:
+            log.info("job %s was cancelled, or its map was deleted", claim.job_id)
+        except STORAGE_ERRORS:
+            self._jobs.release_map_job(claim)
+            raise
+        except FileNotFoundError:
+            self._fail(claim, "damaged", "the uploaded recording is gone from the data folder; send it again")
+        except OSError as error:
+            self._jobs.release_map_job(claim)
+            raise StorageFailed(f"the uploaded recording cannot be read: {error.strerror}") from error
+        except RevisitError as error:
+            self._fail(claim, error.code, error.detail)
+        except Exception as error:
+            log.exception("importing into the map %s failed", claim.map)
+            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
+        self._uploads.discard(claim.job_id)
+
+    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
+        try:
+            self._jobs.fail_map_job(claim, code, detail, _now())
+        except LeaseLost:
+            log.info("job %s was cancelled, or its map was deleted", claim.job_id)
+
+    # what a run of a job does with one image
+
+    def read(self, claim: MapClaim, item: Item) -> "tuple[bytes, ViewRecord | None, Image | None]":
+        """The bytes of an image, and its view in the map or else the decoded image; raises ValueError, RevisitError."""
+        data = item.read()
+        view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), item.attributes)
+        return data, view, None if view is not None else self._decode(data)
+
+    def submit(self, claim: MapClaim, item: Item, data: bytes, image: Image) -> Submitted:
+        """Store an image durably and queue its description; raises Conflict, LeaseLost, DiskFull, StorageFailed."""
+        try:
+            submitted = self._enrolment.submit(
+                claim.map, data, facts(image), item.attributes, None, _now(), steady.reading_s(), background=True
+            )
+        except NotFound as error:
+            raise LeaseLost(error.detail) from None
+        if submitted.job_id is not None:
+            self._wake()
+        return submitted
+
+    def settled(self, view_id: str, patience_s: float) -> ViewRecord | None:
+        """A view once it is settled, or as it is after `patience_s`; None when it was deleted."""
+        try:
+            return self._settlements.wait(view_id, patience_s)
+        except NotFound:
+            return None
+
+    def report(self, claim: MapClaim, report: _Report) -> None:
+        """Tell the store how far a job is; raises LeaseLost."""
+        self._jobs.report_import(claim, report.progress, asdict(report))
+
+    def began(self, claim: MapClaim) -> datetime:
+        """When a job was queued; raises LeaseLost when it went with its map."""
+        try:
+            return self._jobs.get(claim.job_id).created_at
+        except NotFound as error:
+            raise LeaseLost(error.detail) from None
+
+
+class _Run:
+    """One run of a job: its images pass from being read over being stored to being described, in order."""
+
+    def __init__(self, importer: Importer, claim: MapClaim, stopping: Callable[[], bool], report: _Report) -> None:
+        self._importer, self._claim, self._stopping, self._report = importer, claim, stopping, report
+        self._began = importer.began(claim)
+        self._seen: set[str] = set()
+        self._describing: deque[tuple[str, str, bool]] = deque()  # file, view, whether this import enrolled it
+        self._told = 0.0
+
+    def all(self, items: list[Item]) -> None:
+        """Import the items until their last view is described; raises _Stop, LeaseLost, DiskFull, StorageFailed."""
+        self._tell()
+        with ThreadPoolExecutor(DECODED_AHEAD, "revisit-import") as threads:
+            try:
+                for item, reading in self._reading(items, threads):
+                    self._import(item, reading)
+                    while len(self._describing) >= AHEAD:
+                        self._await_oldest()
+            finally:
+                threads.shutdown(wait=False, cancel_futures=True)
+        while self._describing:
+            self._await_oldest()
+
+    def _reading(self, items: list[Item], threads: ThreadPoolExecutor) -> "Iterator[tuple[Item, Future[Any]]]":
+        ahead: deque[tuple[Item, Future[Any]]] = deque()
+        for item in items:
+            ahead.append((item, threads.submit(self._importer.read, self._claim, item)))
+            if len(ahead) >= DECODED_AHEAD:
+                yield ahead.popleft()
+        yield from ahead
+
+    def _import(self, item: Item, reading: "Future[Any]") -> None:
+        self._tell()
+        try:
+            data, view, image = reading.result()
+            if view is None:
+                view = self._importer.submit(self._claim, item, data, image).view
+        except (*STORAGE_ERRORS, LeaseLost):
+            raise
+        except RevisitError as error:
+            self._fail(item.file, error.code, error.detail)
+            return
+        except ValueError as error:
+            self._fail(item.file, "malformed-body", str(error))
+            return
+        # A run after a crash finds views that an earlier run of the same job enrolled.
+        own = view.enrolled_at >= self._began and view.id not in self._seen
+        self._seen.add(view.id)
+        self._describing.append((item.file, view.id, own))
+
+    def _await_oldest(self) -> None:
+        file, view_id, own = self._describing[0]
+        view = self._importer.settled(view_id, TOLD_EVERY_S)
+        self._tell()
+        if view is not None and view.state == "pending":
+            time.sleep(PAUSE_S)  # waiting may have been in vain, as while descriptions cannot be stored
+            return
+        self._describing.popleft()
+        if view is None:
+            self._fail(file, "not-found", f"its view {view_id} was deleted before it was described")
+        elif view.state == "failed" and view.failure is not None:
+            self._fail(
+                file, view.failure[0], f"{view.failure[1]} (kept as view {view_id}, which no search will return)"
+            )
+        elif own:
+            self._report.enrolled += 1
+        else:
+            self._report.already_there += 1
+
+    def _fail(self, file: str, problem: str, detail: str) -> None:
+        self._report.failed += 1
+        self._report.add(Note(file, problem, detail))
+
+    def _tell(self) -> None:
+        """Report progress now and then; raises _Stop, LeaseLost."""
+        if self._stopping():
+            raise _Stop
+        if time.monotonic() - self._told >= TOLD_EVERY_S:
+            self._importer.report(self._claim, self._report)
+            self._told = time.monotonic()
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)

@@ -1,0 +1,141 @@
+"""Recordings: the images of an upload with what is known of them, in the order in which they are enrolled."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from schemas.errors import BadBody
+from schemas.records import ViewAttributes
+from schemas.settings import MEGA, Settings
+from worker.service.archives import MOST_MANIFEST_BYTES, Archive, Entry
+from worker.service.manifests import Manifest, attributes, read_manifest
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something of a recording that was not imported, or not as its owner may have meant.
+
+    Parameters
+    ----------
+    file : str
+    problem : str
+        A code: of a problem type, or ``no-row``, ``no-file``, ``no-image``, ``bad-row``.
+    detail : str
+        What was wrong, and with what.
+    """
+
+    file: str
+    problem: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Item:
+    """An image of a recording.
+
+    Parameters
+    ----------
+    file : str
+        Path within the recording.
+    attributes : ViewAttributes
+    read : function
+        Returns its bytes; raises ValueError.
+    """
+
+    file: str
+    attributes: ViewAttributes
+    read: Callable[[], bytes]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of recordings, in bytes: of one image, and of all files unpacked."""
+
+    image_bytes: int
+    unpacked_bytes: int
+
+    @classmethod
+    def of(cls, settings: Settings) -> "Limits":
+        """Those that the settings ask for."""
+        return cls(round(settings.max_body_mb * MEGA), round(2 * settings.max_import_mb * MEGA))
+
+
+@dataclass
+class Recording:
+    """An opened recording; a `with` statement closes it.
+
+    Parameters
+    ----------
+    items : list of Item
+    notes : list of Note
+        What is known to be wrong before anything is enrolled.
+    failed : int
+        Images among the notes, which are not in `items`.
+    """
+
+    close: Callable[[], None]
+    items: list[Item] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    failed: int = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_recording(path: Path, limits: Limits) -> Recording:
+    """Open a zip archive of images, with or without a manifest.
+
+    Raises
+    ------
+    BadBody, BodyTooLarge
+        Nothing of it can be imported.
+    """
+    archive = Archive(path, limits.unpacked_bytes)
+    recording = Recording(archive.close)
+    try:
+        manifest = _manifest(archive)
+        for entry in archive.images:
+            _add(recording, archive, entry, manifest, limits)
+    except BaseException:
+        archive.close()
+        raise
+    for entry in archive.others:
+        recording.notes.append(Note(entry.name, "no-image", "is no image by its name, and was left out"))
+    if manifest is not None:
+        for row in manifest.unused():
+            detail = f"{manifest.name}, line {row.line}: no image of the recording has this name"
+            recording.notes.append(Note(row.file, "no-file", detail))
+    return recording
+
+
+def _manifest(archive: Archive) -> Manifest | None:
+    if archive.manifest is None:
+        return None
+    try:
+        return read_manifest(archive.manifest.name, archive.read(archive.manifest, MOST_MANIFEST_BYTES))
+    except ValueError as error:
+        raise BadBody("malformed-body", f"the manifest cannot be used: {error}") from None
+
+
+def _add(recording: Recording, archive: Archive, entry: Entry, manifest: Manifest | None, limits: Limits) -> None:
+    known = ViewAttributes()
+    if manifest is not None:
+        row = manifest.of(entry.name.replace("\\", "/"))
+        if row is None:
+            detail = f"{manifest.name} has no row for it; it is enrolled without position"
+            recording.notes.append(Note(entry.name, "no-row", detail))
+        else:
+            try:
+                known = attributes(row, manifest.name)
+            except ValueError as error:  # an image in the wrong place would be worse than none
+                recording.notes.append(Note(entry.name, "bad-row", str(error)))
+                recording.failed += 1
+                return
+    recording.items.append(Item(entry.name, known, lambda: archive.read(entry, limits.image_bytes)))
