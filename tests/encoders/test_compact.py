@@ -23,7 +23,7 @@ from worker.encoders.compact.ensemble import ENSEMBLE, CompactSegmenter, label_c
 from worker.encoders.compact.input_size import LONGEST, MULTIPLE, network_size, resized
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
-from worker.runtime import make_encoder
+from worker.encoders.choosing import make_encoder
 
 ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]

@@ -136,6 +136,7 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
         filters: Filters,
         precision: float | None,
         explain: bool,
+        **drive: Any,
     ) -> wire.QueryAnswer:
         self._may_fail("query")
         decode(image, self.limits)
@@ -146,6 +147,7 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
             "candidates": candidates,
             "filters": filters,
             "explain": explain,
+            **drive,
         }
         views = [kept for kept in self.kept.values() if kept.map == map_name]
         if not views:

@@ -29,6 +29,8 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "precision": None,
         "filters": Filters(),
         "explain": False,
+        "drive": None,
+        "drive_timeout_s": 60,
     }
 
 
@@ -84,7 +86,8 @@ ERRORS: list[tuple[dict[str, Any], list[str]]] = [
     ({"candidates": "501"}, ["candidates"]),
     ({"candidates": "-1"}, ["candidates"]),
     ({"explain": "si"}, ["explain"]),
-    ({"drive": "monday"}, ["drive"]),  # until sequences of queries are remembered
+    ({"drive": "two words"}, ["drive"]),
+    ({"drive": "monday", "drive_timeout": "0"}, ["drive_timeout"]),
     ({"function-x": "1"}, ["function-x"]),
     ({"near": "1,2"}, ["near"]),
     ({"near": "1,2,x"}, ["near"]),
@@ -125,9 +128,10 @@ def test_a_parameter_that_cannot_be_used_is_named(
 
 
 def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedClient) -> None:
-    answer = client.post("/query?drive=monday-7", content=photo(), headers=JPEG)
+    answer = client.post("/query?journey=monday-7", content=photo(), headers=JPEG)
     assert answer.json()["detail"] == (
-        "drive: is unknown; known are after, before, candidates, exclude, exclude_last, explain, frame, map, "
+        "journey: is unknown; known are after, before, candidates, drive, drive_timeout, exclude, exclude_last, "
+        "explain, frame, map, "
         "metadata.KEY, near, place, precision, top"
     )
 
