@@ -18,12 +18,12 @@ from schemas.errors import SetupError
 from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
 from worker.description.scheduler import Scheduler
+from worker.encoders.choosing import make_encoder
 from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
 from worker.encoders.compact.ensemble import ENSEMBLE, CompactSegmenter, label_confidence, segment_with_ensemble
 from worker.encoders.compact.input_size import LONGEST, MULTIPLE, network_size, resized
 from worker.encoders.compact.onnx import OnnxEngine
 from worker.encoders.compact.torch import TorchEngine
-from worker.encoders.choosing import make_encoder
 
 ROOT = Path(__file__).parents[2]
 SIZES = [(640, 480), (300, 300), (200, 900), (1241, 376), (96, 64)]

@@ -103,7 +103,7 @@ def test_the_documentation_names_the_address_under_which_it_was_opened(client: C
     page = client.get("/docs", headers={"host": "places.local:8123"}).text
     assert "http://places.local:8123/enroll" in page
     assert ":8000" not in page
-    hostile = client.get(path, headers={"host": "<script>"}).text
+    hostile = client.get("/docs", headers={"host": "<script>"}).text
     assert "<script>" not in hostile
 
 

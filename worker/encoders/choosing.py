@@ -1,11 +1,15 @@
 """The encoder that the settings name."""
 
+from typing import TYPE_CHECKING
+
 from schemas.settings import Settings
 from worker.configure import configure_torch, keep_freed_memory
-from worker.description.ports import Encoder, Segmenter
+
+if TYPE_CHECKING:
+    from worker.description.ports import Encoder, Segmenter
 
 
-def make_encoder(settings: Settings, threads: int) -> tuple[Encoder, Segmenter | None]:
+def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter | None]":
     """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported."""
     if settings.encoder == "color":
         from worker.encoders.color import ColorEncoder
