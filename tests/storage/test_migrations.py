@@ -291,6 +291,14 @@ def _old_job(number: int, map_id: int, seq: int, recipe: str, state: str) -> dic
 LATER = ("keys", "kept_queries")
 
 
+def without_later(connection: sa.Connection) -> None:
+    """Take away what came after revision 0008."""
+    connection.exec_driver_sql("DROP TABLE kept_queries")
+    for column in ("views.filename", "comparisons.rival", "comparisons.own", "maps.keep_queries"):
+        table, name = column.split(".")
+        connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")
+
+
 def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> None:
     """The same rows as this version writes, and so no finding: written without checksums, then migrated."""
     store = open_store(database_url, data)
@@ -308,14 +316,7 @@ def test_rows_of_before_get_their_checksums(database_url: str, data: Path) -> No
         for name in ("maps", "comparisons", "jobs", "tombstones", "calls"):
             connection.exec_driver_sql(f"DROP INDEX {name}_unsealed")
         connection.exec_driver_sql("DROP TABLE keys")  # of later versions, as what follows
-        connection.exec_driver_sql("DROP TABLE kept_queries")
-        for table, name in (
-            ("views", "filename"),
-            ("comparisons", "rival"),
-            ("comparisons", "own"),
-            ("maps", "keep_queries"),
-        ):
-            connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")
+        without_later(connection)
         tables = [table.name for table in METADATA.sorted_tables if "checksum" in table.c]
         for name in [name for name in tables if name not in LATER]:
             connection.exec_driver_sql(f"ALTER TABLE {name} DROP COLUMN checksum")
@@ -337,7 +338,7 @@ def test_views_of_before_file_names_stay_whole_and_new_ones_have_theirs(database
     store.close()
     database = Database(database_url)
     with database.writing() as connection:
-        connection.exec_driver_sql("ALTER TABLE views DROP COLUMN filename")
+        without_later(connection)
     set_revision(database, "0008")
     database.close()
 
