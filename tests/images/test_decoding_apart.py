@@ -88,9 +88,10 @@ def test_an_image_that_ends_its_decoder_twice_is_refused_and_neighbours_go_on() 
     def crash(self: DecoderProcess, kind: int, given: bytes, longest: int = 0) -> object:
         if given == b"crash":
             ask(self, kind, photo())  # the process is ready
-            os.kill(pid_of(self), signal.SIGSEGV)
-            assert self._process is not None
-            os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)  # it might answer before it dies
+            pid = pid_of(self)
+            os.kill(pid, signal.SIGSTOP)  # so that it neither answers nor is dead when it is asked
+            threading.Timer(0.2, os.kill, (pid, signal.SIGSEGV)).start()
+            threading.Timer(0.3, os.kill, (pid, signal.SIGCONT)).start()
         return ask(self, kind, given, longest)
 
     with pytest.MonkeyPatch.context() as patch:
