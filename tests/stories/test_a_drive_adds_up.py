@@ -20,11 +20,13 @@ STREET = [0.0, 3.0, 6.0, 9.0, 12.0, 15.0]
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
     folder: Path = tmp_path_factory.mktemp("drive")
-    with CheckedClient(create_app(build(Settings(data=folder, encoder="compact", threads=1)))) as running:
+    runtime = build(Settings(data=folder, encoder="compact", threads=1, compare=False))
+    with CheckedClient(create_app(runtime)) as running:
         street = scene("mill lane")
         for ahead in STREET:
             sent = photo(street.seen_from(ahead=ahead))
             assert running.post(f"/enroll?place={ahead:g}", content=sent, headers=JPEG).status_code == 201
+        runtime.comparer.all()
         yield running
 
 
