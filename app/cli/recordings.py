@@ -4,10 +4,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, FAILED, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
+from app.cli.console import DONE, FAILED, Verbs, job_progress, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
-    from revisit_client import Revisit
     from revisit_client.wire import Job
 
 MOST_SHOWN = 20
@@ -42,7 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
             wrong_use(str(error))
         if not arguments.no_wait:
             say(f"job {job.id} is running; interrupting this command does not stop it")
-            job = _followed(revisit, job, quiet=arguments.json)
+            with job_progress("images", quiet=arguments.json) as follow:
+                job = revisit.wait_for_job(job.id, timeout=float("inf"), follow=follow)
     if arguments.json:
         show_json(job.model_dump(mode="json"))
     elif job.result is None:
@@ -50,22 +50,6 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _show(job)
     return FAILED if job.result is not None and job.result.get("failed") else DONE
-
-
-def _followed(revisit: "Revisit", job: "Job", *, quiet: bool) -> "Job":
-    """The job once it is done, with a progress bar."""
-    until = job
-    while until.progress is None and until.state in ("waiting", "running"):
-        until = revisit.wait_for_progress(until)
-    with progress_bar(until.progress.total if until.progress else 0, "images", quiet=quiet) as step:
-        done = 0
-        while True:
-            for _ in range(done, until.progress.done if until.progress else 0):
-                step("")
-                done += 1
-            if until.state not in ("waiting", "running"):
-                return revisit.wait_for_job(job.id)
-            until = revisit.wait_for_progress(until)
 
 
 def _show(job: "Job") -> None:

@@ -31,6 +31,7 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/places"),
     ("GET", "/jobs"),
     ("GET", "/jobs/{job_id}"),
+    ("GET", "/jobs/{job_id}/events"),
     ("GET", "/metrics"),
     ("GET", "/docs"),
     ("GET", "/openapi.json"),
@@ -43,6 +44,7 @@ WRITE: tuple[tuple[str, str], ...] = (
     ("DELETE", "/views/{view_id}"),
     ("DELETE", "/views"),
     ("POST", "/maps/{map}/imports"),
+    ("DELETE", "/jobs/{job_id}"),
 )
 ADMIN: tuple[tuple[str, str], ...] = (
     ("PUT", "/maps/{map}"),
@@ -52,7 +54,6 @@ ADMIN: tuple[tuple[str, str], ...] = (
     ("POST", "/maps/{map}/vocabulary"),
     ("POST", "/maps/{map}/calibration"),
     ("DELETE", "/maps/{map}/calibration"),
-    ("DELETE", "/jobs/{job_id}"),
     ("POST", "/maps/{map}/snapshots"),
     ("GET", "/snapshots"),
     ("GET", "/snapshots/{snapshot_id}"),

@@ -93,6 +93,31 @@ class Connection:
         except httpx.TransportError as error:
             raise Unreachable(self.url, reason(error)) from error
 
+    def events(self, model: type[Answer], path: str, silence: float) -> Iterator[Answer | None]:
+        """The data of server-sent events, each validated as `model`, and None for each sign of life between them.
+
+        Parameters
+        ----------
+        silence : float
+            Seconds without anything after which the connection counts as lost.
+
+        Raises
+        ------
+        RevisitProblem, Unreachable
+        """
+        try:
+            with self._http.stream("GET", path, timeout=httpx.Timeout(silence, connect=min(5.0, silence))) as answer:
+                if answer.status_code >= 400:
+                    answer.read()
+                    raise RevisitProblem(problem_of(answer), retry_after(answer))
+                for line in answer.iter_lines():
+                    if line.startswith("data:"):
+                        yield model.model_validate_json(line.removeprefix("data:"), extra="ignore")
+                    elif line.startswith(":"):
+                        yield None
+        except httpx.TransportError as error:
+            raise Unreachable(self.url, reason(error)) from error
+
     def pages(self, model: type[Page], path: str, params: dict[str, str]) -> Iterator[Page]:
         """Iterate over the pages of a list, fetched as needed."""
         while True:

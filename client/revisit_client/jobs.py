@@ -4,11 +4,16 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from revisit_client import wire
 from revisit_client.connection import Connection
-from revisit_client.errors import JobFailed
+from revisit_client.errors import JobFailed, RevisitProblem, Unreachable
 from revisit_client.parameters import texts
 from revisit_client.recordings import folder_as_zip, pieces_of
+
+SILENCE_S = 20.0
+"""Seconds without a sign of life after which events count as lost; the service sends one every 5."""
 
 
 class JobCalls:
@@ -97,15 +102,33 @@ class JobCalls:
         TimeoutError
             The job is still waiting or running.
         """
-        deadline, pause = self._clock() + timeout, 0.05
-        while True:
-            job = self.job(job_id)
+        for job in self._states(job_id, deadline := self._clock() + timeout):
             follow(job)
             if job.state == "done":
                 return job
             if job.state in ("failed", "cancelled"):
                 raise JobFailed(job)
-            if self._clock() + pause > deadline:
+            if self._clock() > deadline:
                 raise TimeoutError(f"job {job_id} is still {job.state} after {timeout:g} s")
+        raise AssertionError("the states of a job end when it has ended")
+
+    def _states(self, job_id: str, deadline: float) -> Iterator[wire.Job]:
+        """States of a job, sent by the service as they change; asked for where events do not come through."""
+        job = self.job(job_id)
+        yield job
+        pause = 0.05
+        while True:
+            silence = max(0.1, min(SILENCE_S, deadline - self._clock()))
+            try:
+                for now in self._connection.events(wire.Job, f"/jobs/{job_id}/events", silence):
+                    job = job if now is None else now
+                    yield job
+            except RevisitProblem as problem:
+                if problem.status not in (404, 405):  # an older service; that the job is gone, asking shows
+                    raise
+            except (Unreachable, ValidationError):
+                pass  # a proxy may cut streams; asking shows whether the service is away
             self._sleep(pause)
             pause = min(1.0, pause * 1.5)
+            job = self.job(job_id)
+            yield job

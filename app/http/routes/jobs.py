@@ -1,16 +1,24 @@
 """`/jobs`: work in the background."""
 
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query
+from fastapi.responses import Response
+from fastapi.sse import EventSourceResponse
 
-from app.http.dependencies import Curates, JobId, no_parameters
+from app.http.dependencies import Curates, JobId, Lifecycles, no_parameters
+from app.http.job_events import job_events
 from app.http.keys import Accesses, check_map
-from app.http.openapi import refusals
+from app.http.openapi import answers_bytes, refusals
 from app.http.parameters import ListJobs
+from schemas.errors import Forbidden
 from schemas.wire import Job, Jobs
 
 router = APIRouter(tags=["jobs"])
+
+OF_WRITERS = frozenset({"describe", "import"})
+"""Kinds of jobs that the scope `write` begins, and so may cancel."""
 
 
 @router.get("/jobs", response_model=Jobs, responses=refusals("not-found"))
@@ -33,12 +41,40 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
     return await curator.job(job_id)
 
 
+@router.get(
+    "/jobs/{job_id}/events",
+    response_class=Response,
+    dependencies=[no_parameters],
+    responses={
+        **answers_bytes(
+            EventSourceResponse.media_type,
+            description="Server-sent events named `job`, whose data is the job as `GET /jobs/{job_id}` answers it.",
+        ),
+        **refusals("not-found"),
+    },
+)
+async def follow_job(job_id: JobId, curator: Curates, lifecycle: Lifecycles) -> Response:
+    """The job now, then again whenever its state or progress changes; ends when the job has ended.
+
+    The stream also ends when the service stops: connect again.
+    """
+    events = job_events(await curator.job(job_id), partial(curator.job, job_id), lambda: lifecycle.draining)
+    # Proxies such as nginx would hold events back until they fill a buffer.
+    return EventSourceResponse(events, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
+
+
 @router.delete(
     "/jobs/{job_id}",
     response_model=Job,
     dependencies=[no_parameters],
     responses=refusals("not-found", "conflict"),
 )
-async def cancel_job(job_id: JobId, curator: Curates) -> Job:
-    """Cancel a describe job that is waiting, or a recipe or vocabulary job that has not finished."""
+async def cancel_job(job_id: JobId, curator: Curates, access: Accesses) -> Job:
+    """Cancel a describe job that is waiting, or a recipe, vocabulary or import job that has not finished.
+
+    The scope `write` cancels describe and import jobs, which it begins; the others need `admin`.
+    """
+    kind = (await curator.job(job_id)).kind
+    if kind not in OF_WRITERS and not access.may("admin"):
+        raise Forbidden(f"cancelling a job of the kind {kind} needs a key of the scope admin, not {access.scope}")
     return await curator.cancel_job(job_id)
