@@ -1,6 +1,6 @@
 // An answer in words and pictures.
 
-import { bars, count, decimals, facts, h, percent, place as inWords } from "./dom.js";
+import { bars, count, decimals, facts, folded, h, percent, place as inWords } from "./dom.js";
 import { drawing, image } from "./images.js";
 import { differences, pairs } from "./pairs.js";
 import { plan, surroundings } from "./plan.js";
@@ -179,14 +179,14 @@ function evidence(answer, match, photo) {
         differences(answer.query, rival, photo),
       ),
     match.links.explanation &&
-      more("Everything in one picture, drawn by the service", () =>
+      folded("Everything in one picture, drawn by the service", () =>
         drawing(
           match.links.explanation,
           "Explanation of the answer",
           "Cells, keypoints and regions that agree, the parts of the score, and a rival.",
         ),
       ),
-    more("What the service sees in the view", () =>
+    folded("What the service sees in the view", () =>
       h(
         "div",
         { class: "columns" },
@@ -199,26 +199,10 @@ function evidence(answer, match, photo) {
       ),
     ),
     answer.query.labels.length > 0 &&
-      more("What it sees in your photo", () =>
+      folded("What it sees in your photo", () =>
         bars(answer.query.labels.slice(0, 12).map((one) => [one.label, one.share])),
       ),
   );
-}
-
-/** Details whose content is made when they are opened first. */
-function more(title, make) {
-  const body = h("div");
-  const details = h(
-    "details",
-    {
-      ontoggle: () => {
-        if (details.open && !body.firstChild) body.append(make());
-      },
-    },
-    h("summary", {}, title),
-    body,
-  );
-  return details;
 }
 
 function times(answer) {

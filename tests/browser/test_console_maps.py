@@ -1,0 +1,119 @@
+"""What the console shows of one map besides its views: its health, its inbox; and snapshots."""
+
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from app.http.examples import MAP_HEALTH, VIEW
+from scenes import scene
+from tests.browser.conftest import LAPTOP, PHONE, Open, Tab
+from tests.stories.photos import jpeg
+from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Route
+
+AXE = "axe.run().then((found) => found.violations.flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`)))"
+
+
+def enrolled(service: RunningService, map_name: str, image: bytes, **fields: str) -> None:
+    data = {"map": map_name, **fields}
+    httpx.post(f"{service.url}/enroll", files={"image": image}, data=data, timeout=60).raise_for_status()
+
+
+def seen(place: str, quality: int = 90) -> bytes:
+    """A photo of a drawn place."""
+    return jpeg(scene(place).pixels, quality)
+
+
+def check(tab: Tab, name: str) -> None:
+    """Nothing that axe finds, in both colours and on a phone."""
+    for size, colours in ((LAPTOP, "light"), (PHONE, "dark")):
+        tab.page.set_viewport_size(size)
+        tab.page.emulate_media(color_scheme=colours)  # type: ignore[arg-type]
+        tab.page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text())
+        assert tab.page.evaluate(AXE) == [], f"{name}, {colours}"
+        assert not tab.is_wider_than_the_window(), name
+    tab.page.set_viewport_size(LAPTOP)
+
+
+# health
+
+
+@pytest.fixture(scope="module")
+def site(service: RunningService) -> str:
+    """A map with the same photo under two names, places without some directions, and a place seen once."""
+    enrolled(service, "site", seen("mill lane"), place="hall", x="0", y="0", heading="0")
+    enrolled(service, "site", seen("mill lane", 75), place="stairs", x="40", y="0", heading="0")
+    enrolled(service, "site", seen("rose garden"), place="gate", x="90", y="0", heading="90")
+    return "site"
+
+
+def test_an_owner_sees_what_a_map_lacks_and_mends_it(opened: Open, service: RunningService, site: str) -> None:
+    tab = opened(f"maps/{site}", bypass_csp=True)
+    tab.page.get_by_role("link", name="Health").click()
+
+    duplicates = tab.page.locator("[data-code=duplicates]")
+    tab.awaits("[data-code=duplicates] .side img[src^=blob]", 2)
+    assert "are enrolled as hall, stairs" in duplicates.inner_text().replace(" and ", ", ")
+    directions = tab.page.locator("[data-code=missing-directions]")
+    assert directions.get_by_text("Not towards").count() == 0
+    tab.page.get_by_role("button", name="Missing directions: 3").press("Enter")
+    directions.get_by_text("Not towards east, south, west: 2 places").press("Enter")
+    directions.get_by_role("button", name="See hall").wait_for()
+    check(tab, "health")
+
+    duplicates.get_by_role("button", name="Open stairs").click()
+    tab.page.get_by_role("button", name="Delete this view …").click()
+    tab.page.get_by_role("button", name="Delete the view").click()
+    tab.page.get_by_text("Duplicates: 0").wait_for()
+    assert {one["place"] for one in httpx.get(f"{service.url}/views?map=site").json()["views"]} == {"hall", "gate"}
+
+
+def test_twins_are_side_by_side_and_many_directions_are_folded(opened: Open, service: RunningService) -> None:
+    """The service's answers are made up here, in its own shape."""
+    views = httpx.get(f"{service.url}/views?map=town").json()["views"]
+    two = [next(one for one in views if one["place"] == name) for name in ("mill lane", "castle park")]
+    twins = MAP_HEALTH["findings"][0] | {
+        "code": "twins",
+        "detail": "'mill lane' and 'castle park' look alike",
+        "remedy": "enrol both where they differ",
+        "places": ["mill lane", "castle park"],
+        "views": [one["id"] for one in two],
+    }
+    asked: list[str] = []
+
+    def answered(route: "Route") -> None:
+        params = httpx.URL(route.request.url).params
+        asked.append(str(params))
+        one = MAP_HEALTH["findings"][0]
+        sides: list[dict[str, Any]] = [
+            one | {"places": [f"place {number}"], "headings": [180.0] if number % 3 else [90.0, 180.0]}
+            for number in range(int(params["limit"]))
+        ]
+        counts = MAP_HEALTH["counts"] | {"twins": 1, "missing-directions": 3000}
+        route.fulfill(json=MAP_HEALTH | {"compared": 12, "counts": counts, "findings": [twins, *sides]})
+
+    tab = opened("service")
+    tab.page.route("**/maps/town/health*", answered)
+    tab.show("maps/town/health")
+    tab.awaits("[data-code=twins] .side img[src^=blob]", 2)
+    assert tab.page.locator("[data-code=twins] .side span").all_inner_texts()[0] == "mill lane"
+    assert tab.page.get_by_text("12 so far; twins are found among these.").is_visible()
+    assert len(asked) == 1
+
+    tab.page.get_by_text("Missing directions: 3,000").last.click()
+    tab.page.get_by_text("The first 501 of 3,000").wait_for()
+    tab.page.get_by_text("Not towards south: 333 places").click()
+    rows = "[data-code=missing-directions] tbody tr"
+    tab.awaits(rows, 50)
+    tab.page.get_by_role("button", name="All 333").click()
+    tab.awaits(rows, 333)
+
+
+def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open) -> None:
+    tab = opened("maps/moon/health", refusals=True)
+    assert "there is no map 'moon'" in tab.page.get_by_role("alert").inner_text()
+    assert VIEW["id"] not in tab.page.content()
