@@ -83,11 +83,11 @@ def test_twins_are_side_by_side_and_many_directions_are_folded(opened: Open, ser
         "places": ["mill lane", "castle park"],
         "views": [one["id"] for one in two],
     }
-    asked: list[str] = []
+    limits: list[str] = []
 
     def answered(route: "Route") -> None:
         params = httpx.URL(route.request.url).params
-        asked.append(str(params))
+        limits.append(params["limit"])
         one = MAP_HEALTH["findings"][0]
         sides: list[dict[str, Any]] = [
             one | {"places": [f"place {number}"], "headings": [180.0] if number % 3 else [90.0, 180.0]}
@@ -102,7 +102,7 @@ def test_twins_are_side_by_side_and_many_directions_are_folded(opened: Open, ser
     tab.awaits("[data-code=twins] .side img[src^=blob]", 2)
     assert tab.page.locator("[data-code=twins] .side span").all_inner_texts()[0] == "mill lane"
     assert tab.page.get_by_text("12 so far; twins are found among these.").is_visible()
-    assert len(asked) == 1
+    assert limits == ["20"]
 
     tab.page.get_by_text("Missing directions: 3,000").last.click()
     tab.page.get_by_text("The first 501 of 3,000").wait_for()
@@ -117,3 +117,46 @@ def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open)
     tab = opened("maps/moon/health", refusals=True)
     assert "there is no map 'moon'" in tab.page.get_by_role("alert").inner_text()
     assert VIEW["id"] not in tab.page.content()
+
+
+# inbox
+
+
+def test_a_spot_that_matched_nothing_is_named_and_known_from_then_on(opened: Open, service: RunningService) -> None:
+    for place in ("mill lane", "rose garden", "castle park", "station road", "market street"):
+        enrolled(service, "quay", seen(place), place=place)
+    tab = opened("maps/quay", bypass_csp=True, refusals=True)
+    tab.page.get_by_role("link", name="Inbox").click()
+    tab.page.get_by_text("Off: queries that match nothing are not kept.").wait_for()
+    tab.page.get_by_label("At most").press("Enter")
+    tab.page.locator("main").get_by_text("Up to 500 queries that match nothing are kept.").wait_for()
+    assert httpx.get(f"{service.url}/maps/quay").json()["keep_queries"] == 500
+
+    for place, quality in (("river meadow", 90), ("river meadow", 80), ("bakers row", 90)):
+        answer = httpx.post(
+            f"{service.url}/query", data={"map": "quay"}, files={"image": seen(place, quality)}, timeout=60
+        )
+        assert answer.json()["status"] == "no_match"
+    tab.page.reload()
+    tab.page.get_by_role("heading", name="2 spots that this map does not know").wait_for()
+    tab.awaits(".spot > img[src^=blob]", 2)
+    tab.page.get_by_text("Its other photos").press("Enter")
+    tab.awaits(".spot .sides img[src^=blob]", 1)
+    check(tab, "inbox")
+
+    twice = tab.page.locator(".spot", has_text="Seen 2 times")
+    twice.get_by_label("What place is it?").fill("river meadow")
+    twice.get_by_label("Position, if known").fill("4, far")
+    twice.get_by_label("Position, if known").press("Enter")
+    assert "position.y" in twice.get_by_role("alert").inner_text()
+    twice.get_by_label("Position, if known").fill("4, 5, 90")
+    twice.get_by_role("button", name="Name it").press("Enter")
+    tab.page.locator("main").get_by_text("2 photos of river meadow enrolled.").wait_for()
+    named = httpx.get(f"{service.url}/views?map=quay&place=river meadow").json()["views"]
+    assert [(one["position"]["x"], one["position"]["heading"]) for one in named] == [(4, 90)] * 2
+
+    tab.awaits(".spot", 1)
+    tab.page.get_by_role("button", name="Dismiss …").click()
+    tab.page.get_by_role("button", name="Dismiss", exact=True).click()
+    tab.page.get_by_role("heading", name="Nothing to name").wait_for()
+    assert httpx.get(f"{service.url}/maps/quay/unknown").json()["kept"] == 0

@@ -1,10 +1,11 @@
 // Enrol: many photos, where each was taken, and what became of each.
 
-import { Problem, call } from "./api.js";
+import { call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
 import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
+import { FRAMES, typedPosition } from "./positions.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
@@ -32,8 +33,7 @@ export function enrolScreen() {
   const frame = h(
     "select",
     {},
-    h("option", { value: "metres" }, "metres: x, y, heading"),
-    h("option", { value: "degrees" }, "degrees: lat, lon, heading"),
+    FRAMES.map(([value, text]) => h("option", { value }, text)),
   );
   const list = h("ul", { class: "files", "aria-label": "Photos to enrol", tabindex: "0", hidden: true });
   const told = h("div");
@@ -190,14 +190,8 @@ export function enrolScreen() {
     form.append("map", map);
     const name = one.place.value.trim() || place.value.trim();
     if (name) form.append("place", name);
-    const numbers = one.position.value.split(/[\s,;]+/).filter(Boolean);
-    if (numbers.length === 1 || numbers.length > 3)
-      throw new Problem(0, {
-        title: "Position",
-        detail: `two numbers are needed and perhaps a heading, as in 12.5, 3.0, 90; not ${one.position.value}`,
-      });
-    const names = frame.value === "metres" ? ["x", "y", "heading"] : ["lat", "lon", "heading"];
-    numbers.forEach((value, index) => form.append(names[index], value));
+    const spot = typedPosition(one.position.value, frame.value);
+    for (const [key, value] of Object.entries(spot)) form.append(key, value);
     for (const [key, value] of Object.entries(one.more)) form.append(key, value);
     return form;
   }

@@ -4,6 +4,7 @@ import { Problem, call, key } from "./api.js";
 import { announce, field, h, problemBox } from "./dom.js";
 import { enrolScreen } from "./enrol.js";
 import { healthScreen } from "./health.js";
+import { inboxScreen } from "./inbox.js";
 import { mapScreen } from "./map.js";
 import { mapsScreen } from "./maps.js";
 import { queryScreen } from "./query.js";
@@ -13,7 +14,7 @@ const main = document.getElementById("main");
 const kept = new Map(); // screens that go on while others are looked at
 let leave = null;
 
-const OF_MAP = { health: healthScreen };
+const OF_MAP = { health: healthScreen, inbox: inboxScreen };
 const mapsOrOne = (name, part) => (name ? (OF_MAP[part] ?? mapScreen)(name) : mapsScreen());
 
 const SCREENS = {

@@ -5,6 +5,7 @@ import { h } from "./dom.js";
 const PARTS = [
   ["", "Views"],
   ["health", "Health"],
+  ["inbox", "Inbox"],
 ];
 
 /** The name of a map, and links to its parts; `current` is the one that is shown. */
