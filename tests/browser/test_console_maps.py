@@ -1,6 +1,8 @@
 """What the console shows of one map besides its views: its health, its inbox; and snapshots."""
 
+import re
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import httpx
@@ -160,3 +162,39 @@ def test_a_spot_that_matched_nothing_is_named_and_known_from_then_on(opened: Ope
     tab.page.get_by_role("button", name="Dismiss", exact=True).click()
     tab.page.get_by_role("heading", name="Nothing to name").wait_for()
     assert httpx.get(f"{service.url}/maps/quay/unknown").json()["kept"] == 0
+
+
+# snapshots
+
+
+def test_a_map_is_saved_to_a_file_and_restored_under_another_name(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    tab = opened("maps/town", bypass_csp=True, refusals=True)
+    tab.page.get_by_role("link", name="Snapshots").click()
+    tab.page.get_by_role("button", name="Make a snapshot").press("Enter")
+    tab.page.locator("main").get_by_text("The snapshot of town is made.").wait_for()
+    with tab.page.expect_download() as download:
+        tab.page.get_by_label("Download the snapshot of town").click()
+    file = tmp_path / "town.snapshot"
+    download.value.save_as(file)
+    check(tab, "snapshots")
+
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(file)
+    tab.page.get_by_role("button", name="Restore").click()
+    assert "town" in tab.page.get_by_role("alert").inner_text()
+    (tmp_path / "bad.snapshot").write_bytes(file.read_bytes()[:-2000])
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(tmp_path / "bad.snapshot")
+    tab.page.get_by_label("Under another name").fill("hamlet")
+    tab.page.get_by_role("button", name="Restore").click()
+    tab.page.get_by_text("the snapshot is refused, and nothing was changed").wait_for()
+    assert httpx.get(f"{service.url}/maps/hamlet").status_code == 404
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(file)
+    tab.page.get_by_role("button", name="Restore").click()
+    tab.page.locator("main").get_by_text(re.compile("Restored as hamlet: 8 views")).wait_for()
+    httpx.delete(f"{service.url}/maps/hamlet").raise_for_status()
+
+    tab.page.get_by_label("Delete the snapshot of town").click()
+    tab.page.get_by_role("button", name="Delete the snapshot", exact=True).click()
+    tab.page.get_by_text("None yet.").wait_for()
+    assert httpx.get(f"{service.url}/snapshots").json() == {"snapshots": []}

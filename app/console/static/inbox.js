@@ -50,7 +50,7 @@ export function inboxScreen(name) {
       { class: "panel" },
       h("h2", {}, inbox.count ? `${count(inbox.count, "spot")} that this map does not know` : "Nothing to name"),
       h("p", { class: "quiet" }, situation(inbox)),
-      inbox.count > 0 && h("div", { class: "spaced" }, field("Positions are in", frame)),
+      inbox.count > 0 && h("div", { class: "row spot-frame" }, field("Positions are in", frame)),
       h(
         "ul",
         { class: "matches" },
@@ -190,7 +190,7 @@ export function inboxScreen(name) {
 }
 
 const span = ({ count: number, first_at: first, last_at: last }) =>
-  number === 1 ? moment(first) : `${moment(first)} to ${moment(last)}`;
+  number === 1 || moment(first) === moment(last) ? moment(last) : `${moment(first)} to ${moment(last)}`;
 
 /** A number where it is one; other text is left for the service to refuse. */
 const numberOf = (text) => (Number.isFinite(Number(text)) ? Number(text) : text);

@@ -9,6 +9,7 @@ import { mapScreen } from "./map.js";
 import { mapsScreen } from "./maps.js";
 import { queryScreen } from "./query.js";
 import { serviceScreen } from "./service.js";
+import { snapshotsScreen } from "./snapshots.js";
 
 const main = document.getElementById("main");
 const kept = new Map(); // screens that go on while others are looked at
@@ -21,6 +22,7 @@ const SCREENS = {
   ask: { title: "Ask", make: queryScreen, keep: true },
   enrol: { title: "Enrol", make: enrolScreen, keep: true },
   maps: { title: "Maps", make: mapsOrOne },
+  snapshots: { title: "Snapshots", make: snapshotsScreen, under: "maps" },
   service: { title: "Service", make: serviceScreen },
 };
 
@@ -29,9 +31,9 @@ async function show() {
   const [name, ...rest] = location.hash.slice(1).split("/");
   if (name === "main") return;
   const chosen = SCREENS[name] ? name : "ask";
-  const { title, make, keep } = SCREENS[chosen];
+  const { title, make, keep, under = chosen } = SCREENS[chosen];
   for (const link of document.querySelectorAll(".top nav a")) {
-    if (link.getAttribute("href") === `#${chosen}`) link.setAttribute("aria-current", "page");
+    if (link.getAttribute("href") === `#${under}`) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
   document.title = `${title} · revisit`;

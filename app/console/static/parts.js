@@ -14,6 +14,7 @@ export function mapHead(name, current = "") {
   const links = PARTS.map(([part, title]) =>
     h("a", { href: address(part), "aria-current": part === current ? "page" : null }, title),
   );
+  links.push(h("a", { href: "#snapshots" }, "Snapshots"));
   return [
     h("p", {}, h("a", { href: "#maps" }, "All maps")),
     h("h1", {}, name),
