@@ -4,6 +4,7 @@ import { bars, count, decimals, facts, folded, h, percent, place as inWords } fr
 import { drawing, image } from "./images.js";
 import { differences, pairs } from "./pairs.js";
 import { plan, surroundings } from "./plan.js";
+import { drivePanel, probabilities } from "./probabilities.js";
 
 const TITLES = {
   matched: (name) => ["This is ", h("strong", {}, name)],
@@ -19,8 +20,6 @@ const TERMS = {
   graph: "graph",
   verification: "geometry",
 };
-
-const MOST_PLACES = 6;
 
 const nameOf = (view) => view.place ?? `view ${view.id.slice(-6)}`;
 
@@ -40,9 +39,11 @@ export function answerPanel(answer, photo) {
   if (first) show(first);
   const panel = (title, ...content) => h("section", { class: "panel" }, title && h("h2", {}, title), content);
   return {
-    short: [verdict(answer), answer.places.length > 0 && panel("Places", probabilities(answer), where(answer))].filter(
-      Boolean,
-    ),
+    short: [
+      verdict(answer),
+      answer.drive && drivePanel(answer.drive),
+      answer.places.length > 0 && panel("Places", probabilities(answer), where(answer)),
+    ].filter(Boolean),
     long: [
       first && panel("Views that look like it", h("ol", { class: "matches" }, cards)),
       first && panel(null, detail),
@@ -77,18 +78,6 @@ function verdict(answer) {
 
 function sentence(text) {
   return text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "";
-}
-
-function probabilities(answer) {
-  const shown = answer.places.slice(0, MOST_PLACES);
-  const others = answer.places.slice(MOST_PLACES);
-  const spot = (position) => position && inWords({ ...position, heading: null });
-  const name = ({ place, position, views }) => place ?? spot(position) ?? `view ${views[0].id.slice(-6)}`;
-  const rows = shown.map((one) => [name(one), one.probability]);
-  if (others.length) {
-    rows.push([count(others.length, "other place"), others.reduce((sum, one) => sum + one.probability, 0)]);
-  }
-  return bars([...rows, ["nowhere: none of these", answer.nowhere, "nowhere"]]);
 }
 
 /** The plan: matched views, and where the query lies. */

@@ -79,8 +79,8 @@ export function snapshotsScreen() {
       h(
         "p",
         {},
-        "A snapshot is a map as one file: views, images, descriptions and what the map learned. The restored map gives ",
-        "the same answers, here or elsewhere.",
+        "A snapshot is a map as one file: views, images, descriptions and what the map learned. The restored map ",
+        "gives the same answers, here or elsewhere.",
       ),
       h("section", { class: "panel" }, h("h2", {}, "Kept by this service"), list),
       h("div", { class: "columns" }, making(maps, load, () => !left), restoring(maps)),
@@ -95,7 +95,7 @@ export function snapshotsScreen() {
 }
 
 function making(maps, made, wanted) {
-  const told = h("div");
+  const told = h("div", { class: "told" });
   const bar = h("progress", { max: 1, "aria-label": "Progress of the snapshot", hidden: true });
   const button = h("button", { type: "submit", class: "first" }, "Make a snapshot");
 
@@ -140,7 +140,7 @@ function making(maps, made, wanted) {
 
 function restoring(maps) {
   let file = null;
-  const told = h("div");
+  const told = h("div", { class: "told" });
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Sent of the file", hidden: true });
   const chosen = h("p", { class: "quiet" }, "No file is chosen.");
   const as = h("input", {
