@@ -1,6 +1,7 @@
 """What the console shows of one map besides its views: its health, its inbox; and snapshots."""
 
 import re
+import zipfile
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -198,3 +199,34 @@ def test_a_map_is_saved_to_a_file_and_restored_under_another_name(
     tab.page.get_by_role("button", name="Delete the snapshot", exact=True).click()
     tab.page.get_by_text("None yet.").wait_for()
     assert httpx.get(f"{service.url}/snapshots").json() == {"snapshots": []}
+
+
+# a recording
+
+
+def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    archive = tmp_path / "walk.zip"
+    with zipfile.ZipFile(archive, "w") as recording:
+        recording.writestr("manifest.csv", "file,place,x,y\n0.jpg,gate,1,2\n1.jpg,yard,far,2\n")
+        for number, place in enumerate(("mill lane", "rose garden")):
+            recording.writestr(f"{number}.jpg", seen(place))
+        recording.writestr("notes.txt", "a fine day")
+    (tmp_path / "bad.zip").write_text("no archive")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.get_by_label("or a new map").fill("walk")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    choose, start = panel.get_by_label("Choose a zip archive"), panel.get_by_role("button", name="Import the recording")
+    choose.set_input_files(tmp_path / "bad.zip")
+    start.press("Enter")
+    assert "zip" in panel.get_by_role("alert").inner_text()
+
+    choose.set_input_files(archive)
+    start.press("Enter")
+    panel.get_by_text("Done: walk.").wait_for()
+    assert [(one["place"], one["state"]) for one in httpx.get(f"{service.url}/views?map=walk").json()["views"]] == [
+        ("gate", "ready")
+    ]
+    panel.get_by_text("The row of the manifest cannot be used: 1").wait_for()
+    assert "x is 'far', which is no number" in panel.inner_text()
+    assert panel.get_by_text("notes.txt").is_visible()
+    check(tab, "a recording")

@@ -6,6 +6,7 @@ import { attributesOf, positionsOf } from "./csv.js";
 import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
 import { FRAMES, typedPosition } from "./positions.js";
+import { recording } from "./recording.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
@@ -66,6 +67,8 @@ export function enrolScreen() {
   );
   takesDrops(drop, add);
 
+  const wanted = () => other.value.trim() || maps.select.value;
+  const archives = recording(wanted, () => maps.refresh().catch(() => {}));
   const onPlan = placing(() => maps.select.value, nextToPlace);
 
   /** The photo that a click on the plan places: the one in use, else the first without a position. */
@@ -85,6 +88,9 @@ export function enrolScreen() {
 
   async function add(files) {
     told.replaceChildren();
+    const archive = files.find((file) => /\.zip$/i.test(file.name));
+    if (archive) archives.take(archive);
+    files = files.filter((file) => file !== archive);
     const tables = files.filter((file) => /\.csv$/i.test(file.name));
     const images = files.filter(
       (file) => !tables.includes(file) && (file.type.startsWith("image/") || IMAGES.test(file.name)),
@@ -226,7 +232,7 @@ export function enrolScreen() {
 
   async function run(event) {
     event.preventDefault();
-    const map = other.value.trim() || maps.select.value;
+    const map = wanted();
     const queue = entries.filter((one) => one.state !== "done");
     const whole = queue.length;
     let finished = 0;
@@ -286,6 +292,7 @@ export function enrolScreen() {
         bar,
         summary,
       ),
+      archives.element,
       h(
         "section",
         { class: "panel", "aria-label": "Photos" },
