@@ -14,6 +14,11 @@ from schemas.errors import SetupError
 
 MEGA = 1_000_000
 
+IMAGES_ADDRESS = (
+    r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[A-Za-z0-9._-]+(?:/[A-Za-z0-9._-]+)*))?/?"
+)
+"""Address of images in an S3-compatible store."""
+
 _ORIGIN = r"https?://[^\s/?#@*]+"  # as browsers write it: no path, and no slash at its end
 
 
@@ -28,6 +33,9 @@ class Settings(BaseSettings):
 
     data: Path = Field(Path("data"), description="Folder of the database and the images.")
     database: str | None = Field(None, description="SQLAlchemy URL; default is SQLite in the data folder.")
+    images: str | None = Field(
+        None, description="Where images lie: s3://bucket/prefix; default is the folder `pictures` of the data folder."
+    )
     host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
     port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
     open: bool = Field(False, description="Allow an address other than loopback although anybody may then call.")
@@ -74,6 +82,13 @@ class Settings(BaseSettings):
     traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
     key: SecretStr | None = Field(None, description="Key that the command line sends; a service does not read it.")
+
+    @field_validator("images")
+    @classmethod
+    def _address(cls, text: str | None) -> str | None:
+        if text is not None and not re.fullmatch(IMAGES_ADDRESS, text):
+            raise ValueError("is no address such as s3://bucket/prefix; leave it out for the folder `pictures`")
+        return text
 
     @field_validator("cors")
     @classmethod

@@ -248,6 +248,7 @@ class Loop:
         if count <= 0:
             return []
         taken = []
+        trouble: RevisitError | None = None
         for claim in self._jobs.claim(self._name, count, None, _now()):
             with _of(claim):
                 try:
@@ -256,10 +257,16 @@ class Loop:
                     future = self._scheduler.submit(
                         image, describer.describe, urgent=False, parallel=describer.keypoints
                     )
+                except STORAGE_ERRORS as error:  # its image cannot be read now: that is no fault of the view
+                    self._jobs.release(claim)
+                    trouble = error
+                    continue
                 except Exception as error:
                     future = Future()
                     future.set_exception(error)
             taken.append(_Underway(claim, future))
+        if trouble is not None and not taken:
+            raise trouble
         return taken
 
     def _settle(self, item: _Underway) -> None:

@@ -192,7 +192,7 @@ def build(
     unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
     try:
         encoder, segmenter = make_encoder(settings, threads)
-        store = open_store(settings.database_url, settings.data, int(settings.reserve_mb * MEGA))
+        store = open_store(settings.database_url, settings.data, int(settings.reserve_mb * MEGA), settings.images)
         batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
         scheduler = make_scheduler(encoder, batch, settings.queries, segmenter)
         product = make_product(settings)

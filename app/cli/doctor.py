@@ -80,7 +80,7 @@ def _repair(settings: "Settings", *, as_json: bool) -> int:
 
     if not settings.data.is_dir():
         raise Failure(f"there is no data folder {settings.data}; see REVISIT_DATA")
-    done, left = repair(settings.database_url, settings.data)
+    done, left = repair(settings.database_url, settings.data, settings.images)
     if as_json:
         show_json({"done": done, "findings": [str(finding) for finding in left]})
     else:
@@ -136,7 +136,7 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
     from worker.storage.migrating import newest
     from worker.storage.repairing import is_served
 
-    found = list(examine(settings.database_url, folder, running=is_served(folder)))
+    found = list(examine(settings.database_url, folder, running=is_served(folder), images=settings.images))
     findings += [str(finding) for finding in found]
     return report | {"tables": newest(), "findings": len(found)}
 

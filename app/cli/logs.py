@@ -74,7 +74,7 @@ def configure(form: Literal["text", "json"], level: str = "info") -> None:
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
     handler.addFilter(_WithContext())
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
-    for talkative in ("alembic", "faiss", "httpx"):
+    for talkative in ("alembic", "boto3", "botocore", "faiss", "httpx"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
     # The command line itself reports starting and stopping.
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)

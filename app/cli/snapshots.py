@@ -123,7 +123,8 @@ def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
     except SetupError as error:
         raise Failure(f"{error}\nOr restore through the running service: --url URL") from None
     try:
-        store = open_store(settings.database_url, settings.data, round(settings.reserve_mb * 1_000_000))
+        reserve = round(settings.reserve_mb * 1_000_000)
+        store = open_store(settings.database_url, settings.data, reserve, settings.images)
         try:
             store.recover()
             return asdict(store.restoring.restore(arguments.file, arguments.name, datetime.now(UTC)))

@@ -112,6 +112,29 @@ def test_the_copied_calls_give_the_same_answer(opened: Open, query_photo: Path) 
     ]
 
 
+def test_photos_of_a_drive_count_together_and_the_copied_calls_name_it(opened: Open, query_photo: Path) -> None:
+    tab = opened(bypass_csp=True, refusals=True)
+    tab.page.get_by_text("Photos of one drive").press("Enter")
+    tab.page.get_by_label("Name of the drive").fill("round 1")
+    tab.page.get_by_label("Choose a photo").set_input_files(query_photo)
+    assert "drive" in tab.page.get_by_role("alert").locator("code").first.inner_text()
+
+    tab.page.get_by_label("Name of the drive").fill("round-1")
+    tab.page.get_by_label("Forgotten after, seconds").fill("90")
+    ask(tab, query_photo)
+    drive = tab.page.get_by_label("The drive", exact=True)
+    drive.get_by_text("This is its first image. This one alone: recognised.").wait_for()
+    tab.page.get_by_role("button", name="Ask", exact=True).click()
+    drive.get_by_text("2 images count together.").wait_for()
+    assert drive.locator(".bars .name").first.inner_text() == "mill lane"
+    assert drive.get_by_text("nowhere: none of these").is_visible()
+    tab.page.get_by_text("The same from a program").click()
+    assert "-F 'drive_timeout=90'" in tab.page.get_by_label("As curl").inner_text()
+    assert 'drive="round-1", drive_timeout=90' in tab.page.get_by_label("As Python").inner_text()
+    tab.page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text())
+    assert tab.page.evaluate("axe.run().then((found) => found.violations.map((one) => one.id))") == []
+
+
 def test_a_refused_query_says_what_was_wrong(opened: Open, tmp_path: Path) -> None:
     bad = tmp_path / "note.jpg"
     bad.write_text("no image")

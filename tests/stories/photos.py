@@ -13,8 +13,8 @@ def photo(look: Scene) -> bytes:
     return jpeg(look.pixels)
 
 
-def jpeg(pixels: Bytes2D) -> bytes:
+def jpeg(pixels: Bytes2D, quality: int = 92) -> bytes:
     """A JPEG of RGB pixels."""
     buffer = io.BytesIO()
-    PilImage.fromarray(pixels).save(buffer, "JPEG", quality=92)
+    PilImage.fromarray(pixels).save(buffer, "JPEG", quality=quality)
     return buffer.getvalue()

@@ -14,7 +14,7 @@ from worker.storage import checksums, switching
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
-from worker.storage.image_files import Images
+from worker.storage.image_store import ImageStore
 from worker.storage.maps import make_map
 from worker.storage.part import Part
 from worker.storage.rows import (
@@ -78,7 +78,7 @@ def _same_image() -> sa.Select[Any]:
 class Enrolment(Part):
     """See `worker.service.ports.Enrolment`."""
 
-    def __init__(self, database: Database, images: Images) -> None:
+    def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
         self._order = EnrolmentOrder()
 

@@ -51,7 +51,7 @@ class Finding:
         return f"{self.where}: {self.what}; {self.remedy}"
 
 
-def examine(url: str, data: Path, *, running: bool = False) -> Iterator[Finding]:
+def examine(url: str, data: Path, *, running: bool = False, images: str | None = None) -> Iterator[Finding]:
     """All findings of a data folder.
 
     Parameters
@@ -62,6 +62,8 @@ def examine(url: str, data: Path, *, running: bool = False) -> Iterator[Finding]
         Data folder.
     running : bool
         Whether a service uses the folder: its log and its unfinished files change all the time, and are left out.
+    images : str or None
+        ``s3://bucket/prefix`` where the images do not lie in the folder.
     """
     from worker.storage.examining_images import image_findings
     from worker.storage.examining_rows import row_findings
@@ -91,7 +93,12 @@ def examine(url: str, data: Path, *, running: bool = False) -> Iterator[Finding]
             owners = None
         finally:
             engine.dispose()
-    yield from image_findings(data / "pictures", owners, running=running)
+    if images is None:
+        yield from image_findings(data / "pictures", owners, running=running)
+        return
+    from worker.storage.examining_objects import object_findings
+
+    yield from object_findings(images, owners, running=running)
 
 
 def database_file(url: str) -> Path | None:

@@ -75,4 +75,4 @@ def _fault(path: Path) -> str | None:
 
 def is_orphan(finding: Finding) -> bool:
     """Whether a finding is of a file that repair removes."""
-    return finding.what in (ORPHAN, LEFTOVER) and re.match("pictures/", finding.where) is not None
+    return finding.what in (ORPHAN, LEFTOVER) and re.match("pictures/|s3://", finding.where) is not None

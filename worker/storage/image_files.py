@@ -156,6 +156,19 @@ class Images:
                 removed += self._discard([name for name in names if DIGEST.fullmatch(name)])
         return removed
 
+    def sweep_at_start(self, alone: bool) -> None:
+        """`sweep`: its locks keep it from what others write."""
+        self.sweep()
+
+    def problem(self) -> str | None:
+        """Why images cannot be read or written now, or None."""
+        if os.access(self._folder, os.R_OK | os.W_OK | os.X_OK):
+            return None
+        return f"the folder {self._folder} is missing or cannot be written"
+
+    def close(self) -> None:
+        """Does nothing: no file is kept open."""
+
     def _path(self, digest: str) -> Path:
         if not DIGEST.fullmatch(digest):
             raise ValueError(f"{digest!r} is no SHA-256")

@@ -12,7 +12,7 @@ from schemas.keys import KeyRecord, Rates
 from worker.storage import checksums
 from worker.storage.columns import NEVER
 from worker.storage.database import Database
-from worker.storage.image_files import Images
+from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.tables import KEYS
 
@@ -22,7 +22,7 @@ log = logging.getLogger("revisit")
 class Keys(Part):
     """See `worker.service.keys.KeyStore`."""
 
-    def __init__(self, database: Database, images: Images) -> None:
+    def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
         self._told: set[str] = set()  # damaged keys that the log has
 

@@ -2,7 +2,7 @@
 
 from worker.storage.damage import Quarantine
 from worker.storage.database import Database
-from worker.storage.image_files import Images
+from worker.storage.image_store import ImageStore
 
 
 class Part:
@@ -11,10 +11,10 @@ class Part:
     Parameters
     ----------
     database : Database
-    images : Images
+    images : ImageStore
     """
 
-    def __init__(self, database: Database, images: Images) -> None:
+    def __init__(self, database: Database, images: ImageStore) -> None:
         self._database = database
         self._images = images
         self._quarantine = Quarantine(database)

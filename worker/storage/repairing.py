@@ -18,8 +18,9 @@ from schemas.errors import RevisitError, SetupError
 from worker.storage import dialect, migrating, wal
 from worker.storage.database import Database
 from worker.storage.examining import Finding, database_file, examine, file_finding, structure_findings
-from worker.storage.examining_images import is_orphan
+from worker.storage.examining_images import ORPHAN, is_orphan
 from worker.storage.examining_rows import scan
+from worker.storage.image_store import open_images
 from worker.storage.locks import USE, FolderLock, lock_for_serving
 from worker.storage.tables import METADATA
 
@@ -59,7 +60,7 @@ def is_served(data: Path) -> bool:
         return True
 
 
-def repair(url: str, data: Path) -> tuple[list[str], list[Finding]]:
+def repair(url: str, data: Path, images: str | None = None) -> tuple[list[str], list[Finding]]:
     """Mend a data folder; returns what was done, a line each, and the findings that are left.
 
     Raises
@@ -71,12 +72,12 @@ def repair(url: str, data: Path) -> tuple[list[str], list[Finding]]:
         done: list[str] = []
         lost = _mend_file(url, data, done)
         for _ in range(ROUNDS):
-            findings = list(examine(url, data))
+            findings = list(examine(url, data, images=images))
             rescue = lost or any(finding.where.endswith("-wal") for finding in findings)
-            if not _mend_findings(url, data, findings, done, rescue=rescue):
+            if not _mend_findings(url, data, findings, done, rescue=rescue, images=images):
                 break
             lost = rescue
-        return done, list(examine(url, data))
+        return done, list(examine(url, data, images=images))
 
 
 def _mend_file(url: str, data: Path, done: list[str]) -> bool:
@@ -232,10 +233,14 @@ def _beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.damaged-{datetime.now(UTC):%Y%m%dT%H%M%S%f}")
 
 
-def _mend_findings(url: str, data: Path, findings: list[Finding], done: list[str], *, rescue: bool) -> bool:
+def _mend_findings(
+    url: str, data: Path, findings: list[Finding], done: list[str], *, rescue: bool, images: str | None
+) -> bool:
     """Mend findings one by one; returns whether any was mended in the database."""
     changed = False
     database = Database(url) if any(finding.mend for finding in findings) else None
+    if images is not None and (orphans := [finding.where for finding in findings if is_orphan(finding)]):
+        done.extend(_remove_objects(url, data, images, orphans, rescue=rescue))
     for finding in findings:
         if finding.mend is not None and database is not None:
             try:
@@ -247,11 +252,24 @@ def _mend_findings(url: str, data: Path, findings: list[Finding], done: list[str
                 line = f"{finding.where}: {finding.what}; {told}"
                 changed |= line not in done
                 done.extend([line] if line not in done else [])
-        elif is_orphan(finding):
+        elif images is None and is_orphan(finding):
             done.append(_put_away(data, finding, rescue=rescue))
     if database is not None:
         database.close()
     return changed
+
+
+def _remove_objects(url: str, data: Path, images: str, orphans: list[str], *, rescue: bool) -> Iterator[str]:
+    """Remove images of a store that no view needs; what another service writes just now has its lock, and is kept."""
+    if rescue:
+        yield from (f"{where}: {ORPHAN}; kept: its view may be lost, enrol it again" for where in orphans)
+        return
+    database = Database(url)
+    place = open_images(database, data, images)
+    removed = place.discard([where.rpartition("/")[2] for where in orphans])
+    yield f"{images}: {removed} of {len(orphans)} images that no view needs were removed"
+    place.close()
+    database.close()
 
 
 def _put_away(data: Path, finding: Finding, *, rescue: bool) -> str:

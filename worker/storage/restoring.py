@@ -19,7 +19,7 @@ from worker.storage.database import Database
 from worker.storage.disk_errors import translated
 from worker.storage.enrolment import fact_columns, keep_pairs
 from worker.storage.enrolment_order import following_id
-from worker.storage.image_files import Images
+from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.removals import Removals
 from worker.storage.rows import as_json, attribute_columns, batches, inserting, keep_recipe, log
@@ -41,12 +41,12 @@ class Restoring(Part):
     Parameters
     ----------
     database : Database
-    images : Images
+    images : ImageStore
     removals : Removals
         Removes what was stored of a restoration that failed.
     """
 
-    def __init__(self, database: Database, images: Images, removals: Removals) -> None:
+    def __init__(self, database: Database, images: ImageStore, removals: Removals) -> None:
         super().__init__(database, images)
         self._removals = removals
 
@@ -169,7 +169,7 @@ def _key_of(inserted: sa.CursorResult[Any]) -> int:
 class _Restoration:
     """One map while it is being stored, in portions, so that other writers do not wait for all of it."""
 
-    def __init__(self, database: Database, images: Images, told: SnapshotFacts, new_ids: bool) -> None:
+    def __init__(self, database: Database, images: ImageStore, told: SnapshotFacts, new_ids: bool) -> None:
         self._database, self._images, self._told = database, images, told
         self._recipe = told.description
         self.new_ids = new_ids

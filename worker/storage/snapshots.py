@@ -13,7 +13,8 @@ from schemas.recipe import DescriptionRecipe
 from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
-from worker.storage.image_files import Images, sync_folder
+from worker.storage.image_files import sync_folder
+from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_recipe, log, ranking_of
 from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotReader, SnapshotWriter
@@ -38,12 +39,12 @@ class Snapshots(Part):
     Parameters
     ----------
     database : Database
-    images : Images
+    images : ImageStore
     folder : Path
         Made with the first snapshot.
     """
 
-    def __init__(self, database: Database, images: Images, folder: Path) -> None:
+    def __init__(self, database: Database, images: ImageStore, folder: Path) -> None:
         super().__init__(database, images)
         self._folder = folder
 

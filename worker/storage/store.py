@@ -1,7 +1,6 @@
-"""The store: one database, SQLite or PostgreSQL, and a folder of images."""
+"""The store: one database, SQLite or PostgreSQL, and images in a folder or an S3-compatible store."""
 
 import logging
-import os
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,20 +15,20 @@ from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
-from worker.storage.image_files import Images
+from worker.storage.image_store import ImageStore, open_images
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.keys import Keys
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
 from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
+from worker.storage.peers import Peers
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
 from worker.storage.restoring import Restoring
-from worker.storage.rows import batches
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
-from worker.storage.tables import CALLS, CLOCK, VIEWS
+from worker.storage.tables import CALLS, CLOCK
 from worker.storage.uploads import Uploads
 from worker.storage.views import Views
 from worker.storage.workers import Workers
@@ -53,19 +52,23 @@ class SqlStore:
     database : Database
         Migrated to the tables of this version.
     data : Path
-        Data folder; its folder ``pictures`` holds the enrolled images, ``imports`` recordings until they are imported.
+        Data folder; its folder ``imports`` holds recordings until they are imported, ``snapshots`` those of maps.
     share : FolderLock
         Shared lock that keeps migrations out; released by `close`.
+    images : ImageStore
     lost : str or None
         What was wrong with the database's log when the store was opened: rows may be missing.
     """
 
-    def __init__(self, database: Database, data: Path, share: FolderLock, lost: str | None = None) -> None:
+    def __init__(
+        self, database: Database, data: Path, share: FolderLock, images: ImageStore, lost: str | None = None
+    ) -> None:
         self._database = database
         self._lost = lost
         self._data = data
         self._share = share
-        self._images = images = Images(data / "pictures", self._owned)
+        self._images = images
+        self._peers = Peers(database)
         self.maps = Maps(database, images)
         self.enrolment = Enrolment(database, images)
         self.jobs = self.workers = Workers(database, images)
@@ -83,37 +86,33 @@ class SqlStore:
         self.restoring = Restoring(database, images, self.removals)
         self.uploads = Uploads(data / "imports", database.space)
 
-    def _owned(self, digests: list[str]) -> set[str]:
-        """The digests among `digests` that views need."""
-        found: set[str] = set()
-        with self._database.reading() as connection:
-            for portion in batches(digests):
-                found.update(connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion))))
-        return found
-
     def recover(self) -> None:
         """Clean up after a crash: delete unfinished calls, maps, snapshots and images, and uploads without a job;
         finish deletions.
 
-        Only for the `serve` process of a data folder, before its first call: it would delete running calls too.
+        Only for the `serve` process of a data folder, before its first call: it would delete running calls too. While
+        other services use the database, what is in it may be theirs, and is left alone.
         """
-        left = CALLS.c.finished_at.is_(None)
         try:
-            self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
-            self.removals.clear_deleted_maps()
-            self.snapshots.sweep()
-            self.uploads.sweep(self.jobs.unfinished_imports())
-            if self._lost is None:
-                self._images.sweep()
-            else:  # an image without a view may be all that is left of it
-                log.error(
-                    "the log of the database was damaged: %s; images without a view are kept, %s", self._lost, DOCTOR
-                )
+            with self._peers.joined() as alone:
+                self._clean_up(alone)
         except (DiskFull, StorageFailed) as error:  # queries can be answered all the same
             log.error("what a crash left could not be cleaned up: %s; the next start tries again", error.detail)
 
+    def _clean_up(self, alone: bool) -> None:
+        left = CALLS.c.finished_at.is_(None)
+        if alone:
+            self._database.freeing(lambda connection: connection.execute(sa.delete(CALLS).where(left)))
+            self.removals.clear_deleted_maps()
+        self.snapshots.sweep()
+        self.uploads.sweep(self.jobs.unfinished_imports())
+        if self._lost is None:
+            self._images.sweep_at_start(alone)
+        else:  # an image without a view may be all that is left of it
+            log.error("the log of the database was damaged: %s; images without a view are kept, %s", self._lost, DOCTOR)
+
     def check(self) -> str:
-        """``ok``, or what is wrong with the database or the folder."""
+        """``ok``, or what is wrong with the database or the place of the images."""
         try:
             with self._database.reading() as connection:
                 if connection.scalar(sa.select(CLOCK.c.revision)) is None:
@@ -122,10 +121,7 @@ class SqlStore:
             return error.detail
         except sa.exc.SQLAlchemyError as error:
             return f"the database does not answer: {getattr(error, 'orig', None) or error}"
-        folder = self._data / "pictures"
-        if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
-            return f"the folder {folder} is missing or cannot be written"
-        return "ok"
+        return self._images.problem() or "ok"
 
     def statistics(self, now: datetime, sample: int) -> StoreStatistics:
         """Numbers of views, jobs and bytes; `sample` views of a map are compared at most."""
@@ -159,11 +155,13 @@ class SqlStore:
 
     def close(self) -> None:
         """Close connections and release the data folder; a second time does nothing."""
+        self._peers.leave()
+        self._images.close()
         self._database.close()
         self._share.release()
 
 
-def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
+def open_store(url: str, data: Path, reserve_bytes: int = 0, images: str | None = None) -> SqlStore:
     """Open the store of a data folder.
 
     A SQLite file is migrated first, if no other process uses the folder; a PostgreSQL database only when it is empty
@@ -177,6 +175,8 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
         Data folder, created when there is none.
     reserve_bytes : int
         Space kept for deletions; see space.py.
+    images : str or None
+        ``s3://bucket/prefix``; None for the folder ``pictures`` in the data folder.
 
     Raises
     ------
@@ -186,11 +186,12 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0) -> SqlStore:
     database = Database(url)
     try:
         # First, so that no lock is held if it fails.
-        (data / "pictures").mkdir(parents=True, exist_ok=True)
+        data.mkdir(parents=True, exist_ok=True)
+        place = open_images(database, data, images)
         lost = _log_fault(database)  # before SQLite reads the log and takes what it cannot read for never written
         share = enter(database, data, may_migrate=migrates_by_itself(database))
         database.space = Space(_folders(database, data), reserve_bytes)
-        return SqlStore(database, data, share, lost)
+        return SqlStore(database, data, share, place, lost)
     except SetupError:
         database.close()
         raise

@@ -1,9 +1,10 @@
 // An answer in words and pictures.
 
-import { bars, count, decimals, facts, h, percent, place as inWords } from "./dom.js";
+import { bars, count, decimals, facts, folded, h, percent, place as inWords } from "./dom.js";
 import { drawing, image } from "./images.js";
 import { differences, pairs } from "./pairs.js";
 import { plan, surroundings } from "./plan.js";
+import { drivePanel, probabilities } from "./probabilities.js";
 
 const TITLES = {
   matched: (name) => ["This is ", h("strong", {}, name)],
@@ -19,8 +20,6 @@ const TERMS = {
   graph: "graph",
   verification: "geometry",
 };
-
-const MOST_PLACES = 6;
 
 const nameOf = (view) => view.place ?? `view ${view.id.slice(-6)}`;
 
@@ -40,9 +39,11 @@ export function answerPanel(answer, photo) {
   if (first) show(first);
   const panel = (title, ...content) => h("section", { class: "panel" }, title && h("h2", {}, title), content);
   return {
-    short: [verdict(answer), answer.places.length > 0 && panel("Places", probabilities(answer), where(answer))].filter(
-      Boolean,
-    ),
+    short: [
+      verdict(answer),
+      answer.drive && drivePanel(answer.drive),
+      answer.places.length > 0 && panel("Places", probabilities(answer), where(answer)),
+    ].filter(Boolean),
     long: [
       first && panel("Views that look like it", h("ol", { class: "matches" }, cards)),
       first && panel(null, detail),
@@ -77,18 +78,6 @@ function verdict(answer) {
 
 function sentence(text) {
   return text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "";
-}
-
-function probabilities(answer) {
-  const shown = answer.places.slice(0, MOST_PLACES);
-  const others = answer.places.slice(MOST_PLACES);
-  const spot = (position) => position && inWords({ ...position, heading: null });
-  const name = ({ place, position, views }) => place ?? spot(position) ?? `view ${views[0].id.slice(-6)}`;
-  const rows = shown.map((one) => [name(one), one.probability]);
-  if (others.length) {
-    rows.push([count(others.length, "other place"), others.reduce((sum, one) => sum + one.probability, 0)]);
-  }
-  return bars([...rows, ["nowhere: none of these", answer.nowhere, "nowhere"]]);
 }
 
 /** The plan: matched views, and where the query lies. */
@@ -179,14 +168,14 @@ function evidence(answer, match, photo) {
         differences(answer.query, rival, photo),
       ),
     match.links.explanation &&
-      more("Everything in one picture, drawn by the service", () =>
+      folded("Everything in one picture, drawn by the service", () =>
         drawing(
           match.links.explanation,
           "Explanation of the answer",
           "Cells, keypoints and regions that agree, the parts of the score, and a rival.",
         ),
       ),
-    more("What the service sees in the view", () =>
+    folded("What the service sees in the view", () =>
       h(
         "div",
         { class: "columns" },
@@ -199,26 +188,10 @@ function evidence(answer, match, photo) {
       ),
     ),
     answer.query.labels.length > 0 &&
-      more("What it sees in your photo", () =>
+      folded("What it sees in your photo", () =>
         bars(answer.query.labels.slice(0, 12).map((one) => [one.label, one.share])),
       ),
   );
-}
-
-/** Details whose content is made when they are opened first. */
-function more(title, make) {
-  const body = h("div");
-  const details = h(
-    "details",
-    {
-      ontoggle: () => {
-        if (details.open && !body.firstChild) body.append(make());
-      },
-    },
-    h("summary", {}, title),
-    body,
-  );
-  return details;
 }
 
 function times(answer) {

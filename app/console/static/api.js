@@ -75,6 +75,39 @@ export async function call(method, path, options = {}) {
   return (await send(method, path, options)).json();
 }
 
+/**
+ * Send a file as the body and give the JSON of the answer; raises Problem. `sent` is told the share that has been sent.
+ * By XMLHttpRequest, since fetch does not say how much of a body has been sent.
+ */
+export function upload(path, file, type, sent) {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.open("POST", path);
+    const headers = { ...key.headers(), "Content-Type": type };
+    for (const [name, value] of Object.entries(headers)) request.setRequestHeader(name, value);
+    request.upload.addEventListener("progress", (event) => sent(event.loaded / event.total));
+    request.addEventListener("error", () => {
+      const detail = "the service cannot be reached, or it refused the file before it had all of it; is it too large?";
+      reject(remembered("POST", path, new Problem(0, { title: "No answer", detail })));
+    });
+    request.addEventListener("load", async () => {
+      const retry = request.getResponseHeader("Retry-After");
+      const response = new Response(request.responseText, {
+        status: request.status,
+        headers: retry ? { "Retry-After": retry } : {},
+      });
+      if (response.ok) {
+        resolve(await response.json());
+        return;
+      }
+      const problem = await problemOf(response);
+      if (problem.status === 401) window.dispatchEvent(new CustomEvent("unauthorized", { detail: problem }));
+      reject(remembered("POST", path, problem));
+    });
+    request.send(file);
+  });
+}
+
 /** Each page of a list, one after the other. */
 export async function* pages(path, query, options = {}) {
   let cursor = null;

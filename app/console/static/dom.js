@@ -140,6 +140,22 @@ export function facts(rows) {
   );
 }
 
+/** Details whose content is made when they are opened first. */
+export function folded(title, make) {
+  const body = h("div");
+  const details = h(
+    "details",
+    {
+      ontoggle: () => {
+        if (details.open && !body.firstChild) body.append(make());
+      },
+    },
+    h("summary", {}, title),
+    body,
+  );
+  return details;
+}
+
 export const percent = (value) =>
   value > 0 && value < 0.01 ? "< 1 %" : value < 1 && value > 0.99 ? "> 99 %" : `${Math.round(value * 100)} %`;
 export const decimals = (value, digits = 2) => (value === null || value === undefined ? "–" : value.toFixed(digits));

@@ -1,10 +1,12 @@
 // Enrol: many photos, where each was taken, and what became of each.
 
-import { Problem, call } from "./api.js";
+import { call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
 import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
+import { FRAMES, typedPosition } from "./positions.js";
+import { recording } from "./recording.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
@@ -32,8 +34,7 @@ export function enrolScreen() {
   const frame = h(
     "select",
     {},
-    h("option", { value: "metres" }, "metres: x, y, heading"),
-    h("option", { value: "degrees" }, "degrees: lat, lon, heading"),
+    FRAMES.map(([value, text]) => h("option", { value }, text)),
   );
   const list = h("ul", { class: "files", "aria-label": "Photos to enrol", tabindex: "0", hidden: true });
   const told = h("div");
@@ -66,6 +67,8 @@ export function enrolScreen() {
   );
   takesDrops(drop, add);
 
+  const wanted = () => other.value.trim() || maps.select.value;
+  const archives = recording(wanted, () => maps.refresh().catch(() => {}));
   const onPlan = placing(() => maps.select.value, nextToPlace);
 
   /** The photo that a click on the plan places: the one in use, else the first without a position. */
@@ -85,6 +88,9 @@ export function enrolScreen() {
 
   async function add(files) {
     told.replaceChildren();
+    const archive = files.find((file) => /\.zip$/i.test(file.name));
+    if (archive) archives.take(archive);
+    files = files.filter((file) => file !== archive);
     const tables = files.filter((file) => /\.csv$/i.test(file.name));
     const images = files.filter(
       (file) => !tables.includes(file) && (file.type.startsWith("image/") || IMAGES.test(file.name)),
@@ -190,14 +196,8 @@ export function enrolScreen() {
     form.append("map", map);
     const name = one.place.value.trim() || place.value.trim();
     if (name) form.append("place", name);
-    const numbers = one.position.value.split(/[\s,;]+/).filter(Boolean);
-    if (numbers.length === 1 || numbers.length > 3)
-      throw new Problem(0, {
-        title: "Position",
-        detail: `two numbers are needed and perhaps a heading, as in 12.5, 3.0, 90; not ${one.position.value}`,
-      });
-    const names = frame.value === "metres" ? ["x", "y", "heading"] : ["lat", "lon", "heading"];
-    numbers.forEach((value, index) => form.append(names[index], value));
+    const spot = typedPosition(one.position.value, frame.value);
+    for (const [key, value] of Object.entries(spot)) form.append(key, value);
     for (const [key, value] of Object.entries(one.more)) form.append(key, value);
     return form;
   }
@@ -232,7 +232,7 @@ export function enrolScreen() {
 
   async function run(event) {
     event.preventDefault();
-    const map = other.value.trim() || maps.select.value;
+    const map = wanted();
     const queue = entries.filter((one) => one.state !== "done");
     const whole = queue.length;
     let finished = 0;
@@ -292,6 +292,7 @@ export function enrolScreen() {
         bar,
         summary,
       ),
+      archives.element,
       h(
         "section",
         { class: "panel", "aria-label": "Photos" },

@@ -9,7 +9,26 @@ const KINDS = {
   describe: "describing a view",
   recipe: "describing all views anew",
   vocabulary: "training a vocabulary",
+  snapshot: "making a snapshot",
+  import: "importing a recording",
 };
+
+const runs = (job) => ["waiting", "running"].includes(job.state);
+
+/** Look at a job until it has ended or nobody wants to know; `told(job)` is called each time. Gives the last look. */
+export async function followed(job, told, wanted = () => true) {
+  let latest = job;
+  for (let wait = 200; runs(latest) && wanted(); wait = Math.min(2 * wait, EVERY_MS)) {
+    await new Promise((resolve) => setTimeout(resolve, wait));
+    try {
+      latest = await call("GET", `/jobs/${encodeURIComponent(job.id)}`);
+    } catch (error) {
+      if (![0, 429, 503].includes(error.status)) throw error; // a busy or restarted service goes on with its jobs
+    }
+    told(latest);
+  }
+  return latest;
+}
 
 /** The jobs of a map, or of all. `finished` is called when one that ran has ended. `stop` ends the looking. */
 export function jobList(map, finished = () => {}) {
@@ -25,7 +44,7 @@ export function jobList(map, finished = () => {}) {
       // Views that were described are not news: there is one such job for each.
       const jobs = latest.jobs.filter((job) => job.kind !== "describe" || job.state !== "done").slice(0, MOST);
       if (stopped) return;
-      const running = new Set(jobs.filter((job) => ["waiting", "running"].includes(job.state)).map((job) => job.id));
+      const running = new Set(jobs.filter(runs).map((job) => job.id));
       const ended = [...ran].some((id) => !running.has(id));
       ran = running;
       draw(jobs);
@@ -45,7 +64,7 @@ export function jobList(map, finished = () => {}) {
       KINDS[job.kind] ?? job.kind,
       [job.state, job.failure && h("div", { class: "refused" }, job.failure.detail), job.progress && progress(job)],
       moment(job.created_at),
-      ["waiting", "running"].includes(job.state) &&
+      runs(job) &&
         h("button", { type: "button", onclick: () => cancel(job) }, "Cancel"),
     ]);
     list.replaceChildren(table(["Job", "State", "Since", ""], rows));

@@ -3,35 +3,42 @@
 import { Problem, call, key } from "./api.js";
 import { announce, field, h, problemBox } from "./dom.js";
 import { enrolScreen } from "./enrol.js";
+import { healthScreen } from "./health.js";
+import { inboxScreen } from "./inbox.js";
 import { mapScreen } from "./map.js";
 import { mapsScreen } from "./maps.js";
 import { queryScreen } from "./query.js";
 import { serviceScreen } from "./service.js";
+import { snapshotsScreen } from "./snapshots.js";
 
 const main = document.getElementById("main");
 const kept = new Map(); // screens that go on while others are looked at
 let leave = null;
 
+const OF_MAP = { health: healthScreen, inbox: inboxScreen };
+const mapsOrOne = (name, part) => (name ? (OF_MAP[part] ?? mapScreen)(name) : mapsScreen());
+
 const SCREENS = {
   ask: { title: "Ask", make: queryScreen, keep: true },
   enrol: { title: "Enrol", make: enrolScreen, keep: true },
-  maps: { title: "Maps", make: (name) => (name ? mapScreen(name) : mapsScreen()) },
+  maps: { title: "Maps", make: mapsOrOne },
+  snapshots: { title: "Snapshots", make: snapshotsScreen, under: "maps" },
   service: { title: "Service", make: serviceScreen },
 };
 
-/** Show what the address names: `#ask`, `#maps/campus`. A screen may have `enter` and `leave`. */
+/** Show what the address names: `#ask`, `#maps/campus/health`. A screen may have `enter` and `leave`. */
 async function show() {
-  const [name, argument] = location.hash.slice(1).split("/");
+  const [name, ...rest] = location.hash.slice(1).split("/");
   if (name === "main") return;
   const chosen = SCREENS[name] ? name : "ask";
-  const { title, make, keep } = SCREENS[chosen];
-  for (const link of document.querySelectorAll("nav a")) {
-    if (link.getAttribute("href") === `#${chosen}`) link.setAttribute("aria-current", "page");
+  const { title, make, keep, under = chosen } = SCREENS[chosen];
+  for (const link of document.querySelectorAll(".top nav a")) {
+    if (link.getAttribute("href") === `#${under}`) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
   document.title = `${title} · revisit`;
   leave?.();
-  const screen = kept.get(chosen) ?? make(argument && decodeURIComponent(argument));
+  const screen = kept.get(chosen) ?? make(...rest.map(decodeURIComponent));
   if (keep) kept.set(chosen, screen);
   leave = screen.leave ?? null;
   main.replaceChildren(screen.element);

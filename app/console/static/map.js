@@ -17,6 +17,7 @@ import {
   size,
 } from "./dom.js";
 import { jobList } from "./jobs.js";
+import { mapHead } from "./parts.js";
 import { plan, pointOf } from "./plan.js";
 import { openView } from "./view.js";
 import { Views, grid } from "./views.js";
@@ -39,8 +40,7 @@ export function mapScreen(name) {
     const { ready = 0, pending = 0, failed = 0 } = map.views;
     const total = ready + pending + failed;
     element.replaceChildren(
-      h("p", {}, h("a", { href: "#maps" }, "All maps")),
-      h("h1", {}, map.name),
+      ...mapHead(name),
       h(
         "section",
         { class: "panel" },

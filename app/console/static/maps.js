@@ -51,6 +51,7 @@ export function mapsScreen() {
       {},
       h("h1", {}, "Maps"),
       h("section", { class: "panel" }, list),
+      h("p", {}, h("a", { class: "button", href: "#snapshots" }, "Snapshots: maps as files")),
       h(
         "section",
         { class: "panel" },

@@ -51,6 +51,8 @@ export function queryScreen() {
     after: h("input", { placeholder: "2026-03-01T09:30:00Z", spellcheck: "false" }),
     before: h("input", { placeholder: "2026-03-31T00:00:00Z", spellcheck: "false" }),
     exclude_last: h("input", { placeholder: "10 or 30s", spellcheck: "false" }),
+    drive: h("input", { placeholder: "robot-7", spellcheck: "false" }),
+    drive_timeout: h("input", { placeholder: "60", inputmode: "decimal", spellcheck: "false" }),
     metadata: h("input", { placeholder: "floor=2", spellcheck: "false" }),
   };
   const frame = h("select", {}, h("option", { value: "" }, "metres"), h("option", { value: "geo" }, "degrees"));
@@ -83,6 +85,23 @@ export function queryScreen() {
         field("Captured before", inputs.before),
         field("Without the newest", inputs.exclude_last),
         field("Metadata", inputs.metadata),
+      ),
+    ),
+    h(
+      "details",
+      {},
+      h("summary", {}, "Photos of one drive"),
+      h(
+        "p",
+        { class: "quiet" },
+        "Under one name the evidence of consecutive photos adds up. Ask them in the order in which they were taken, ",
+        "each once.",
+      ),
+      h(
+        "div",
+        { class: "fields" },
+        field("Name of the drive", inputs.drive),
+        field("Forgotten after, seconds", inputs.drive_timeout),
       ),
     ),
     h("div", { class: "row between" }, explain.label, again),

@@ -12,7 +12,7 @@ function curl(query, name) {
   return [...parts, `${location.origin}/query`].join(" \\\n  ");
 }
 
-const NUMBERS = ["top", "precision", "candidates"];
+const NUMBERS = ["top", "precision", "candidates", "drive_timeout"];
 
 function python(query, name) {
   const metadata = {};

@@ -1,0 +1,239 @@
+// What a map lacks or suffers from: twins, duplicates, missing directions, coverage, single views.
+
+import { call } from "./api.js";
+import { chooseMap } from "./choice.js";
+import { count, facts, folded, h, place as inWords, problemBox, table } from "./dom.js";
+import { image } from "./images.js";
+import { mapHead } from "./parts.js";
+import { plan, surroundings } from "./plan.js";
+import { openView } from "./view.js";
+
+const AT_FIRST = 20;
+const MOST = 500; // findings of a kind in one answer
+const A_PORTION = 6;
+const ROWS_A_PORTION = 50;
+const MOST_IMAGES = 4;
+const SIDES = ["north", "east", "south", "west"];
+
+/** Kinds of findings: code, title, what they are, whether they are unfolded at once. */
+const KINDS = [
+  ["twins", "Twins", "Places that the map takes for each other.", true],
+  ["duplicates", "Duplicates", "Views that add nothing to one another.", true],
+  ["missing-directions", "Missing directions", "Places that are not seen towards every side.", false],
+  ["gap", "Coverage", "Stretches without views, between parts of the map that lie apart.", false],
+  ["single-view", "Single views", "Places that were enrolled once.", false],
+];
+
+export function healthScreen(name) {
+  const path = `/maps/${encodeURIComponent(name)}`;
+  const shown = h("div", {}, h("p", {}, "Examining the map …"));
+  const unfolded = new Map(KINDS.map(([code, , , open]) => [code, open]));
+  let map = null;
+
+  async function load() {
+    try {
+      const [about, health] = await Promise.all([
+        call("GET", path),
+        call("GET", `${path}/health`, { query: { limit: AT_FIRST } }),
+      ]);
+      map = about;
+      chooseMap(name);
+      const found = KINDS.filter(([code]) => health.counts[code] > 0);
+      const groups = new Map(found.map((kind) => [kind[0], group(kind, health)]));
+      shown.replaceChildren(summary(health, groups), ...groups.values());
+    } catch (error) {
+      shown.replaceChildren(problemBox(error));
+    }
+  }
+
+  function summary(health, groups) {
+    const chips = KINDS.map(([code, title]) => {
+      const number = health.counts[code] ?? 0;
+      const text = `${title}: ${number.toLocaleString("en-GB")}`;
+      const go = () => {
+        const details = groups.get(code).querySelector("details");
+        details.open = true;
+        details.querySelector("summary").focus();
+      };
+      const button = number > 0 && h("button", { type: "button", onclick: go }, text);
+      return h("li", {}, button || h("span", { class: "none" }, text));
+    });
+    const compared =
+      health.compared < health.examined
+        ? `${health.compared.toLocaleString("en-GB")} so far; twins are found among these. ` +
+          "The service compares in the background, unless REVISIT_COMPARE says otherwise."
+        : "all of them";
+    return h(
+      "section",
+      { class: "panel" },
+      h("h2", {}, groups.size ? "What it lacks or suffers from" : "Nothing to mend was found"),
+      h("ul", { class: "chips" }, chips),
+      facts([
+        ["Views examined", `${health.examined.toLocaleString("en-GB")} of ${health.views.toLocaleString("en-GB")}`],
+        ["Compared with the map", health.examined > 0 && compared],
+        ["Revision", health.revision],
+      ]),
+    );
+  }
+
+  function group([code, title, about], health) {
+    const total = health.counts[code];
+    const first = health.findings.filter((one) => one.code === code);
+    const all = async () => {
+      if (first.length >= total) return first;
+      return (await call("GET", `${path}/health`, { query: { code, limit: MOST } })).findings;
+    };
+    const make = { "missing-directions": directions, "single-view": singles, gap: coverage }[code] ?? pictured;
+    const details = folded(h("h2", {}, `${title}: ${total.toLocaleString("en-GB")}`), () =>
+      h("div", {}, h("p", { class: "quiet" }, about), make(first, all, total)),
+    );
+    details.open = unfolded.get(code);
+    details.addEventListener("toggle", () => unfolded.set(code, details.open));
+    return h("section", { class: "panel finds", "data-code": code }, details);
+  }
+
+  const pictured = (first, all, total) => byPortions(first, all, total, A_PORTION, finding);
+
+  function finding(one) {
+    const images = h("div", { class: "sides" });
+    fillWithViews(images, one);
+    return h(
+      "section",
+      { class: "finding" },
+      h("p", {}, sentence(one.detail)),
+      images,
+      h("p", { class: "quiet" }, sentence(one.remedy)),
+    );
+  }
+
+  /** Twins get a column for each place, other findings their views side by side. */
+  async function fillWithViews(images, one) {
+    const answers = await Promise.allSettled(one.views.map((id) => call("GET", `/views/${encodeURIComponent(id)}`)));
+    const views = answers.filter((answer) => answer.status === "fulfilled").map((answer) => answer.value);
+    const sides = grouped(views, nameOf);
+    const picked = one.code === "twins" ? [...sides.values()].flatMap((side) => side.slice(0, 2)) : views;
+    images.replaceChildren(...picked.slice(0, MOST_IMAGES).map(card));
+    const left = one.count - Math.min(picked.length, MOST_IMAGES);
+    if (one.code === "duplicates" && left > 0) images.append(h("p", { class: "quiet" }, `and ${left} more`));
+  }
+
+  function card(view) {
+    const name = nameOf(view);
+    return h(
+      "button",
+      { type: "button", class: "side", "aria-label": `Open ${name}`, onclick: () => openView(view, map, load) },
+      image(`${view.links.thumbnail}?size=512`, "", { width: 256, height: 192 }),
+      h("span", {}, name),
+      h("span", { class: "quiet" }, view.place && inWords(view.position)),
+    );
+  }
+
+  function directions(first, all, total) {
+    return later(async () => {
+      const findings = await all();
+      const groups = [...grouped(findings, (one) => towards(one.headings))].sort((a, b) => b[1].length - a[1].length);
+      return [
+        groups.map(([sides, some]) => folded(`Not towards ${sides}: ${count(some.length, "place")}`, () => rows(some))),
+        beyond(findings.length, total),
+      ];
+    });
+  }
+
+  const singles = (first, all, total) =>
+    later(async () => {
+      const findings = await all();
+      return [rows(findings), beyond(findings.length, total)];
+    });
+
+  /** A table of places, with where they are and a view to look at. */
+  function rows(findings) {
+    const row = (one) => [
+      one.places[0] ?? "without a name",
+      inWords(one.position) ?? "–",
+      one.views.length > 0 &&
+        h(
+          "button",
+          { type: "button", "aria-label": `See ${one.places[0] ?? inWords(one.position)}`, onclick: () => open(one) },
+          "See",
+        ),
+    ];
+    const box = h("div", { class: "table tall", tabindex: "0", role: "region", "aria-label": "Places" });
+    const list = (some) => table(["Place", "Where to stand", "View"], some.map(row));
+    box.append(list(findings.slice(0, ROWS_A_PORTION)));
+    if (findings.length > ROWS_A_PORTION) {
+      const more = h("button", { type: "button", onclick: () => box.replaceChildren(list(findings)) });
+      more.append(`All ${findings.length.toLocaleString("en-GB")}`);
+      box.append(h("p"), more);
+    }
+    return box;
+  }
+
+  async function open(one) {
+    try {
+      openView(await call("GET", `/views/${encodeURIComponent(one.views[0])}`), map, load);
+    } catch (error) {
+      shown.prepend(problemBox(error));
+    }
+  }
+
+  function coverage(first, all, total) {
+    const points = first
+      .filter((one) => one.position)
+      .map((one) => ({ position: one.position, kind: "first", name: one.places.join(" – ") }));
+    const picture = plan(points);
+    surroundings(name).then(picture.add, () => {}); // the plan of the gaps alone is a plan too
+    return h("div", {}, points.length > 0 && picture.element, byPortions(first, all, total, A_PORTION, finding));
+  }
+
+  return { element: h("div", {}, mapHead(name, "health"), shown), enter: load };
+}
+
+/** A box that fills when its content is there. */
+function later(made) {
+  const box = h("div", {}, h("p", { class: "quiet" }, "Loading …"));
+  made().then(
+    (content) => box.replaceChildren(...content.flat().filter(Boolean)),
+    (error) => box.replaceChildren(problemBox(error)),
+  );
+  return box;
+}
+
+/** Some findings at a time; those that the first answer left out are fetched when somebody goes on to them. */
+function byPortions(first, all, total, portion, make) {
+  let items = first;
+  let shown = 0;
+  const list = h("div");
+  const next = h("button", { type: "button", onclick: () => more() }, "More");
+  async function more() {
+    next.disabled = true;
+    try {
+      if (shown + portion > items.length) items = await all();
+      list.append(...items.slice(shown, shown + portion).map(make));
+      shown = Math.min(shown + portion, items.length);
+      next.hidden = shown >= items.length;
+      if (next.hidden) list.append(beyond(items.length, total) ?? "");
+    } catch (error) {
+      list.append(problemBox(error));
+    } finally {
+      next.disabled = false;
+    }
+  }
+  more();
+  return h("div", {}, list, next);
+}
+
+function beyond(listed, total) {
+  if (listed >= total) return null;
+  const [few, whole] = [listed, total].map((number) => number.toLocaleString("en-GB"));
+  return h("p", { class: "quiet" }, `The first ${few} of ${whole}, the most important ones.`);
+}
+
+function grouped(items, keyOf) {
+  const groups = new Map();
+  for (const item of items) groups.set(keyOf(item), [...(groups.get(keyOf(item)) ?? []), item]);
+  return groups;
+}
+
+const nameOf = (view) => view.place ?? inWords(view.position) ?? `view ${view.id.slice(-6)}`;
+const towards = (headings) => headings.map((one) => (one % 90 ? `${one}°` : SIDES[(one / 90) % 4])).join(", ");
+const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`;

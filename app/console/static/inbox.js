@@ -1,0 +1,196 @@
+// The inbox of a map: queries that matched nothing, by spot, to be named or dismissed.
+
+import { call } from "./api.js";
+import { chooseMap } from "./choice.js";
+import { announce, confirmed, count, field, folded, h, moment, problemBox } from "./dom.js";
+import { image } from "./images.js";
+import { mapHead } from "./parts.js";
+import { FRAMES, typedPosition } from "./positions.js";
+
+const SUGGESTED = 500;
+const AT_FIRST = 20;
+const MOST = 500;
+
+export function inboxScreen(name) {
+  const path = `/maps/${encodeURIComponent(name)}`;
+  const told = h("div");
+  const shown = h("div", {}, h("p", {}, "Loading …"));
+  let limit = AT_FIRST;
+
+  async function load() {
+    try {
+      const [map, inbox] = await Promise.all([
+        call("GET", path),
+        call("GET", `${path}/unknown`, { query: { limit } }),
+      ]);
+      chooseMap(name);
+      shown.replaceChildren(spots(map, inbox), keeping(inbox));
+    } catch (error) {
+      shown.replaceChildren(problemBox(error));
+    }
+  }
+
+  function spots(map, inbox) {
+    const frame = h(
+      "select",
+      {},
+      FRAMES.map(([value, text]) => h("option", { value }, text)),
+    );
+    if (typeof map.extent?.minimum.lat === "number") frame.value = "degrees";
+    const more = h("button", {
+      type: "button",
+      onclick: () => {
+        limit = MOST;
+        load();
+      },
+    });
+    more.append(`Show ${inbox.count > MOST ? `the first ${MOST}` : `all ${inbox.count}`}`);
+    return h(
+      "section",
+      { class: "panel" },
+      h("h2", {}, inbox.count ? `${count(inbox.count, "spot")} that this map does not know` : "Nothing to name"),
+      h("p", { class: "quiet" }, situation(inbox)),
+      inbox.count > 0 && h("div", { class: "row spot-frame" }, field("Positions are in", frame)),
+      h(
+        "ul",
+        { class: "matches" },
+        inbox.places.map((place) => spot(place, () => frame.value)),
+      ),
+      inbox.count > inbox.places.length && limit < MOST && h("p", {}, more),
+    );
+  }
+
+  function situation({ keep_queries: most, kept, examined }) {
+    if (most === 0) return "Off: queries that match nothing are not kept. Switch it on below.";
+    if (kept === 0) return "No query has matched nothing since this was switched on.";
+    const newest = examined < kept ? `; the newest ${examined.toLocaleString("en-GB")} of them are shown by spot` : "";
+    return `${count(kept, "query", "queries")} matched nothing${newest}. What is named here is known from then on.`;
+  }
+
+  function spot(place, frame) {
+    const wrong = h("div");
+    const label = h("input", { required: true, maxlength: 200 });
+    const where = h("input", { placeholder: "12.5, 3.0, 90", spellcheck: "false" });
+    const seen = `Seen ${place.count === 1 ? "once" : `${place.count} times`}`;
+    const address = `${path}/unknown/${encodeURIComponent(place.id)}`;
+
+    async function named(event) {
+      event.preventDefault();
+      try {
+        const typed = Object.entries(typedPosition(where.value.trim(), frame()));
+        const position = Object.fromEntries(typed.map(([key, text]) => [key, numberOf(text)]));
+        const json = { place: label.value.trim(), ...(typed.length && { position }) };
+        const { views } = await call("POST", address, { json });
+        tell(`${count(views.length, "photo")} of ${json.place} enrolled.`);
+      } catch (error) {
+        wrong.replaceChildren(problemBox(error));
+      }
+    }
+
+    async function dismissed() {
+      const text = `${count(place.count, "query", "queries")} and the images are deleted. This cannot be undone.`;
+      if (!(await confirmed({ title: "Dismiss this spot?", text, action: "Dismiss" }))) return;
+      try {
+        const { queries } = await call("DELETE", address);
+        tell(`${count(queries, "query", "queries")} dismissed.`);
+      } catch (error) {
+        wrong.replaceChildren(problemBox(error));
+      }
+    }
+
+    return h(
+      "li",
+      { class: "match spot" },
+      image(place.links.image, `${seen}, first ${moment(place.first_at)}`, { width: 256, height: 192 }),
+      h("h3", {}, seen),
+      h("p", { class: "quiet" }, span(place)),
+      place.queries.length > 1 &&
+        folded("Its other photos", () =>
+          h(
+            "div",
+            { class: "sides" },
+            place.queries
+              .slice(1)
+              .map((id) => image(`${path}/unknown/${encodeURIComponent(id)}/image`, "Another photo of this spot")),
+          ),
+        ),
+      wrong,
+      h(
+        "form",
+        { onsubmit: named },
+        h("div", { class: "spaced" }, field("What place is it?", label)),
+        h("div", { class: "spaced" }, field("Position, if known", where)),
+        h(
+          "div",
+          { class: "row" },
+          h("button", { type: "submit", class: "first" }, "Name it"),
+          h("button", { type: "button", class: "danger", onclick: dismissed }, "Dismiss …"),
+        ),
+      ),
+    );
+  }
+
+  function keeping(inbox) {
+    const wrong = h("div");
+    const on = inbox.keep_queries > 0;
+    const most = h("input", {
+      type: "number",
+      min: 1,
+      max: 10_000,
+      required: true,
+      value: String(inbox.keep_queries || SUGGESTED),
+    });
+    async function keep(wanted) {
+      const lost = Math.max(0, inbox.kept - wanted);
+      const text = `The oldest ${count(lost, "query", "queries")} and the images are deleted. This cannot be undone.`;
+      if (lost > 0 && !(await confirmed({ title: `Keep ${wanted} at most?`, text, action: "Delete them" }))) return;
+      try {
+        await call("PATCH", path, { json: { keep_queries: wanted }, type: "application/merge-patch+json" });
+        tell(wanted ? `Up to ${count(wanted, "query", "queries")} that match nothing are kept.` : "Switched off.");
+      } catch (error) {
+        wrong.replaceChildren(problemBox(error));
+      }
+    }
+    return h(
+      "section",
+      { class: "panel" },
+      h("h2", {}, on ? "Queries that match nothing are kept" : "Keep queries that match nothing"),
+      h(
+        "p",
+        {},
+        "The newest are kept, with a small image of each and no metadata, until they are named or dismissed. Not kept ",
+        "are poor photos and queries with filters. Programs send ",
+        h("code", {}, `PATCH ${path} {"keep_queries": ${on ? inbox.keep_queries : SUGGESTED}}`),
+        ".",
+      ),
+      wrong,
+      h(
+        "form",
+        {
+          class: "row",
+          onsubmit: (event) => {
+            event.preventDefault();
+            keep(Number(most.value));
+          },
+        },
+        field("At most", most),
+        h("button", { type: "submit", class: on ? null : "first" }, on ? "Change" : "Switch on"),
+        on && h("button", { type: "button", class: "danger", onclick: () => keep(0) }, "Switch off …"),
+      ),
+    );
+  }
+
+  function tell(text) {
+    told.replaceChildren(h("p", { class: "done" }, text));
+    announce(text);
+    load();
+  }
+
+  return { element: h("div", {}, mapHead(name, "inbox"), told, shown), enter: load };
+}
+
+const span = ({ count: number, first_at: first, last_at: last }) =>
+  number === 1 || moment(first) === moment(last) ? moment(last) : `${moment(first)} to ${moment(last)}`;
+
+/** A number where it is one; other text is left for the service to refuse. */
+const numberOf = (text) => (Number.isFinite(Number(text)) ? Number(text) : text);

@@ -1,0 +1,23 @@
+// The parts of one map: what every screen of it begins with.
+
+import { h } from "./dom.js";
+
+const PARTS = [
+  ["", "Views"],
+  ["health", "Health"],
+  ["inbox", "Inbox"],
+];
+
+/** The name of a map, and links to its parts; `current` is the one that is shown. */
+export function mapHead(name, current = "") {
+  const address = (part) => `#maps/${encodeURIComponent(name)}${part && `/${part}`}`;
+  const links = PARTS.map(([part, title]) =>
+    h("a", { href: address(part), "aria-current": part === current ? "page" : null }, title),
+  );
+  links.push(h("a", { href: "#snapshots" }, "Snapshots"));
+  return [
+    h("p", {}, h("a", { href: "#maps" }, "All maps")),
+    h("h1", {}, name),
+    h("nav", { class: "parts-of-map", "aria-label": "Parts of this map" }, links),
+  ];
+}

@@ -1,0 +1,134 @@
+// A recording: a zip archive of images, enrolled as one job; its progress, and what was wrong with each file.
+
+import { call, upload } from "./api.js";
+import { announce, confirmed, count, facts, h, picker, problemBox, size, table } from "./dom.js";
+import { followed } from "./jobs.js";
+
+const UNFOLDED = 20; // errors of a kind that are shown at once
+const KINDS = {
+  "bad-row": "The row of the manifest cannot be used",
+  "no-row": "Without a row in the manifest; enrolled without attributes",
+  "no-file": "Rows without a file",
+  "no-image": "Neither image nor manifest",
+  conflict: "In the map already, with other attributes",
+};
+
+/** A panel that imports an archive into `map()`; `changed` is called when it has ended. Gives {element, take(file)}. */
+export function recording(map, changed) {
+  let file = null;
+  let job = null;
+  let busy = false;
+  const bar = h("progress", { value: 0, max: 1, "aria-label": "Progress of the recording", hidden: true });
+  const said = h("p", { class: "quiet told" }, "No archive is chosen.");
+  const result = h("div");
+  const start = h("button", { type: "submit", class: "first", disabled: true }, "Import the recording");
+  const stop = h("button", { type: "button", class: "danger", hidden: true, onclick: cancel }, "Cancel …");
+
+  function take(chosen) {
+    if (!chosen || busy) return;
+    file = chosen;
+    said.textContent = `${file.name}, ${size(file.size)}`;
+    start.disabled = false;
+  }
+
+  async function run(event) {
+    event.preventDefault();
+    const name = map();
+    busy = true;
+    start.disabled = true;
+    bar.hidden = false;
+    result.replaceChildren();
+    try {
+      job = await upload(`/maps/${encodeURIComponent(name)}/imports`, file, "application/zip", (share) => {
+        bar.max = 1;
+        bar.value = share;
+        said.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
+      });
+      stop.hidden = false;
+      job = await followed(job, show);
+      said.textContent = { done: "Done", cancelled: "Cancelled; what was enrolled stays", failed: "Failed" }[job.state];
+      said.textContent += `: ${name}.`;
+      if (job.state === "failed") result.prepend(problemBox({ title: "The job failed", ...job.failure }));
+      announce(said.textContent);
+      changed();
+    } catch (error) {
+      said.textContent = `${file.name} was not imported.`;
+      result.replaceChildren(problemBox(error));
+    } finally {
+      busy = false;
+      start.disabled = false;
+      bar.hidden = stop.hidden = true;
+    }
+  }
+
+  function show({ progress, result: report }) {
+    if (progress) {
+      bar.max = Math.max(progress.total, 1);
+      bar.value = progress.done;
+      said.textContent = `${progress.done.toLocaleString("en-GB")} of ${count(progress.total, "image")}`;
+    }
+    if (report) result.replaceChildren(came(report));
+  }
+
+  async function cancel() {
+    const text = "What was enrolled stays. Sending the recording again continues.";
+    if (!(await confirmed({ title: "Cancel this import?", text, action: "Cancel the import" }))) return;
+    try {
+      await call("DELETE", `/jobs/${encodeURIComponent(job.id)}`);
+    } catch (error) {
+      result.prepend(problemBox(error));
+    }
+  }
+
+  const pick = picker("Choose a zip archive", { accept: ".zip,application/zip" }, ([one]) => take(one));
+  const element = h(
+    "section",
+    { class: "panel", "aria-label": "A recording" },
+    h("h2", {}, "A recording"),
+    h(
+      "p",
+      {},
+      "A zip archive of images, into the map chosen above, with a manifest.csv or without: file, place, x, y ",
+      "or lat, lon, heading, captured_at; any other column is kept as metadata.",
+    ),
+    h(
+      "form",
+      { onsubmit: run },
+      h("div", { class: "row" }, pick, start, stop),
+    ),
+    said,
+    bar,
+    result,
+  );
+  return { element, take };
+}
+
+/** What came of a recording: counts, and the errors of each kind. */
+function came(report) {
+  const kinds = new Map();
+  for (const one of report.errors ?? []) kinds.set(one.problem, [...(kinds.get(one.problem) ?? []), one]);
+  return h(
+    "div",
+    {},
+    facts([
+      ["Images", report.images],
+      ["Enrolled", report.enrolled],
+      ["There already", report.already_there],
+      ["Failed", report.failed],
+    ]),
+    [...kinds].map(([problem, errors]) => {
+      const title = KINDS[problem] ?? problem[0].toUpperCase() + problem.slice(1).replaceAll("-", " ");
+      return h(
+        "details",
+        { open: errors.length <= UNFOLDED },
+        h("summary", {}, `${title}: ${errors.length}`),
+        h(
+          "div",
+          { class: "table tall", tabindex: "0", role: "region", "aria-label": title },
+          table(["File", "Why"], errors.map((one) => [one.file, one.detail])),
+        ),
+      );
+    }),
+    report.errors_left_off > 0 && h("p", { class: "quiet" }, `${report.errors_left_off} more errors are not listed.`),
+  );
+}

@@ -1,0 +1,232 @@
+"""What the console shows of one map besides its views: its health, its inbox; and snapshots."""
+
+import re
+import zipfile
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from app.http.examples import MAP_HEALTH, VIEW
+from scenes import scene
+from tests.browser.conftest import LAPTOP, PHONE, Open, Tab
+from tests.stories.photos import jpeg
+from tests.stories.running import RunningService
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Route
+
+AXE = "axe.run().then((found) => found.violations.flatMap((one) => one.nodes.map((node) => `${one.id}: ${node.html}`)))"
+
+
+def enrolled(service: RunningService, map_name: str, image: bytes, **fields: str) -> None:
+    data = {"map": map_name, **fields}
+    httpx.post(f"{service.url}/enroll", files={"image": image}, data=data, timeout=60).raise_for_status()
+
+
+def seen(place: str, quality: int = 90) -> bytes:
+    """A photo of a drawn place."""
+    return jpeg(scene(place).pixels, quality)
+
+
+def check(tab: Tab, name: str) -> None:
+    """Nothing that axe finds, in both colours and on a phone."""
+    for size, colours in ((LAPTOP, "light"), (PHONE, "dark")):
+        tab.page.set_viewport_size(size)
+        tab.page.emulate_media(color_scheme=colours)  # type: ignore[arg-type]
+        tab.page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text())
+        assert tab.page.evaluate(AXE) == [], f"{name}, {colours}"
+        assert not tab.is_wider_than_the_window(), name
+    tab.page.set_viewport_size(LAPTOP)
+
+
+# health
+
+
+@pytest.fixture(scope="module")
+def site(service: RunningService) -> str:
+    """A map with the same photo under two names, places without some directions, and a place seen once."""
+    enrolled(service, "site", seen("mill lane"), place="hall", x="0", y="0", heading="0")
+    enrolled(service, "site", seen("mill lane", 75), place="stairs", x="40", y="0", heading="0")
+    enrolled(service, "site", seen("rose garden"), place="gate", x="90", y="0", heading="90")
+    return "site"
+
+
+def test_an_owner_sees_what_a_map_lacks_and_mends_it(opened: Open, service: RunningService, site: str) -> None:
+    tab = opened(f"maps/{site}", bypass_csp=True)
+    tab.page.get_by_role("link", name="Health").click()
+
+    duplicates = tab.page.locator("[data-code=duplicates]")
+    tab.awaits("[data-code=duplicates] .side img[src^=blob]", 2)
+    assert "are enrolled as hall, stairs" in duplicates.inner_text().replace(" and ", ", ")
+    directions = tab.page.locator("[data-code=missing-directions]")
+    assert directions.get_by_text("Not towards").count() == 0
+    tab.page.get_by_role("button", name="Missing directions: 3").press("Enter")
+    directions.get_by_text("Not towards east, south, west: 2 places").press("Enter")
+    directions.get_by_role("button", name="See hall").wait_for()
+    check(tab, "health")
+
+    duplicates.get_by_role("button", name="Open stairs").click()
+    tab.page.get_by_role("button", name="Delete this view …").click()
+    tab.page.get_by_role("button", name="Delete the view").click()
+    tab.page.get_by_text("Duplicates: 0").wait_for()
+    assert {one["place"] for one in httpx.get(f"{service.url}/views?map=site").json()["views"]} == {"hall", "gate"}
+
+
+def test_twins_are_side_by_side_and_many_directions_are_folded(opened: Open, service: RunningService) -> None:
+    """The service's answers are made up here, in its own shape."""
+    views = httpx.get(f"{service.url}/views?map=town").json()["views"]
+    two = [next(one for one in views if one["place"] == name) for name in ("mill lane", "castle park")]
+    twins = MAP_HEALTH["findings"][0] | {
+        "code": "twins",
+        "detail": "'mill lane' and 'castle park' look alike",
+        "remedy": "enrol both where they differ",
+        "places": ["mill lane", "castle park"],
+        "views": [one["id"] for one in two],
+    }
+    limits: list[str] = []
+
+    def answered(route: "Route") -> None:
+        params = httpx.URL(route.request.url).params
+        limits.append(params["limit"])
+        one = MAP_HEALTH["findings"][0]
+        sides: list[dict[str, Any]] = [
+            one | {"places": [f"place {number}"], "headings": [180.0] if number % 3 else [90.0, 180.0]}
+            for number in range(int(params["limit"]))
+        ]
+        counts = MAP_HEALTH["counts"] | {"twins": 1, "missing-directions": 3000}
+        route.fulfill(json=MAP_HEALTH | {"compared": 12, "counts": counts, "findings": [twins, *sides]})
+
+    tab = opened("service")
+    tab.page.route("**/maps/town/health*", answered)
+    tab.show("maps/town/health")
+    tab.awaits("[data-code=twins] .side img[src^=blob]", 2)
+    assert tab.page.locator("[data-code=twins] .side span").all_inner_texts()[0] == "mill lane"
+    assert tab.page.get_by_text("12 so far; twins are found among these.").is_visible()
+    assert limits == ["20"]
+
+    tab.page.get_by_text("Missing directions: 3,000").last.click()
+    tab.page.get_by_text("The first 501 of 3,000").wait_for()
+    tab.page.get_by_text("Not towards south: 333 places").click()
+    rows = "[data-code=missing-directions] tbody tr"
+    tab.awaits(rows, 50)
+    tab.page.get_by_role("button", name="All 333").click()
+    tab.awaits(rows, 333)
+
+
+def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open) -> None:
+    tab = opened("maps/moon/health", refusals=True)
+    assert "there is no map 'moon'" in tab.page.get_by_role("alert").inner_text()
+    assert VIEW["id"] not in tab.page.content()
+
+
+# inbox
+
+
+def test_a_spot_that_matched_nothing_is_named_and_known_from_then_on(opened: Open, service: RunningService) -> None:
+    for place in ("mill lane", "rose garden", "castle park", "station road", "market street"):
+        enrolled(service, "quay", seen(place), place=place)
+    tab = opened("maps/quay", bypass_csp=True, refusals=True)
+    tab.page.get_by_role("link", name="Inbox").click()
+    tab.page.get_by_text("Off: queries that match nothing are not kept.").wait_for()
+    tab.page.get_by_label("At most").press("Enter")
+    tab.page.locator("main").get_by_text("Up to 500 queries that match nothing are kept.").wait_for()
+    assert httpx.get(f"{service.url}/maps/quay").json()["keep_queries"] == 500
+
+    for place, quality in (("river meadow", 90), ("river meadow", 80), ("bakers row", 90)):
+        answer = httpx.post(
+            f"{service.url}/query", data={"map": "quay"}, files={"image": seen(place, quality)}, timeout=60
+        )
+        assert answer.json()["status"] == "no_match"
+    tab.page.reload()
+    tab.page.get_by_role("heading", name="2 spots that this map does not know").wait_for()
+    tab.awaits(".spot > img[src^=blob]", 2)
+    tab.page.get_by_text("Its other photos").press("Enter")
+    tab.awaits(".spot .sides img[src^=blob]", 1)
+    check(tab, "inbox")
+
+    twice = tab.page.locator(".spot", has_text="Seen 2 times")
+    twice.get_by_label("What place is it?").fill("river meadow")
+    twice.get_by_label("Position, if known").fill("4, far")
+    twice.get_by_label("Position, if known").press("Enter")
+    assert "position.y" in twice.get_by_role("alert").inner_text()
+    twice.get_by_label("Position, if known").fill("4, 5, 90")
+    twice.get_by_role("button", name="Name it").press("Enter")
+    tab.page.locator("main").get_by_text("2 photos of river meadow enrolled.").wait_for()
+    named = httpx.get(f"{service.url}/views?map=quay&place=river meadow").json()["views"]
+    assert [(one["position"]["x"], one["position"]["heading"]) for one in named] == [(4, 90)] * 2
+
+    tab.awaits(".spot", 1)
+    tab.page.get_by_role("button", name="Dismiss …").click()
+    tab.page.get_by_role("button", name="Dismiss", exact=True).click()
+    tab.page.get_by_role("heading", name="Nothing to name").wait_for()
+    assert httpx.get(f"{service.url}/maps/quay/unknown").json()["kept"] == 0
+
+
+# snapshots
+
+
+def test_a_map_is_saved_to_a_file_and_restored_under_another_name(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    tab = opened("maps/town", bypass_csp=True, refusals=True)
+    tab.page.get_by_role("link", name="Snapshots").click()
+    tab.page.get_by_role("button", name="Make a snapshot").press("Enter")
+    tab.page.locator("main").get_by_text("The snapshot of town is made.").wait_for()
+    with tab.page.expect_download() as download:
+        tab.page.get_by_label("Download the snapshot of town").click()
+    file = tmp_path / "town.snapshot"
+    download.value.save_as(file)
+    check(tab, "snapshots")
+
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(file)
+    tab.page.get_by_role("button", name="Restore").click()
+    assert "town" in tab.page.get_by_role("alert").inner_text()
+    (tmp_path / "bad.snapshot").write_bytes(file.read_bytes()[:-2000])
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(tmp_path / "bad.snapshot")
+    tab.page.get_by_label("Under another name").fill("hamlet")
+    tab.page.get_by_role("button", name="Restore").click()
+    tab.page.get_by_text("the snapshot is refused, and nothing was changed").wait_for()
+    assert httpx.get(f"{service.url}/maps/hamlet").status_code == 404
+    tab.page.get_by_label("Choose a snapshot file").set_input_files(file)
+    tab.page.get_by_role("button", name="Restore").click()
+    tab.page.locator("main").get_by_text(re.compile("Restored as hamlet: 8 views")).wait_for()
+    httpx.delete(f"{service.url}/maps/hamlet").raise_for_status()
+
+    tab.page.get_by_label("Delete the snapshot of town").click()
+    tab.page.get_by_role("button", name="Delete the snapshot", exact=True).click()
+    tab.page.get_by_text("None yet.").wait_for()
+    assert httpx.get(f"{service.url}/snapshots").json() == {"snapshots": []}
+
+
+# a recording
+
+
+def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    archive = tmp_path / "walk.zip"
+    with zipfile.ZipFile(archive, "w") as recording:
+        recording.writestr("manifest.csv", "file,place,x,y\n0.jpg,gate,1,2\n1.jpg,yard,far,2\n")
+        for number, place in enumerate(("mill lane", "rose garden")):
+            recording.writestr(f"{number}.jpg", seen(place))
+        recording.writestr("notes.txt", "a fine day")
+    (tmp_path / "bad.zip").write_text("no archive")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.get_by_label("or a new map").fill("walk")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    choose, start = panel.get_by_label("Choose a zip archive"), panel.get_by_role("button", name="Import the recording")
+    choose.set_input_files(tmp_path / "bad.zip")
+    start.press("Enter")
+    assert "zip" in panel.get_by_role("alert").inner_text()
+
+    choose.set_input_files(archive)
+    start.press("Enter")
+    panel.get_by_text("Done: walk.").wait_for()
+    assert [(one["place"], one["state"]) for one in httpx.get(f"{service.url}/views?map=walk").json()["views"]] == [
+        ("gate", "ready")
+    ]
+    panel.get_by_text("The row of the manifest cannot be used: 1").wait_for()
+    assert "x is 'far', which is no number" in panel.inner_text()
+    assert panel.get_by_text("notes.txt").is_visible()
+    check(tab, "a recording")

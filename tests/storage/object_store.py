@@ -1,0 +1,105 @@
+"""An S3-compatible store to try images in: moto's server, over HTTP, and one that refuses everything."""
+
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import boto3
+from moto.server import ThreadedMotoServer
+
+BUCKET = "places"
+ADDRESS = f"s3://{BUCKET}/museum/images"
+PREFIX = "museum/images/"
+
+
+class ObjectStore:
+    """A server with one bucket; what it holds outlives `stop`."""
+
+    def __init__(self) -> None:
+        logging.getLogger("werkzeug").setLevel(logging.ERROR)
+        self._port = 0
+        self.start()
+        self.client = boto3.client("s3", **self.credentials)
+        self.client.create_bucket(Bucket=BUCKET)
+
+    def start(self) -> None:
+        """Start it, again after `stop`."""
+        self._server = ThreadedMotoServer(ip_address="127.0.0.1", port=self._port, verbose=False)
+        self._server.start()
+        self._port = self._server.get_host_and_port()[1]
+
+    def stop(self) -> None:
+        """Stop it."""
+        self._server.stop()
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self._port}"
+
+    @property
+    def credentials(self) -> dict[str, str]:
+        return {
+            "endpoint_url": self.url,
+            "region_name": "us-east-1",
+            "aws_access_key_id": "museum",
+            "aws_secret_access_key": "not-secret",
+        }
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Variables for a service that uses it."""
+        return {"REVISIT_IMAGES": ADDRESS, **aws(self.url)}
+
+    def names(self) -> list[str]:
+        """Names of all objects below the prefix."""
+        found = self.client.list_objects_v2(Bucket=BUCKET, Prefix=PREFIX).get("Contents", [])
+        return sorted(str(each["Key"]).removeprefix(PREFIX) for each in found)
+
+    def empty(self) -> None:
+        """Remove all objects."""
+        for name in self.names():
+            self.client.delete_object(Bucket=BUCKET, Key=PREFIX + name)
+
+
+def aws(url: str) -> dict[str, str]:
+    """The usual variables for a store at an address."""
+    return {
+        "AWS_ENDPOINT_URL_S3": url,
+        "AWS_REGION": "us-east-1",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_ACCESS_KEY_ID": "museum",
+        "AWS_SECRET_ACCESS_KEY": "not-secret",
+        "AWS_EC2_METADATA_DISABLED": "true",
+    }
+
+
+@contextmanager
+def refusing(status: int, code: str) -> Iterator[str]:
+    """The address of a store that answers every call with one error."""
+    body = f"<?xml version='1.0'?><Error><Code>{code}</Code><Message>no</Message></Error>".encode()
+
+    class Refusal(BaseHTTPRequestHandler):
+        def answer(self) -> None:
+            self.rfile.read(int(self.headers.get("content-length") or 0))
+            self.send_response(status)
+            self.send_header("content-type", "application/xml")
+            self.send_header("content-length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        do_GET = do_PUT = do_DELETE = answer  # noqa: N815
+
+        def log_message(self, format: str, *arguments: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Refusal)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()

@@ -1,0 +1,65 @@
+"""Examines the images of an S3-compatible store: every object is read."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+
+from schemas.errors import Damaged, RevisitError, SetupError
+from worker.storage.examining import REPAIR, Finding
+from worker.storage.examining_images import AGAIN, ORPHAN
+from worker.storage.image_files import DIGEST
+from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
+
+
+def object_findings(address: str, owners: dict[str, str] | None, *, running: bool = False) -> Iterator[Finding]:
+    """Findings of all images of a store.
+
+    Parameters
+    ----------
+    address : str
+        ``s3://bucket/prefix``.
+    owners : mapping or None
+        SHA-256 of each image to the view that needs it, as text; None when the database could not be read.
+    running : bool
+        Whether a service of this folder runs: it may be writing or removing objects just now.
+    """
+    try:
+        objects = ImageObjects(address, owned=set, locked=lambda _: nullcontext())
+    except SetupError as error:
+        yield Finding(address, "cannot be examined", str(error))
+        return
+    missing = dict(owners or {})
+    placed: list[str] = []
+    try:
+        for name in objects.names():
+            digest = name.rpartition("/")[2]
+            if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
+                placed.append(digest)
+            elif name != PROBE:
+                yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
+
+        def fault(digest: str) -> str | None:
+            try:
+                objects.read(digest)
+            except Damaged:
+                return "is missing or does not hold what was enrolled"
+            return None
+
+        with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
+            for digest, found in zip(placed, pool.map(fault, placed), strict=True):
+                where = f"{address}/{digest[:2]}/{digest[2:4]}/{digest}"
+                view = missing.pop(digest, None)
+                if found is not None:
+                    yield Finding(
+                        where, f"{found}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}"
+                    )
+                elif owners is not None and view is None and not running:
+                    yield Finding(where, ORPHAN, f"{REPAIR} removes it")
+    except RevisitError as error:
+        yield Finding(address, "cannot be examined", error.detail)
+        return
+    finally:
+        objects.close()
+    for digest, view in missing.items():
+        where = f"{address}/{digest}"
+        yield Finding(where, f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")

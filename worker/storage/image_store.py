@@ -1,0 +1,87 @@
+"""What the store needs of the place where images lie, and the choice of it: a folder, or an S3-compatible store."""
+
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Protocol
+
+import sqlalchemy as sa
+
+from worker.storage.database import Database
+from worker.storage.image_files import Images
+from worker.storage.peers import image_lock
+from worker.storage.rows import batches
+from worker.storage.tables import VIEWS
+
+
+class ImageStore(Protocol):
+    """Enrolled images, named by the SHA-256 of their bytes."""
+
+    def kept(self, digest: str, image: bytes) -> AbstractContextManager[None]:
+        """Write an image durably, then run a block that commits a row with its digest."""
+        ...
+
+    def add(self, images: Mapping[str, bytes]) -> None:
+        """Write images, by their digests, durably whose rows are committed; raises DiskFull, StorageFailed."""
+        ...
+
+    def read(self, digest: str) -> bytes:
+        """The bytes of an image, verified; raises Damaged, StorageFailed."""
+        ...
+
+    def discard(self, digests: Iterable[str]) -> int:
+        """Remove images that no view needs, after their rows were deleted; returns how many."""
+        ...
+
+    def sweep(self) -> int:
+        """Remove what a crash left; returns how many files."""
+        ...
+
+    def sweep_at_start(self, alone: bool) -> None:
+        """`sweep`, or begin it; `alone`: whether no other service uses the database."""
+        ...
+
+    def problem(self) -> str | None:
+        """Why images cannot be read or written now, or None."""
+        ...
+
+    def close(self) -> None:
+        """End what goes on in the background."""
+        ...
+
+
+def needed_by_views(database: Database, digests: list[str]) -> set[str]:
+    """The digests among `digests` that views need."""
+    found: set[str] = set()
+    with database.reading() as connection:
+        for portion in batches(digests):
+            found.update(connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion))))
+    return found
+
+
+def open_images(database: Database, data: Path, address: str | None) -> ImageStore:
+    """The images of a service.
+
+    Parameters
+    ----------
+    database : Database
+        Says which images views need.
+    data : Path
+        Data folder.
+    address : str or None
+        ``s3://bucket/prefix``; None for the folder ``pictures`` in the data folder.
+
+    Raises
+    ------
+    SetupError
+        The address is of no store that revisit can use.
+    """
+
+    def owned(digests: list[str]) -> set[str]:
+        return needed_by_views(database, digests)
+
+    if address is None:
+        return Images(data / "pictures", owned)
+    from worker.storage.image_objects import ImageObjects  # loads boto3, which a folder does not need
+
+    return ImageObjects(address, owned, image_lock(database, data))

@@ -1,0 +1,91 @@
+"""Locks among the services of one database: who serves it besides this one, and who writes or removes which images.
+
+In PostgreSQL these are advisory locks, which end with their connection; with SQLite, whose services share one machine,
+locks on files of the data folder.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from worker.storage import dialect
+from worker.storage.database import Database
+from worker.storage.disk_errors import translated
+from worker.storage.locks import held
+
+SCHEMA = "hashtext('revisit ' || current_schema())"
+"""First key of all of these locks: the services of a schema are those of one database."""
+
+SERVING = 256
+"""Second key of the lock that services share; below it lie those of images, by the first byte of their digests."""
+
+ImageLock = Callable[[str], AbstractContextManager[None]]
+"""From the first two digits of digests to a lock that writers and removers of such images hold in turn."""
+
+
+def image_lock(database: Database, data: Path) -> ImageLock:
+    """Locks of images that lie outside the data folder."""
+
+    @contextmanager
+    def by_file(first: str) -> Iterator[None]:
+        with translated("images"), held(data / "image-locks" / first):
+            yield
+
+    @contextmanager
+    def by_server(first: str) -> Iterator[None]:
+        with translated("database"), database.engine.connect() as connection, connection.begin():
+            lock = sa.text(f"SELECT pg_advisory_xact_lock({SCHEMA}, :key)")
+            connection.execute(lock, {"key": int(first, 16)})
+            yield
+
+    return by_file if dialect.is_file(database.engine) else by_server
+
+
+class Peers:
+    """The other services of a database.
+
+    Parameters
+    ----------
+    database : Database
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._engine = database.engine
+        self._connection: sa.Connection | None = None
+
+    @contextmanager
+    def joined(self) -> Iterator[bool]:
+        """Join the services of the database; yields whether there is no other, and none joins during the block.
+
+        A SQLite file has one service: the lock of its data folder sees to that. A service whose connection broke no
+        longer counts.
+        """
+        if dialect.is_file(self._engine):
+            yield True
+            return
+        self.leave()
+        with translated("database"):
+            self._connection = self._engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+            alone = bool(self._ask("pg_try_advisory_lock"))
+            if not alone:  # waits for one that cleans up
+                self._ask("pg_advisory_lock_shared")
+        try:
+            yield alone
+        finally:
+            if alone:
+                with translated("database"):
+                    self._ask("pg_advisory_lock_shared")
+                    self._ask("pg_advisory_unlock")
+
+    def leave(self) -> None:
+        """Leave them; a second time does nothing."""
+        if self._connection is not None:
+            self._connection.invalidate()
+            self._connection.close()
+            self._connection = None
+
+    def _ask(self, function: str) -> object:
+        assert self._connection is not None
+        return self._connection.scalar(sa.text(f"SELECT {function}({SCHEMA}, :key)"), {"key": SERVING})
