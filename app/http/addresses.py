@@ -1,10 +1,13 @@
 """Middleware that lets every address be asked for in the ways that HTTP libraries and people use."""
 
+import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 
 class Addresses:
     """HEAD is answered as GET without the body (RFC 9110, 9.3.2), and ``/views/`` as ``/views``.
+
+    A body that would be streamed is ended at once: HEAD of a snapshot reads no file, that of events does not last.
 
     A slash is not answered with a redirect, for which a client would have to send its image again.
     """
@@ -27,11 +30,15 @@ class Addresses:
         inner = {**scope, "method": "GET"}
 
         async def send_head(message: Message) -> None:
-            if message["type"] == "http.response.body":
-                message = {**message, "body": b""}
-            await send(message)
+            if message["type"] != "http.response.body":
+                await send(message)
+            elif not streaming.cancel_called:
+                await send({"type": "http.response.body"})
+                if message.get("more_body", False):
+                    streaming.cancel()
 
         try:
-            await self._app(inner, receive, send_head)
+            with anyio.CancelScope() as streaming:
+                await self._app(inner, receive, send_head)
         finally:
             scope.update({name: inner[name] for name in ("route", "path_params") if name in inner})  # for the log

@@ -77,6 +77,7 @@ class RequestContext:
         request_id = given if _SANE_ID.fullmatch(given) else secrets.token_hex(16)
         scope.setdefault("state", {})["request_id"] = request_id
         status = received = sent = 0
+        seconds: float | None = None
         unread = has_body(scope)
 
         async def receive_watched() -> Message:
@@ -88,11 +89,13 @@ class RequestContext:
             return message
 
         async def send_with_id(message: Message) -> None:
-            nonlocal status, sent
+            nonlocal status, sent, seconds
             sent += len(message.get("body", b""))
             if message["type"] == "http.response.start":
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
+                if headers.get("content-type", "").startswith("text/event-stream"):
+                    seconds = time.perf_counter() - begin  # events last as long as what they tell of
                 headers["X-Request-Id"] = request_id
                 for name, value in _OF_EVERY_ANSWER.items():
                     headers.setdefault(name, value)
@@ -123,7 +126,8 @@ class RequestContext:
                     # The status line is sent: only breaking the connection can still tell the client of the failure.
                     raise
             finally:
-                self._record(scope, notes, status, time.perf_counter() - begin, received, sent)
+                seconds = time.perf_counter() - begin if seconds is None else seconds
+                self._record(scope, notes, status, seconds, received, sent)
 
     def _record(self, scope: Scope, notes: Notes, status: int, seconds: float, received: int, sent: int) -> None:
         """Count the request, and write its one log line."""

@@ -96,6 +96,8 @@ class Connection:
     def events(self, model: type[Answer], path: str, silence: float) -> Iterator[Answer | None]:
         """The data of server-sent events, each validated as `model`, and None for each sign of life between them.
 
+        None at all where the address answers with something else.
+
         Parameters
         ----------
         silence : float
@@ -110,6 +112,8 @@ class Connection:
                 if answer.status_code >= 400:
                     answer.read()
                     raise RevisitProblem(problem_of(answer), retry_after(answer))
+                if not answer.headers.get("content-type", "").startswith("text/event-stream"):
+                    return
                 for line in answer.iter_lines():
                     if line.startswith("data:"):
                         yield model.model_validate_json(line.removeprefix("data:"), extra="ignore")

@@ -15,6 +15,9 @@ from revisit_client.recordings import folder_as_zip, pieces_of
 SILENCE_S = 20.0
 """Seconds without a sign of life after which events count as lost; the service sends one every 5."""
 
+POLLED_INSTEAD = frozenset({404, 405, 429, 503})
+"""Refusals of events after which the job is asked for: an older service, a busy one, or no such job any more."""
+
 
 class JobCalls:
     """The calls of a client about jobs."""
@@ -80,16 +83,6 @@ class JobCalls:
         """Cancel a describe job that is waiting, or a recipe, vocabulary or import job that has not finished."""
         return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
 
-    def wait_for_progress(self, job: wire.Job, *, patience: float = 10.0) -> wire.Job:
-        """The job once its state or progress is another, or as it is after `patience` seconds."""
-        deadline, pause = self._clock() + patience, 0.05
-        while True:
-            now = self.job(job.id)
-            if (now.state, now.progress) != (job.state, job.progress) or self._clock() + pause > deadline:
-                return now
-            self._sleep(pause)
-            pause = min(0.5, pause * 1.5)
-
     def wait_for_job(
         self, job_id: str, *, timeout: float = 600.0, follow: Callable[[wire.Job], None] = lambda job: None
     ) -> wire.Job:
@@ -102,33 +95,33 @@ class JobCalls:
         TimeoutError
             The job is still waiting or running.
         """
-        for job in self._states(job_id, deadline := self._clock() + timeout):
+        deadline = self._clock() + timeout
+        states = self._states(job_id, deadline)
+        while True:
+            job = next(states)
             follow(job)
             if job.state == "done":
                 return job
             if job.state in ("failed", "cancelled"):
                 raise JobFailed(job)
-            if self._clock() > deadline:
+            if self._clock() >= deadline:
                 raise TimeoutError(f"job {job_id} is still {job.state} after {timeout:g} s")
-        raise AssertionError("the states of a job end when it has ended")
 
     def _states(self, job_id: str, deadline: float) -> Iterator[wire.Job]:
-        """States of a job, sent by the service as they change; asked for where events do not come through."""
-        job = self.job(job_id)
-        yield job
+        """The job without end: sent by the service as it changes, asked for where no events come through."""
         pause = 0.05
         while True:
+            job = self.job(job_id)
+            yield job
             silence = max(0.1, min(SILENCE_S, deadline - self._clock()))
             try:
                 for now in self._connection.events(wire.Job, f"/jobs/{job_id}/events", silence):
-                    job = job if now is None else now
+                    job = now or job
                     yield job
             except RevisitProblem as problem:
-                if problem.status not in (404, 405):  # an older service; that the job is gone, asking shows
+                if problem.status not in POLLED_INSTEAD:
                     raise
             except (Unreachable, ValidationError):
-                pass  # a proxy may cut streams; asking shows whether the service is away
-            self._sleep(pause)
+                pass  # a proxy may cut streams: asking shows whether the service is away
+            self._sleep(min(pause, max(0.0, deadline - self._clock())))
             pause = min(1.0, pause * 1.5)
-            job = self.job(job_id)
-            yield job

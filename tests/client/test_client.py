@@ -1,7 +1,7 @@
 """Requests that the client sends, answers that it reads, and when it tries again."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -212,14 +212,72 @@ def test_views_are_fetched_page_by_page_as_needed() -> None:
     assert cursors == [None, "1"]
 
 
+def polled(states: Iterator[str]) -> Handler:
+    """A service that has no events: a proxy keeps them back, or it is an older one."""
+    return lambda request: (
+        httpx.Response(404, json=answers.problem("not-found"))
+        if request.url.path.endswith("/events")
+        else httpx.Response(200, json=answers.job(next(states)))
+    )
+
+
 def test_a_job_is_waited_for() -> None:
-    states = iter(["waiting", "running", "done"])
     clock = Clock()
 
-    job = client(lambda _: httpx.Response(200, json=answers.job(next(states))), clock).wait_for_job("j")
+    job = client(polled(iter(["waiting", "running", "done"])), clock).wait_for_job("j")
 
     assert job.state == "done"
     assert len(clock.naps) == 2
+
+
+def sent_events(*states: str) -> httpx.Response:
+    """Events of a job, with a sign of life between them."""
+    parts = [f"event: job\ndata: {json.dumps(answers.job(state))}\nretry: 1000\n\n" for state in states]
+    return httpx.Response(200, text=": keepalive\n\n".join(parts), headers={"content-type": "text/event-stream"})
+
+
+def test_the_states_of_a_job_that_is_waited_for_are_sent_by_the_service() -> None:
+    clock, followed, paths = Clock(), list[str](), list[str]()
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        paths.append(request.url.path)
+        if paths[-1] == "/jobs/j/events":
+            return sent_events("waiting", "running", "done")
+        return httpx.Response(200, json=answers.job("waiting"))
+
+    job = client(handler, clock).wait_for_job("j", follow=lambda job: followed.append(job.state))
+
+    assert (job.state, clock.naps, paths) == ("done", [], ["/jobs/j", "/jobs/j/events"])
+    assert list(dict.fromkeys(followed)) == ["waiting", "running", "done"]
+
+
+@pytest.mark.parametrize("broken", ["cut", "no events", "not a job", "busy"])
+def test_a_job_whose_events_do_not_come_through_is_polled(broken: str) -> None:
+    clock, states = Clock(), iter(["running", "running", "done"])
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        if not request.url.path.endswith("/events"):
+            return httpx.Response(200, json=answers.job(next(states)))
+        if broken == "cut":
+            raise httpx.RemoteProtocolError("peer closed connection")
+        if broken == "busy":
+            return httpx.Response(429, json=answers.problem("too-many-requests", 429))
+        if broken == "no events":
+            return httpx.Response(200, json=answers.job("running"))
+        return httpx.Response(200, text="data: {}\n\n", headers={"content-type": "text/event-stream"})
+
+    assert client(handler, clock).wait_for_job("j").state == "done"
+    assert len(clock.naps) == 2
+
+
+def test_events_of_a_map_that_the_key_may_not_use_are_refused() -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        if request.url.path.endswith("/events"):
+            return httpx.Response(403, json=answers.problem("forbidden", 403))
+        return httpx.Response(200, json=answers.job("running"))
+
+    with pytest.raises(RevisitProblem):
+        client(handler, Clock()).wait_for_job("j")
 
 
 def test_a_job_that_failed_says_why() -> None:

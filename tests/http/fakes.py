@@ -87,6 +87,8 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
     hold: asyncio.Event | None = None
     enrolments: int = 0
     events: list[str] = field(default_factory=list)
+    job_states: list[str] = field(default_factory=lambda: ["done"])
+    job_kind: str = "describe"
     started: bool = True
     draining: bool = False
 
@@ -316,7 +318,8 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
     async def job(self, job_id: str) -> wire.Job:
         if job_id == "gone":
             raise NotFound("job", job_id)
-        return self._job(job_id)
+        state = self.job_states.pop(0) if len(self.job_states) > 1 else self.job_states[0]
+        return self._job(job_id).model_copy(update={"state": state, "kind": self.job_kind})
 
     async def cancel_job(self, job_id: str) -> wire.Job:
         raise Conflict(f"the job {job_id!r} is running already")

@@ -32,6 +32,12 @@ ALL_ROUTES = sorted(
     {(method.upper(), path) for path, methods in DOCUMENT["paths"].items() for method in methods}
     | {("GET", path) for path in UNDOCUMENTED}
 )
+CANCELLING = [
+    *((kind, "read", 403) for kind in ("describe", "import", "recipe")),
+    *((kind, "write", 409) for kind in ("describe", "import")),
+    *((kind, "write", 403) for kind in ("recipe", "vocabulary", "snapshot")),
+    *((kind, "admin", 409) for kind in ("describe", "import", "recipe", "vocabulary", "snapshot")),
+]
 LOCKED = [(method, path) for method, path in ALL_ROUTES if path not in OPEN_PATHS]
 
 
@@ -103,6 +109,16 @@ def test_a_route_is_open_to_its_scope_and_those_above(locked: Locked, method: st
         assert response.status_code not in (401, 403)
     else:
         assert (response.status_code, code(response)) == (403, "forbidden")
+
+
+@pytest.mark.parametrize(("kind", "scope", "status"), CANCELLING)
+def test_a_job_is_cancelled_by_the_scope_that_may_begin_it(
+    locked: Locked, kind: str, scope: Scope, status: int
+) -> None:
+    locked.runtime.recogniser.job_kind = kind
+
+    # The job of the fake is running already, which is a conflict.
+    assert locked.call("DELETE", "/jobs/{job_id}", locked.bearer[scope]).status_code == status
 
 
 @pytest.mark.parametrize(("method", "path"), LOCKED)

@@ -85,7 +85,8 @@ def test_a_name_that_no_map_can_have_is_refused(client: CheckedClient, name: str
         assert answer.json()["errors"][0]["parameter"] == "map"
 
 
-def test_work_on_a_map_answers_with_its_job(client: CheckedClient) -> None:
+def test_work_on_a_map_answers_with_its_job(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    recogniser.job_states = ["waiting"]
     client.put("/maps/campus")
     for path in ("recipe", "vocabulary"):
         answer = client.post(f"/maps/campus/{path}")

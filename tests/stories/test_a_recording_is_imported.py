@@ -1,6 +1,8 @@
 """A recording is sent as a zip: its images are enrolled with what the manifest knows, whatever happens meanwhile."""
 
 import io
+import json
+import signal
 import time
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -139,6 +141,37 @@ def test_an_import_is_cancelled_and_what_it_enrolled_stays(client: httpx.Client,
     assert views["pending"] == 0
     assert views["ready"] < 300
     assert sent(client, "after", photos(1))["state"] == "done"
+
+
+def jobs_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:
+    """The jobs of server-sent events, as they come."""
+    for line in answer.iter_lines():
+        if line.startswith("data: "):
+            yield json.loads(line.removeprefix("data: "))
+
+
+def test_an_import_is_followed_while_it_runs(client: httpx.Client) -> None:
+    job_id = client.post("/maps/followed/imports", content=zipped(photos(150, 96)), headers=ZIP).json()["id"]
+
+    with client.stream("GET", f"/jobs/{job_id}/events") as answer:
+        seen = list(jobs_of(answer))
+
+    done = [job["progress"]["done"] for job in seen if job["progress"]]
+    assert done == sorted(done)
+    assert len(set(done)) > 1, "it was followed only when it was over"
+    assert (seen[-1]["state"], done[-1]) == ("done", 150)
+
+
+def test_events_end_with_the_service(tmp_path: Path) -> None:
+    with RunningService(tmp_path, REVISIT_COMPARE="false") as service, httpx.Client(base_url=service.url) as client:
+        job_id = client.post("/maps/long/imports", content=zipped(photos(300, 96)), headers=ZIP).json()["id"]
+        with client.stream("GET", f"/jobs/{job_id}/events") as answer:
+            jobs = jobs_of(answer)
+            next(jobs)
+            service.signal(signal.SIGTERM)
+
+            assert [job["state"] for job in jobs if job["state"] not in ("waiting", "running")] == []
+        assert service.wait() == 0
 
 
 def test_a_deleted_map_takes_its_import_along(client: httpx.Client, service: RunningService) -> None:
