@@ -53,12 +53,13 @@ class Caller:
     number : int
         From 1; its images and its own map are named by it.
     seed : int
-    counts : Counter
-        What was acknowledged; each caller has its own.
+    worker_apart : bool
+        Whether the worker is a process of its own, which may be gone: then an image may be refused for want of one.
     """
 
-    def __init__(self, number: int, seed: int) -> None:
+    def __init__(self, number: int, seed: int, *, worker_apart: bool = False) -> None:
         self.number, self.own = number, f"own-{number}"
+        self._refusals = (207, 503) if worker_apart else ()
         self.chance = np.random.default_rng([seed, number])
         self.counts: Counter[str] = Counter()
         self.views: dict[str, Known] = {}
@@ -71,14 +72,18 @@ class Caller:
     def work(self, url: str, until: threading.Event) -> None:
         """Call after call, until the service is gone or `until` is set; what went wrong is kept in `violations`."""
         with client(url) as calls:
-            while not until.is_set():
-                try:
-                    self._call(calls)
-                except httpx.TransportError:
-                    return  # what was under way is kept as `unanswered`
-                except Violation as error:
-                    self.violations.append(f"caller {self.number}: {error}")
-                    return
+            self.work_with(calls, until)
+
+    def work_with(self, calls: httpx.Client, until: threading.Event | None = None) -> None:
+        """The same on a connection that there is."""
+        while until is None or not until.is_set():
+            try:
+                self._call(calls)
+            except httpx.TransportError:
+                return  # what was under way is kept as `unanswered`
+            except Violation as error:
+                self.violations.append(f"caller {self.number}: {error}")
+                return
 
     def _call(self, calls: httpx.Client) -> None:
         kind = float(self.chance.random())
@@ -119,10 +124,23 @@ class Caller:
         self.unanswered = Unanswered("enroll", to, tuple(numbers), attributes)
         form = {"map": to, "wait": str(waited).lower(), **attributes.parameters()}
         files = [("image", (f"{number}.png", image(number), "image/png")) for number in numbers]
-        answer = self._sent(calls.post("/enroll", data=form, files=files), 201, 202)
-        for number, one in zip(numbers, answer.get("views", [answer]), strict=True):
+        answer = self._sent(calls.post("/enroll", data=form, files=files), 201, 202, *self._refusals)
+        refused = self._refused_for_want_of_a_worker(answer, len(numbers))
+        kept = [number for index, number in enumerate(numbers) if index not in refused]
+        for number, one in zip(kept, answer.get("views", [answer]) if kept else [], strict=True):
             self.keep(one["view"], number, attributes)
             self.counts["enrolments"] += 1
+
+    def _refused_for_want_of_a_worker(self, answer: dict[str, Any], count: int) -> set[int]:
+        """Positions of the images, of so many, that were refused so; raises Violation for any other reason."""
+        if "view" in answer:
+            return set()
+        problems = answer["errors"] if "views" in answer else [answer]
+        for problem in problems:
+            require("no worker is alive" in problem["detail"], f"an image was refused: {problem['detail']}")
+        refused = {problem["index"] for problem in problems} if "views" in answer else set(range(count))
+        self.counts["refused for want of a worker"] += len(refused)
+        return refused
 
     def keep(self, view: dict[str, Any], number: int, attributes: Attributes) -> None:
         """Take a view that the service showed into the own ones; raises Violation if it is not as it was sent."""

@@ -57,7 +57,7 @@ class Site:
     def __init__(self, data: Path, kind: str, seed: int, counts: Counter[str]) -> None:
         self.data, self.kind, self.counts = data, kind, counts
         self.chance = np.random.default_rng(seed)
-        self.callers = [Caller(number, seed) for number in range(1, CALLERS + 1)]
+        self.callers = [Caller(number, seed, worker_apart=kind == "worker") for number in range(1, CALLERS + 1)]
         apart = {"REVISIT_INLINE_WORKER": "false"} if kind == "worker" else {}
         self.served = LiveService(data, counts, settings={**QUICK, **apart})
         self.worker = self._hire()
