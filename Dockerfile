@@ -1,16 +1,21 @@
 # syntax=docker/dockerfile:1
 # The service in a container: `docker build -t revisit .`, then `docker run -p 8000:8000 -v places:/data revisit`.
 #
+# TORCH is cpu, gpu (CUDA, for REVISIT_DEVICE=cuda) or none: half a gigabyte, for the encoder `compact` on a CPU.
 # Any image of Debian or Ubuntu with Python 3.11 and its venv module will do as BASE.
 ARG BASE=python:3.11-slim-bookworm
 
 FROM ${BASE} AS packages
 # For a mirror. The CPU build of torch is found without it; where it is not, the build stops rather than fetch CUDA.
 ARG PIP_EXTRA_INDEX_URL
+ARG TORCH=cpu
 WORKDIR /opt/revisit
 # Only what decides the packages: this layer is made again when they change, not when the program does.
 COPY revisit requirements.lock ./
-RUN PIP_NO_CACHE_DIR=1 ./revisit set-up
+RUN case "$TORCH" in \
+        cpu) flavour= ;; gpu) flavour=--gpu ;; none) flavour=--slim ;; \
+        *) echo "TORCH is '$TORCH'; it is cpu, gpu or none" >&2; exit 1 ;; \
+    esac && PIP_NO_CACHE_DIR=1 ./revisit $flavour set-up
 
 FROM ${BASE}
 RUN useradd --system --uid 10001 --home-dir /data --shell /usr/sbin/nologin revisit \

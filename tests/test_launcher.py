@@ -186,6 +186,42 @@ def test_cuda_is_installed_on_request_and_serves_afterwards(
     assert checkout.run("version").stderr == ""
 
 
+def test_a_slim_installation_has_no_torch_and_nothing_that_only_torch_needs(checkout: Checkout) -> None:
+    kept = checkout.folder.parent / "kept.txt"
+    noting = f"""#!/bin/sh
+for word in "$@"; do case $word in */packages.txt) cp "$word" "{kept}" ;; esac; done
+"""
+    venv = checkout.folder / ".venv" / "bin"
+    checkout.run("--slim", "version", USUAL="cuda", EXTRA="cuda")
+    (packages,) = checkout.installs()
+    assert "/torch.txt" not in packages
+    (venv / "python").write_text(noting)
+    (checkout.folder / ".venv" / ".revisit-stamp").unlink()
+    checkout.run("--slim", "version")
+
+    left = set(re.findall(r"^([a-z0-9-]+)==", kept.read_text(), re.MULTILINE))
+    listed = set(re.findall(r"^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+    assert listed - left == {"torch", "filelock", "fsspec", "mpmath", "networkx", "setuptools", "sympy"}
+    assert kept.read_text().count("--hash") >= len(left)
+    assert not re.search(r"^ +--hash.*\n(?! |[a-z]|\Z)", kept.read_text(), re.MULTILINE)
+
+
+def test_a_slim_installation_is_enough_for_slim_alone(checkout: Checkout) -> None:
+    checkout.run("--slim", "version")
+    assert checkout.run("--slim", "version").stderr == ""
+
+    checkout.run("version")
+
+    assert any("/torch.txt" in note for note in checkout.installs())
+    assert checkout.run("--slim", "version").stderr == ""
+
+
+def test_the_tests_are_not_run_without_torch(checkout: Checkout) -> None:
+    refused = checkout.run("--slim", "test")
+
+    assert (refused.returncode, "need torch" in refused.stderr) == (1, True)
+
+
 @pytest.mark.parametrize("local", ["", "+cpu"], ids=["as with CUDA", "another file"])
 def test_a_wheel_of_torch_that_the_lock_does_not_list_is_refused(
     checkout: Checkout, tmp_path: Path, local: str

@@ -2,6 +2,7 @@
 
 import ctypes
 import sys
+from importlib.util import find_spec
 
 import cv2
 import faiss
@@ -29,6 +30,11 @@ def configure(threads: int) -> None:
     sys.setswitchinterval(SWITCH_S)
 
 
+def has_torch() -> bool:
+    """Whether torch is installed; it is not imported."""
+    return find_spec("torch") is not None
+
+
 def configure_torch(threads: int, device: str = "cpu") -> None:
     """Import torch and set its threads, for the whole process.
 
@@ -41,8 +47,13 @@ def configure_torch(threads: int, device: str = "cpu") -> None:
     Raises
     ------
     SetupError
-        There is no such device.
+        There is no torch, or no such device.
     """
+    if not has_torch():
+        raise SetupError(
+            "this needs torch, which this installation was made without (--slim, or TORCH=none for an image); "
+            "without it there is REVISIT_ENCODER=compact with REVISIT_DEVICE=cpu"
+        )
     import torch
 
     torch.set_num_threads(threads)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.settings import MEGA, Settings
-from worker.configure import configure, configure_torch
+from worker.configure import configure, configure_torch, has_torch
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
@@ -152,8 +152,8 @@ MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
 
 
 def make_product(settings: Settings) -> Product:
-    """The product of int8 vectors: float32 for `color`, which loads no torch; otherwise the fastest."""
-    if settings.encoder == "color":
+    """The product of int8 vectors: the fastest; float32 without torch, and for `color`, which does not load it."""
+    if settings.encoder == "color" or not has_torch():
         return float_product
     from worker.search.byte_product import fastest_product
 

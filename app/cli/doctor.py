@@ -14,6 +14,7 @@ from app.cli.serve import settings_of
 if TYPE_CHECKING:
     from schemas.settings import Settings
 
+MISSING = "missing"
 LIBRARIES = (
     "onnxruntime", "torch", "numpy", "opencv-python-headless", "faiss-cpu", "pillow", "sqlalchemy", "alembic",
     "fastapi", "starlette", "uvicorn", "pydantic", "httpx",
@@ -102,13 +103,16 @@ def versions() -> dict[str, str]:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "missing"
+            found[name] = MISSING
     return found
 
 
 def torch_flavour() -> str:
     """Which build of torch is installed; read from package metadata, since importing torch takes seconds."""
-    local = versions().get("torch", "").partition("+")[2]
+    installed = versions()["torch"]
+    if installed == MISSING:
+        return "not installed: compact on a CPU alone"
+    local = installed.partition("+")[2]
     if local:
         return f"{local} build"
     # A wheel without a local version is a CUDA build when NVIDIA's packages are installed.

@@ -4,9 +4,10 @@ import asyncio
 import platform
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 from app.http.readiness import ReadinessCheck
@@ -115,4 +116,8 @@ class Lifecycle:
 @cache
 def _installed() -> dict[str, str]:
     """Versions of the libraries, read from disk once."""
-    return {name: version(name) for name in LIBRARIES}
+    found = {}
+    for name in LIBRARIES:
+        with suppress(PackageNotFoundError):  # torch, in a slim installation
+            found[name] = version(name)
+    return found

@@ -1,0 +1,59 @@
+"""Without torch the service describes and answers as with it; what needs torch says so."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.sample_images import photo
+from tests.stories.running import ROOT, RunningService
+
+HEADERS = {"content-type": "image/jpeg"}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    """A PYTHONPATH in which torch is not found."""
+    (tmp_path / "slim").mkdir()
+    (tmp_path / "slim" / "sitecustomize.py").write_text("import sys\nsys.modules['torch'] = None\n")
+    return f"{tmp_path / 'slim'}:{ROOT}:{ROOT / 'client'}"
+
+
+def answered(data: Path, **environment: str) -> list[object]:
+    """Places and scores of a query."""
+    with (
+        RunningService(data, REVISIT_ENCODER="compact", **environment) as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
+        for number in range(6):
+            client.post(f"/enroll?place=p{number}", content=photo(number), headers=HEADERS).raise_for_status()
+        answer = client.post("/query", content=photo(3), headers=HEADERS).raise_for_status().json()
+        return [(match["view"]["place"], match["score"]) for match in answer["matches"]]
+
+
+def test_a_slim_installation_answers_as_the_whole_one_does(tmp_path: Path, path: str) -> None:
+    slim, whole = answered(tmp_path / "one", PYTHONPATH=path), answered(tmp_path / "other")
+
+    assert slim == whole
+    assert slim[0] == ("p3", pytest.approx(1, abs=0.05))
+
+
+@pytest.mark.parametrize("wanted", [{"REVISIT_ENCODER": "lseg"}, {"REVISIT_DEVICE": "cuda"}])
+def test_what_needs_torch_is_refused_with_what_does_not(tmp_path: Path, path: str, wanted: dict[str, str]) -> None:
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
+    refused = subprocess.run(
+        [sys.executable, "-m", "app.cli", "serve", "--port", "0", "--data", str(tmp_path / "data")],
+        env=clean | wanted | {"PYTHONPATH": path},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+    assert refused.returncode != 0
+    assert "needs torch" in refused.stderr
+    assert "Traceback" not in refused.stderr
