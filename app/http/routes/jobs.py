@@ -10,12 +10,28 @@ from fastapi.sse import EventSourceResponse
 from app.http.dependencies import Curates, JobId, Lifecycles, no_parameters
 from app.http.job_events import job_events
 from app.http.keys import Accesses, check_map
-from app.http.openapi import answers_bytes, refusals
+from app.http.openapi import refusals
 from app.http.parameters import ListJobs
 from schemas.errors import Forbidden
 from schemas.wire import Job, Jobs
 
 router = APIRouter(tags=["jobs"])
+
+EVENT = {
+    "type": "object",
+    "required": ["event", "data"],
+    "properties": {
+        "event": {"const": "job"},
+        "data": {
+            "type": "string",
+            "description": "The job as `GET /jobs/{job_id}` answers it.",
+            "contentMediaType": "application/json",
+            "contentSchema": {"$ref": "#/components/schemas/Job"},
+        },
+        "retry": {"type": "integer"},
+    },
+}
+"""One event of a job, as OpenAPI 3.2 describes streams."""
 
 OF_WRITERS = frozenset({"describe", "import"})
 """Kinds of jobs that the scope `write` begins, and so may cancel."""
@@ -46,10 +62,10 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
     response_class=Response,
     dependencies=[no_parameters],
     responses={
-        **answers_bytes(
-            EventSourceResponse.media_type,
-            description="Server-sent events named `job`, whose data is the job as `GET /jobs/{job_id}` answers it.",
-        ),
+        200: {
+            "description": "Server-sent events.",
+            "content": {EventSourceResponse.media_type: {"itemSchema": EVENT}},
+        },
         **refusals("not-found"),
     },
 )
