@@ -168,12 +168,12 @@ class JobRecord:
 
 @dataclass(frozen=True)
 class Claim:
-    """A describe job claimed by a worker under a lease.
+    """A describe job claimed by a worker, until it ends or its worker gives no more signs of life.
 
     Parameters
     ----------
     token : str
-        Identifies the lease: finishing with an outdated token raises LeaseLost.
+        Identifies the claim: finishing with an outdated token raises LeaseLost.
     """
 
     job_id: str
@@ -196,7 +196,7 @@ class WorkerRecord:
 
 @dataclass(frozen=True)
 class MapClaim:
-    """A job of a map claimed by a worker under a lease; reporting progress renews the lease."""
+    """A job of a map claimed by a worker."""
 
     job_id: str
     kind: JobKind

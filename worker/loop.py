@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Protocol
 
 from schemas.description import Description
@@ -52,7 +52,7 @@ class _Underway:
 class DescribeJobs(Protocol):
     """The queues of describe jobs and of jobs of maps."""
 
-    def claim(self, worker: str, count: int, lease: timedelta | None, now: datetime) -> list[Claim]:
+    def claim(self, worker: str, count: int) -> list[Claim]:
         """Claim up to `count` of the oldest describe jobs."""
         ...
 
@@ -68,7 +68,7 @@ class DescribeJobs(Protocol):
         """Put a job back without counting the attempt."""
         ...
 
-    def claim_map_job(self, worker: str, lease: timedelta | None, now: datetime) -> MapClaim | None:
+    def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
         """Claim the oldest waiting job of a map."""
         ...
 
@@ -224,7 +224,7 @@ class Loop:
         pruned = -PRUNE_EVERY_S
         while not self._stopping.is_set():
             try:
-                claim = self._jobs.claim_map_job(self._name, None, _now())
+                claim = self._jobs.claim_map_job(self._name, _now())
                 if claim is not None:
                     with bound(job_id=claim.job_id, map=claim.map):
                         self._map_jobs[claim.kind](claim, self._stopping.is_set)
@@ -249,7 +249,7 @@ class Loop:
             return []
         taken = []
         trouble: RevisitError | None = None
-        for claim in self._jobs.claim(self._name, count, None, _now()):
+        for claim in self._jobs.claim(self._name, count):
             with _of(claim):
                 try:
                     image = self._decode(self._views.image(claim.view.id))

@@ -6,6 +6,7 @@ acknowledged, is never found after its deletion, and no answer holds anything of
 
 import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +25,9 @@ from lab.faults.run import Tally, parser, seed_of
 SHARED = "shared"
 MOST = 8
 """Views that a client keeps in each map."""
+
+PATIENCE_S = 300
+"""Seconds in which a view must be described that nobody waited for any longer."""
 
 BUSY = (429, 503)
 """Statuses of a service that is asked for too much; the client waits and tries again."""
@@ -63,10 +67,12 @@ class Client:
         if len(views) < MOST and (not views or self.chance.random() < 0.4):
             self._images += 1
             number = self.number * APART + self._images
-            answer = self._call(calls, until, "POST", "/enroll", 201, name, number)
+            answer = self._call(calls, until, "POST", "/enroll", (201, 202), name, number)
             require(answer["view"]["image"]["sha256"] == digest(image(number)), "enrolled another client's image")
             require(answer["view"]["map"] == name, f"enrolled in {answer['view']['map']}, not in {name}")
             views.append((answer["view"]["id"], number))
+            if answer["view"]["state"] == "pending":  # 202: not described within `REVISIT_WAIT`
+                self._await_description(calls, until, answer["job"])
             self._find(calls, until, name, *views[-1])
             self.counts["enrolments found by the next query"] += 1
         elif self.chance.random() < 0.7:
@@ -74,14 +80,22 @@ class Client:
             self.counts["queries"] += 1
         else:
             view_id, number = views.pop(int(self.chance.integers(len(views))))
-            require(self._call(calls, until, "DELETE", f"/views/{view_id}", 200)["views"] == 1, "deleted nothing")
-            answer = self._call(calls, until, "POST", "/query", 200, name, number)
+            require(self._call(calls, until, "DELETE", f"/views/{view_id}", (200,))["views"] == 1, "deleted nothing")
+            answer = self._call(calls, until, "POST", "/query", (200,), name, number)
             found = [match["view"]["id"] for match in answer["matches"]]
             require(view_id not in found, f"view {view_id} was found after its deletion")
             self.counts["deletions not found by the next query"] += 1
 
+    def _await_description(self, calls: httpx.Client, until: threading.Event, job: str) -> None:
+        self.counts["enrolments described later than callers wait"] += 1
+        since = time.monotonic()
+        while (told := self._call(calls, until, "GET", f"/jobs/{job}", (200,)))["state"] in ("waiting", "running"):
+            require(time.monotonic() - since < PATIENCE_S, f"job {job} is {told['state']} after {PATIENCE_S} s")
+            time.sleep(0.2)
+        require(told["state"] == "done", f"job {job} is {told['state']}")
+
     def _find(self, calls: httpx.Client, until: threading.Event, name: str, view_id: str, number: int) -> None:
-        answer = self._call(calls, until, "POST", "/query", 200, name, number)
+        answer = self._call(calls, until, "POST", "/query", (200,), name, number)
         require(answer["map"] == name, f"a query of {name} was answered from {answer['map']}")
         first = answer["matches"][0]["view"] if answer["matches"] else None
         require(first is not None and first["id"] == view_id, f"image {number} found {first}, not {view_id}")
@@ -92,7 +106,7 @@ class Client:
         until: threading.Event,
         method: str,
         path: str,
-        expected: int,
+        expected: tuple[int, ...],
         name: str | None = None,
         number: int | None = None,
     ) -> Any:
@@ -115,7 +129,7 @@ class Client:
             require("retry-after" in answer.headers, f"{answer.status_code} without Retry-After")
             self.counts["told to wait"] += 1
             until.wait(0.2)
-        require(answer.status_code == expected, f"{method} {path}: {answer.status_code} {answer.text[:500]}")
+        require(answer.status_code in expected, f"{method} {path}: {answer.status_code} {answer.text[:500]}")
         return answer.json()
 
 

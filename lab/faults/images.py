@@ -9,6 +9,7 @@ import argparse
 import io
 import json
 import random
+import re
 import struct
 import sys
 import time
@@ -25,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PilImage
 
+from lab.faults.formats import arithmetic_jpegs, interlaced_png, run_length_bmp, tiled_tiff
 from schemas.errors import BadImage, BodyTooLarge
 from worker.images import png
 from worker.images.apart.pool import DecoderPool
@@ -61,7 +63,7 @@ def sound() -> dict[str, bytes]:
         "webp-alpha": _saved(rgb.convert("RGBA"), "WEBP"),
         "png-16": _saved(grey16, "PNG"),
         "tiff-16": _saved(grey16, "TIFF"),
-        "bmp-rle": _rle(),
+        "bmp-rle": run_length_bmp(),
     }
     for mode in ("L", "CMYK"):
         made[f"jpeg-{mode}"] = _saved(rgb.convert(mode), "JPEG")
@@ -75,16 +77,13 @@ def sound() -> dict[str, bytes]:
     for mode in ("RGBA", "CMYK", "P", "LAB"):
         image = rgb.convert(mode) if mode != "LAB" else PilImage.fromarray(np.asarray(rgb), "RGB")
         made[f"tiff-{mode}"] = _saved(image, "TIFF")
-    return made
-
-
-def _rle() -> bytes:
-    """A BMP of 64 x 64 palette indices, run-length encoded: a run for every row."""
-    rows = b"".join(bytes((64, row, 0, 0)) for row in range(64)) + b"\x00\x01"
-    palette = b"".join(bytes((value, value, value, 0)) for value in range(256))
-    head = struct.pack("<IiiHHIIiiII", 40, 64, 64, 1, 8, 1, len(rows), 0, 0, 256, 0)
-    start = 14 + len(head) + len(palette)
-    return b"BM" + struct.pack("<IHHI", start + len(rows), 0, 0, start) + head + palette + rows
+    for mode, channels in (("L", 1), ("LA", 2), ("RGB", 3), ("RGBA", 4)):
+        made[f"png-interlaced-{mode}"] = interlaced_png(np.asarray(rgb.convert(mode)).reshape(64, 96, channels))
+    for compression in ("raw", "deflate"):
+        made[f"tiff-tiles-{compression}"] = tiled_tiff(np.asarray(rgb), compression)
+    made["tiff-tiles-planar"] = tiled_tiff(np.asarray(rgb), planar=True)
+    made["tiff-tiles-jpeg"] = tiled_tiff(np.asarray(rgb.convert("L"))[..., None], "jpeg")
+    return made | {f"jpeg-arithmetic-{kind}": data for kind, data in arithmetic_jpegs().items()}
 
 
 @lru_cache
@@ -216,12 +215,19 @@ class Report:
     faults : list of str
         Pictures after which something else happened than is allowed.
     slowest_s : float
+    peak_mb : float
+        Most memory that a decoder's process held at once, in 10^6 bytes, with what it shares with the service. Of one
+        that ended there is what it held after the picture before.
+    peak_of : str
+        The picture that took it there.
     """
 
     outcomes: Counter[str] = field(default_factory=Counter)
     ended: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     slowest_s: float = 0.0
+    peak_mb: float = 0.0
+    peak_of: str = ""
 
 
 def study(pool: DecoderPool, seed: int, numbers: range) -> Iterator[Report]:
@@ -246,7 +252,20 @@ def study(pool: DecoderPool, seed: int, numbers: range) -> Iterator[Report]:
         report.slowest_s = max(report.slowest_s, took)
         if took > SLOW_S:
             report.faults.append(f"{number} {name}: took {took:.1f} s")
+        peak = max((peak_memory_mb(process.pid) for process in pool.processes), default=0.0)
+        if peak > report.peak_mb:
+            report.peak_mb, report.peak_of = peak, f"{number} {name}"
         yield report
+
+
+def peak_memory_mb(pid: int | None) -> float:
+    """The most memory that a process has held, in 10^6 bytes; 0 when it does not run, or the system does not tell."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0.0
+    found = re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE)
+    return int(found[1]) * 1024 / 1e6 if found else 0.0
 
 
 def _check_served(pool: DecoderPool, data: bytes, pixels: npt.NDArray[np.uint8], form: str) -> None:
@@ -299,6 +318,8 @@ def main(arguments: list[str] | None = None) -> int:
         "ended": report.ended,
         "faults": report.faults,
         "slowest_s": round(report.slowest_s, 2),
+        "peak_mb": round(report.peak_mb),
+        "peak_of": report.peak_of,
     }
     text = json.dumps(told, indent=1)
     print(text)

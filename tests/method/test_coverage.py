@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from worker.method.coverage import gaps, missing_directions, spots
@@ -16,6 +16,7 @@ def test_points_near_the_first_of_a_spot_are_of_it() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), max_size=30), st.floats(0, 20))
+@example([(0.0, 1.0), (0.0, -1e-249)], 1.0)
 def test_every_point_is_in_one_spot_and_near_its_first(points: list[tuple[float, float]], within: float) -> None:
     array = np.array(points, np.float64).reshape(-1, 2)
     found = spots(array, within)

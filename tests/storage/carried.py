@@ -29,7 +29,7 @@ def filled(store: SqlStore, count: int = 3) -> None:
     compared = [Comparison(seq, 0.25, None, (seqs[0], seqs[-1]), count, count - 1) for seq in seqs]
     store.comparisons.keep("campus", RECIPE.description.id, compared, NOW)
     enroll(store, "broken")
-    for claim in store.jobs.claim("worker", 10, None, NOW):
+    for claim in store.jobs.claim("worker", 10):
         store.jobs.fail(claim, "nothing-static", "sky", NOW)
     enroll(store, "waits")
     store.maps.set_calibration("campus", '{"a": 1}')

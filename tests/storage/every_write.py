@@ -67,7 +67,7 @@ def view_named(store: SqlStore, name: str) -> str:
 
 def describe(store: SqlStore) -> object:
     """Claim the pending view and store its description."""
-    return [finish(store, claim) for claim in store.jobs.claim("worker", 10, None, NOW)]
+    return [finish(store, claim) for claim in store.jobs.claim("worker", 10)]
 
 
 OPERATIONS: dict[str, Operation] = {
@@ -91,7 +91,7 @@ IN_STEPS = {"describe", "delete views", "delete a map", "recover"}
 """Several transactions: after a failure some may be done, and the same call, or a start, does the rest."""
 
 
-def tried(name: str, operation: Operation, template: Path, scratch: Path, faults: FailingWrites) -> int:
+def tried(name: str, operation: Operation, template: Path, scratch: Path, faults: FailingWrites, failure: int) -> int:
     """Let every write of an operation fail, one after another and all that follow; returns how many there were."""
     before = state(template)
     number = 0
@@ -102,11 +102,12 @@ def tried(name: str, operation: Operation, template: Path, scratch: Path, faults
         store = open_store(sqlite_url(folder), folder)
         store.maps.all()
         error = None
-        faults.fail(errno.ENOSPC, after=number)
+        faults.fail(failure, after=number)
         try:
             operation(store)
         except (DiskFull, StorageFailed) as raised:
             error = raised
+            assert isinstance(error, DiskFull), f"{name}, write {number}: {error.detail}"
         failed = faults.end()
         rows, files = state(folder)
         if error is not None and name not in IN_STEPS:
@@ -128,8 +129,8 @@ def tried(name: str, operation: Operation, template: Path, scratch: Path, faults
             return number - 1
 
 
-def main(folder: Path) -> None:
-    """Try every operation below a folder."""
+def main(folder: Path, failure: int) -> None:
+    """Try every operation below a folder, with writes that fail with an errno."""
     faults = FailingWrites({}, Path(os.environ["FAULTS_CONTROL"]))
     template = folder / "template"
     template.mkdir()
@@ -137,9 +138,12 @@ def main(folder: Path) -> None:
     for name, operation in OPERATIONS.items():
         scratch = folder / "scratch"
         scratch.mkdir()
-        print(json.dumps({"operation": name, "writes": tried(name, operation, template, scratch, faults)}), flush=True)
+        print(
+            json.dumps({"operation": name, "writes": tried(name, operation, template, scratch, faults, failure)}),
+            flush=True,
+        )
         shutil.rmtree(scratch)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), getattr(errno, sys.argv[2]))

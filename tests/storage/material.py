@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -11,11 +11,10 @@ from schemas.description import Appearance, ContextGraph, Description, Floats, I
 from schemas.errors import LeaseLost
 from schemas.image import ImageFacts
 from schemas.recipe import Channel, DescriptionParameters, DescriptionRecipe, MapRecipe, RankingConfig
-from schemas.records import Claim, Submitted, ViewAttributes, ViewRecord
+from schemas.records import Claim, Submitted, ViewAttributes, ViewRecord, WorkerRecord
 from worker.storage.store import SqlStore
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
-LEASE = timedelta(seconds=60)
 NO_ATTRIBUTES = ViewAttributes()
 
 
@@ -99,10 +98,15 @@ def finish(store: SqlStore, claim: Claim, now: datetime = NOW) -> int:
     return store.jobs.finish(claim, description(seed(claim.view, claim.recipe.id)), now)
 
 
+def give_sign(store: SqlStore, name: str) -> None:
+    """A sign of life of a worker on another machine."""
+    store.workers.beat(WorkerRecord(name, "worker", "another machine/pid:[1]", 1, 0), NOW)
+
+
 def describe_all(store: SqlStore, now: datetime = NOW) -> int:
     """Work until nothing waits; returns how many descriptions that took."""
     done = 0
-    while claims := store.jobs.claim("worker", 10, LEASE, now):
+    while claims := store.jobs.claim("worker", 10):
         for claim in claims:
             with suppress(LeaseLost):  # its view may be deleted meanwhile
                 finish(store, claim, now)

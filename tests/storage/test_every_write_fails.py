@@ -1,4 +1,4 @@
-"""The disk is full at the n-th write, for every n: nothing half is left, and afterwards all is as it was."""
+"""The disk or a quota is full at the n-th write, for every n: nothing half is left, and later all is as it was."""
 
 import json
 import os
@@ -6,16 +6,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.failing_writes import failing_writes
 from tests.storage.databases import data_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_an_operation_is_done_or_undone_whichever_of_its_writes_fails(tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", ["ENOSPC", "EDQUOT"])
+def test_an_operation_is_done_or_undone_whichever_of_its_writes_fails(tmp_path: Path, error: str) -> None:
     with data_folder() as data, failing_writes(tmp_path, under=data) as faults:
         done = subprocess.run(
-            [sys.executable, "-m", "tests.storage.every_write", str(data)],
+            [sys.executable, "-m", "tests.storage.every_write", str(data), error],
             cwd=ROOT,
             env=os.environ | faults.environment,
             capture_output=True,

@@ -18,7 +18,7 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, Damaged, DiskFull, NotFound
 from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import sqlite_url
-from tests.storage.material import LEASE, NOW, Follower, describe_all, enroll, facts, image
+from tests.storage.material import NOW, Follower, describe_all, enroll, facts, image
 from worker.storage.image_files import Images, sync_folder
 from worker.storage.store import SqlStore, open_store
 
@@ -287,7 +287,8 @@ def test_what_was_acknowledged_before_a_kill_is_there_after_it_and_nothing_else(
         assert (view_id in kept) == (number % 4 != 3)
     assert {path.name for path in files(data)} == {view.image.sha256 for view in views}
     assert all(facts(store.views.image(view.id)) == view.image for view in views)
-    describe_all(store, NOW + LEASE)
+    store.workers.bury([], NOW)
+    describe_all(store)
     assert Follower(store).catch_up().vectors.keys() == {view.seq for view in views}
 
 

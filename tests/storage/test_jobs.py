@@ -1,4 +1,4 @@
-"""What a store promises about work: leases, tries, and several workers."""
+"""What a store promises about work: claims, tries, and several workers."""
 
 from datetime import timedelta
 from multiprocessing import get_context
@@ -10,24 +10,27 @@ import pytest
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.records import Filters
 from tests.storage.conftest import Open
-from tests.storage.material import LEASE, NOW, RECIPE, Follower, describe_all, enroll, finish
+from tests.storage.material import NOW, RECIPE, Follower, describe_all, enroll, finish, give_sign
 from worker.storage.store import SqlStore, open_store
 
 
 def test_the_oldest_job_goes_first(store: SqlStore) -> None:
     names = ["gate", "pond", "stairs"]
     views = [enroll(store, name).view for name in names]
-    assert [claim.view.id for claim in store.jobs.claim("one", 2, LEASE, NOW)] == [views[0].id, views[1].id]
-    assert [claim.view.id for claim in store.jobs.claim("two", 2, LEASE, NOW)] == [views[2].id]
-    assert store.jobs.claim("three", 2, LEASE, NOW) == []
+    assert [claim.view.id for claim in store.jobs.claim("one", 2)] == [views[0].id, views[1].id]
+    assert [claim.view.id for claim in store.jobs.claim("two", 2)] == [views[2].id]
+    assert store.jobs.claim("three", 2) == []
     assert store.jobs.count_waiting() == 3
 
 
 def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_nothing(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    [late] = store.jobs.claim("late", 1, LEASE, NOW)
-    assert store.jobs.claim("other", 1, LEASE, NOW + LEASE - timedelta(seconds=1)) == []
-    [other] = store.jobs.claim("other", 1, LEASE, NOW + LEASE)
+    give_sign(store, "late")
+    [late] = store.jobs.claim("late", 1)
+    assert store.workers.bury([], NOW) == 0
+    assert store.jobs.claim("other", 1) == []
+    assert store.workers.bury(["late"], NOW) == 1
+    [other] = store.jobs.claim("other", 1)
     assert (other.job_id, other.attempts) == (late.job_id, 2)
 
     with pytest.raises(LeaseLost):
@@ -45,8 +48,8 @@ def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_n
 
 def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    [claim] = store.jobs.claim("slow", 1, LEASE, NOW)
-    finish(store, claim, NOW + 5 * LEASE)
+    [claim] = store.jobs.claim("slow", 1)
+    finish(store, claim, NOW + timedelta(days=5))
     assert store.views.get(view.id).state == "ready"
 
 
@@ -54,10 +57,11 @@ def test_an_image_that_kills_three_workers_is_given_up(store: SqlStore) -> None:
     submitted = enroll(store, "bomb")
     moment = NOW
     for attempt in (1, 2, 3):
-        [claim] = store.jobs.claim("worker", 1, LEASE, moment)
+        [claim] = store.jobs.claim("worker", 1)
         assert claim.attempts == attempt
-        moment += LEASE
-    assert store.jobs.claim("worker", 1, LEASE, moment) == []
+        moment += timedelta(minutes=1)
+        assert store.workers.bury(["worker"], moment) == 1
+    assert store.jobs.claim("worker", 1) == []
     view = store.views.get(submitted.view.id)
     assert view.state == "failed"
     assert view.failure is not None
@@ -71,7 +75,7 @@ def test_an_image_that_kills_three_workers_is_given_up(store: SqlStore) -> None:
 def test_a_job_put_back_waits_unharmed(store: SqlStore) -> None:
     enroll(store, "gate")
     for _ in range(5):
-        [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+        [claim] = store.jobs.claim("worker", 1)
         assert claim.attempts == 1
         store.jobs.release(claim)
     assert store.jobs.get(claim.job_id).state == "waiting"
@@ -81,7 +85,7 @@ def test_a_job_put_back_waits_unharmed(store: SqlStore) -> None:
 
 def test_a_job_goes_with_its_view(store: SqlStore) -> None:
     view = enroll(store, "gate").view
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     store.removals.delete_view(view.id)
     with pytest.raises(LeaseLost, match="deleted"):
         finish(store, claim)
@@ -100,7 +104,7 @@ def test_only_a_waiting_job_can_be_cancelled(store: SqlStore) -> None:
         store.jobs.cancel(submitted.job_id, NOW)
 
     again = enroll(store, "gate")
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     assert claim.job_id == again.job_id
     with pytest.raises(Conflict, match="running"):
         store.jobs.cancel(claim.job_id, NOW)

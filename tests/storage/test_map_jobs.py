@@ -8,13 +8,13 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.records import JobProgress
 from tests.storage.conftest import Open
-from tests.storage.material import LEASE, NOW, RECIPE, describe_all, enroll, finish, recipe
+from tests.storage.material import NOW, RECIPE, describe_all, enroll, finish, give_sign, recipe
 from worker.storage.jobs import ATTEMPTS
 from worker.storage.store import SqlStore
 
 PAPER = recipe("paper")
 LEARNED = RECIPE.description.model_copy(update={"vocabulary": "1" * 64})
-LATER = NOW + LEASE + timedelta(seconds=1)
+LATER = NOW + timedelta(seconds=61)
 
 
 def descriptions(store: SqlStore) -> dict[str, int]:
@@ -34,7 +34,7 @@ def test_a_recipe_job_tells_how_far_it_is_and_ends_with_the_last_view(store: Sql
     campus_of_two(store)
     job = store.jobs.switch_recipe("campus", PAPER, NOW)
     assert (job.kind, job.state, job.progress, job.finished_at) == ("recipe", "running", JobProgress(0, 2), None)
-    first, last = store.jobs.claim("worker", 2, LEASE, NOW)
+    first, last = store.jobs.claim("worker", 2)
     finish(store, first)
     assert store.jobs.get(job.id).progress == JobProgress(1, 2)
     finish(store, last, LATER)
@@ -45,7 +45,7 @@ def test_a_recipe_job_tells_how_far_it_is_and_ends_with_the_last_view(store: Sql
 
 def test_a_job_that_tries_failed_views_again_ends_when_they_are_described(store: SqlStore) -> None:
     enroll(store, "gate")
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     store.jobs.fail(claim, "internal", "a bad day", NOW)
     job = store.jobs.switch_recipe("campus", RECIPE, NOW)
     assert job.state == "running"
@@ -65,21 +65,21 @@ def test_jobs_of_maps_survive_a_restart(store: SqlStore, reopen: Open) -> None:
     assert again.maps.get("campus").description == PAPER.description
 
 
-def test_a_vocabulary_is_trained_under_a_lease_and_described_by_as_one_job(store: SqlStore) -> None:
+def test_a_vocabulary_is_trained_under_a_claim_and_described_by_as_one_job(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.queue_vocabulary("campus", NOW)
     assert (job.kind, job.state, job.progress) == ("vocabulary", "waiting", None)
 
-    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
 
     assert claim is not None
     assert (claim.job_id, claim.map) == (job.id, "campus")
-    assert store.jobs.claim_map_job("other", LEASE, NOW) is None
-    store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW)
+    assert store.jobs.claim_map_job("other", NOW) is None
+    store.jobs.report(claim, JobProgress(1, 2))
     assert store.jobs.get(job.id).progress == JobProgress(1, 2)
     store.jobs.finish_training(claim, LEARNED, NOW)
     assert (store.jobs.get(job.id).state, store.jobs.get(job.id).progress) == ("running", JobProgress(0, 2))
-    assert store.jobs.claim_map_job("other", LEASE, LATER) is None
+    assert store.jobs.claim_map_job("other", LATER) is None
     describe_all(store, LATER)
     done = store.jobs.get(job.id)
     assert (done.state, done.progress, done.result) == ("done", JobProgress(2, 2), {"recipe": LEARNED.id})
@@ -90,36 +90,39 @@ def test_a_vocabulary_is_trained_under_a_lease_and_described_by_as_one_job(store
 def test_training_whose_worker_died_is_taken_up_by_another_thrice(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.queue_vocabulary("campus", NOW)
-    moments = [NOW + (LEASE + timedelta(seconds=1)) * number for number in range(ATTEMPTS + 1)]
-    claims = [store.jobs.claim_map_job("worker", LEASE, moment) for moment in moments[:-1]]
-    moment = moments[-1]
-    assert store.jobs.claim_map_job("worker", LEASE, moment) is None
+    claims = []
+    for _ in range(ATTEMPTS):
+        claims.append(store.jobs.claim_map_job("worker", NOW))
+        assert store.workers.bury(["worker"], NOW) == 1
+    assert store.jobs.claim_map_job("worker", NOW) is None
     ended = store.jobs.get(job.id)
     assert ended.failure is not None
     assert (ended.state, ended.failure[0]) == ("failed", "worker-died")
     for claim in claims:
         assert claim is not None
         with pytest.raises(LeaseLost):
-            store.jobs.report(claim, JobProgress(0, 2), LEASE, moment)
+            store.jobs.report(claim, JobProgress(0, 2))
 
 
-def test_progress_renews_the_lease(store: SqlStore) -> None:
+def test_a_claim_whose_worker_gives_signs_of_life_stays_its_own(store: SqlStore) -> None:
     campus_of_two(store)
     store.jobs.queue_vocabulary("campus", NOW)
-    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    give_sign(store, "worker")
+    claim = store.jobs.claim_map_job("worker", NOW)
     assert claim is not None
-    store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW + LEASE / 2)
-    assert store.jobs.claim_map_job("other", LEASE, LATER) is None
+    assert store.workers.bury([], LATER) == 0
+    assert store.jobs.claim_map_job("other", LATER) is None
+    store.jobs.report(claim, JobProgress(1, 2))
 
 
 def test_training_put_back_begins_again_and_counts_no_attempt(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.queue_vocabulary("campus", NOW)
-    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
     assert claim is not None
     store.jobs.release_map_job(claim)
     assert (store.jobs.get(job.id).state, store.jobs.get(job.id).attempts) == ("waiting", 0)
-    assert store.jobs.claim_map_job("worker", LEASE, NOW) is not None
+    assert store.jobs.claim_map_job("worker", NOW) is not None
 
 
 @pytest.mark.parametrize("moment", ["waiting", "training", "describing"])
@@ -129,7 +132,7 @@ def test_a_cancelled_vocabulary_job_leaves_the_map_as_it_was(store: SqlStore, mo
     job = store.jobs.queue_vocabulary("campus", NOW)
     claim = None
     if moment != "waiting":
-        claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+        claim = store.jobs.claim_map_job("worker", NOW)
         assert claim is not None
     if moment == "describing":
         assert claim is not None
@@ -141,8 +144,8 @@ def test_a_cancelled_vocabulary_job_leaves_the_map_as_it_was(store: SqlStore, mo
     assert store.jobs.count_waiting(redescriptions=True) == 0
     if claim is not None:
         with pytest.raises(LeaseLost):
-            store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW)
-    assert store.jobs.claim_map_job("worker", LEASE, LATER) is None
+            store.jobs.report(claim, JobProgress(1, 2))
+    assert store.jobs.claim_map_job("worker", LATER) is None
     assert store.maps.get("campus") == before
     with pytest.raises(Conflict, match="is cancelled"):
         store.jobs.cancel(job.id, NOW)
@@ -152,7 +155,7 @@ def test_a_cancelled_vocabulary_job_leaves_the_map_as_it_was(store: SqlStore, mo
 def test_a_cancelled_switch_keeps_the_recipe_and_prunes_what_was_described(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.switch_recipe("campus", PAPER, NOW)
-    first, running = store.jobs.claim("worker", 2, LEASE, NOW)
+    first, running = store.jobs.claim("worker", 2)
     finish(store, first)
     store.jobs.cancel(job.id, NOW)
     with pytest.raises(LeaseLost):
@@ -211,10 +214,10 @@ def test_a_second_change_of_a_map_names_the_job_that_is_under_way(store: SqlStor
 def test_jobs_go_with_their_map(store: SqlStore) -> None:
     campus_of_two(store)
     job = store.jobs.queue_vocabulary("campus", NOW)
-    claim = store.jobs.claim_map_job("worker", LEASE, NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
     assert claim is not None
     store.removals.delete_map("campus")
     with pytest.raises(NotFound):
         store.jobs.get(job.id)
     with pytest.raises(LeaseLost):
-        store.jobs.report(claim, JobProgress(1, 2), LEASE, NOW)
+        store.jobs.report(claim, JobProgress(1, 2))

@@ -17,7 +17,7 @@ from schemas.recipe import RankingConfig
 from schemas.records import Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
 from tests.storage.databases import sqlite_url
-from tests.storage.material import LEASE, NOW, describe_all, enroll
+from tests.storage.material import NOW, describe_all, enroll
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, make_recipe
 from worker.encoders.color import ColorEncoder
@@ -249,7 +249,7 @@ def test_a_data_folder_of_before_keeps_its_views_descriptions_jobs_and_their_ord
         ("job-9", "describe", "waiting"),
         ("job-7", "describe", "done"),
     ]
-    [claim] = store.jobs.claim("worker", 5, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 5)
     assert (claim.job_id, claim.recipe) == ("job-9", campus.description)
     job = store.jobs.queue_vocabulary("museum", NOW)
     assert store.jobs.list(None)[0][0].id == job.id

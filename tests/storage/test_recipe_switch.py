@@ -5,7 +5,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict
 from schemas.records import Filters, JobRecord
-from tests.storage.material import LEASE, NOW, RECIPE, Follower, describe_all, enroll, finish, recipe, vector
+from tests.storage.material import NOW, RECIPE, Follower, describe_all, enroll, finish, recipe, vector
 from worker.storage.store import SqlStore
 from worker.storage.tables import JOBS
 
@@ -32,7 +32,7 @@ def test_the_old_recipe_is_searched_until_the_last_view_is_described_by_the_new_
     assert queued(store.jobs.switch_recipe("campus", PAPER, NOW)) == 3
 
     assert (store.jobs.count_waiting(), store.jobs.count_waiting(redescriptions=True)) == (0, 3)
-    claims = store.jobs.claim("worker", 3, LEASE, NOW)
+    claims = store.jobs.claim("worker", 3)
     for claim in claims[:2]:
         assert claim.recipe == PAPER.description
         finish(store, claim)
@@ -102,7 +102,7 @@ def test_an_image_enrolled_during_a_switch_is_described_by_both_recipes_and_goes
     store.jobs.switch_recipe("campus", PAPER, NOW)
     view = enroll(store, "pond").view
 
-    claims = store.jobs.claim("worker", 5, LEASE, NOW)
+    claims = store.jobs.claim("worker", 5)
 
     assert [(claim.view.id == view.id, PRESETS[claim.recipe.id]) for claim in claims] == [
         (True, "default"),
@@ -123,7 +123,7 @@ def test_a_view_that_the_new_recipe_cannot_describe_fails_when_the_map_changes_o
     describe_all(store)
     follower = Follower(store).catch_up()
     store.jobs.switch_recipe("campus", PAPER, NOW)
-    first, last = store.jobs.claim("worker", 2, LEASE, NOW)
+    first, last = store.jobs.claim("worker", 2)
     store.jobs.fail(first, "nothing-static", "only cars", NOW)
     assert store.views.get(gate.id).state == "ready"
 
@@ -138,7 +138,7 @@ def test_a_view_that_the_new_recipe_cannot_describe_fails_when_the_map_changes_o
 
 def test_switching_to_the_recipe_in_use_tries_again_what_failed(store: SqlStore) -> None:
     gate, pond = (enroll(store, name).view for name in ("gate", "pond"))
-    first, last = store.jobs.claim("worker", 2, LEASE, NOW)
+    first, last = store.jobs.claim("worker", 2)
     store.jobs.fail(first, "nothing-static", "only cars", NOW)
     finish(store, last)
 
@@ -154,14 +154,14 @@ def test_a_switch_ends_when_the_last_view_it_waits_for_needs_no_description(stor
     gate, pond = (enroll(store, name).view for name in ("gate", "pond"))
     describe_all(store)
     store.jobs.switch_recipe("campus", PAPER, NOW)
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     finish(store, claim)
     if settle == "delete":
         store.removals.delete_view(pond.id)
     elif settle == "delete by filter":
         store.removals.delete_views("campus", Filters(exclude=(gate.id,)))
     else:
-        [other] = store.jobs.claim("worker", 1, LEASE, NOW)
+        [other] = store.jobs.claim("worker", 1)
         store.jobs.release(other)
         store.jobs.cancel(other.job_id, NOW)
     assert recipe_of(store) == "paper"
@@ -171,7 +171,7 @@ def test_a_switch_ends_when_the_last_view_it_waits_for_needs_no_description(stor
 def test_an_image_still_waiting_for_the_old_recipe_is_ready_by_the_new_one(store: SqlStore) -> None:
     view = enroll(store, "gate").view
     store.jobs.switch_recipe("campus", PAPER, NOW)
-    old, new = store.jobs.claim("worker", 2, LEASE, NOW)
+    old, new = store.jobs.claim("worker", 2)
     finish(store, new)
     assert (recipe_of(store), store.views.get(view.id).state) == ("paper", "ready")
     before = store.maps.revision("campus")

@@ -141,7 +141,7 @@ def test_a_job_makes_it_and_what_ends_the_job_leaves_no_file(store: SqlStore, da
     with pytest.raises(Conflict, match=queued.id):
         service.queue("campus")
     assert store.jobs.queue_vocabulary("campus", NOW).state == "waiting"  # which a snapshot does not hinder
-    claim = store.jobs.claim_map_job("worker", None, NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
     assert claim is not None
     assert (claim.kind, claim.job_id) == ("snapshot", queued.id)
     if end == "cancelled":

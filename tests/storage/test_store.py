@@ -13,7 +13,6 @@ from schemas.errors import Conflict, KeyReused, LeaseLost, NotFound
 from schemas.records import Filters, Position, Replay, ViewAttributes
 from tests.storage.conftest import Open
 from tests.storage.material import (
-    LEASE,
     NOW,
     RECIPE,
     Follower,
@@ -91,7 +90,7 @@ def test_counts_are_those_of_the_views(store: SqlStore) -> None:
     enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=5.0)))
     enroll(store, "gate at dusk", attributes=ViewAttributes("gate", Position(x=-1.0, y=7.0, heading=90.0)))
     enroll(store, "pond", attributes=ViewAttributes("pond"))
-    [first, _, last] = store.jobs.claim("worker", 3, LEASE, NOW)
+    [first, _, last] = store.jobs.claim("worker", 3)
     finish(store, first)
     store.jobs.fail(last, "nothing-static", "all is water", NOW)
 
@@ -137,7 +136,7 @@ def test_what_was_enrolled_is_there_after_a_restart_byte_for_byte(reopen: Open) 
 
 def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlStore) -> None:
     submitted = enroll(store, "gate")
-    [claim] = store.jobs.claim("worker", 5, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 5)
     assert claim.view == submitted.view
     before = store.maps.revision("campus")
 
@@ -158,7 +157,7 @@ def test_a_view_is_searchable_from_the_revision_its_description_gave(store: SqlS
 
 def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
     enroll(store, "gate")
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     given = description(seed(claim.view, RECIPE.description.id))
     store.jobs.finish(claim, given, NOW)
     seqs = cast("list[int]", list(np.array([claim.view.seq, 999])))  # as an index hands them over
@@ -188,7 +187,7 @@ def test_a_description_comes_back_as_it_was_given(store: SqlStore) -> None:
 
 def test_a_recipe_without_verification_has_no_keypoints(store: SqlStore) -> None:
     enroll(store, "gate")
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     store.jobs.finish(claim, replace(description(1), keypoints=None), NOW)
     assert store.descriptions.local_features([claim.view.seq], RECIPE.description.id) == {}
 
@@ -213,7 +212,7 @@ def test_the_same_image_with_something_else_said_is_a_conflict_that_names_it(sto
 
 def test_a_failed_image_that_is_sent_again_is_tried_again(store: SqlStore) -> None:
     first = enroll(store, "gate")
-    [claim] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim] = store.jobs.claim("worker", 1)
     store.jobs.fail(claim, "nothing-static", "a bus in front", NOW)
     assert store.views.get(first.view.id).failure == ("nothing-static", "a bus in front")
 
@@ -329,7 +328,7 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     views = [enroll(store, f"{number}", attributes=ViewAttributes("gate")).view for number in range(3)]
-    [claim, *_] = store.jobs.claim("worker", 1, LEASE, NOW)
+    [claim, *_] = store.jobs.claim("worker", 1)
 
     def cut(*_: object) -> None:
         raise KeyboardInterrupt
@@ -342,7 +341,7 @@ def test_a_deletion_of_a_map_that_a_crash_cut_short_is_finished_by_recovery(
     assert store.maps.all() == []
     assert store.views.list(None, Filters()) == ([], None)
     assert store.listings.places(None, None, 5) == ([], None)
-    assert store.jobs.claim("worker", 5, LEASE, NOW) == []
+    assert store.jobs.claim("worker", 5) == []
     for ask in (store.views.get, store.views.image, store.removals.delete_view):
         with pytest.raises(NotFound):
             ask(views[0].id)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
+from datetime import timedelta
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -24,13 +24,14 @@ from schemas.errors import Conflict, LeaseLost
 from schemas.recipe import MapRecipe
 from schemas.records import Claim, Filters, ViewAttributes
 from tests.storage.databases import data_folder, postgres_schema, sqlite_url
-from tests.storage.material import LEASE, NOW, Follower, enroll, finish, image, recipe, vector
+from tests.storage.material import NOW, Follower, enroll, finish, give_sign, image, recipe, vector
 from worker.storage.store import open_store
 
 RECIPES = [recipe("default"), recipe("paper")]
 MAPS = st.sampled_from(["campus", "museum"])
 IMAGES = st.sampled_from(["gate", "pond", "stairs"])
 PLACES = st.sampled_from([None, "north", "south"])
+WORKERS = st.sampled_from(["one", "two"])
 
 
 @dataclass
@@ -42,7 +43,7 @@ class ModelJob:
     number: int
     attempts: int = 0
     token: str | None = None
-    until: datetime | None = None
+    worker: str | None = None
 
 
 @dataclass
@@ -136,25 +137,21 @@ class StoreMachine(RuleBasedStateMachine):
             if of.following:
                 self.queue(known, of.following, background=True)
 
-    @rule(target=claims, count=st.integers(1, 3))
-    def claim(self, count: int) -> MultipleResults[Claim]:
-        for of, view in self.everything():
-            dead = [job for job in view.jobs if job.until and job.until <= self.now and job.attempts == 3]
-            for job in dead:
-                view.jobs.remove(job)
-            of.change_over_if_done()
+    @rule(target=claims, count=st.integers(1, 3), worker=WORKERS)
+    def claim(self, count: int, worker: str) -> MultipleResults[Claim]:
+        give_sign(self.store, worker)
         open_jobs = [
             (job.background, job.number, view, job)
             for _, view in self.everything()
             for job in view.jobs
-            if job.until is None or job.until <= self.now
+            if job.token is None
         ]
         expected = sorted(open_jobs, key=lambda entry: entry[:2])[:count]
-        claims = self.store.jobs.claim("worker", count, LEASE, self.now)
+        claims = self.store.jobs.claim(worker, count)
         assert [(claim.view.id, claim.recipe.id) for claim in claims] == [(v.id, job.recipe) for *_, v, job in expected]
         for claim, (*_, job) in zip(claims, expected, strict=True):
             job.attempts += 1
-            job.token, job.until = claim.token, self.now + LEASE
+            job.token, job.worker = claim.token, worker
             assert claim.attempts == job.attempts
         return multiple(*claims)
 
@@ -188,7 +185,18 @@ class StoreMachine(RuleBasedStateMachine):
         if held is not None:
             job = held[2]
             job.attempts -= 1
-            job.token = job.until = None
+            job.token = job.worker = None
+
+    @rule(worker=WORKERS)
+    def a_worker_falls_silent(self, worker: str) -> None:
+        left = [(view, job) for _, view in self.everything() for job in view.jobs if job.worker == worker]
+        assert self.store.workers.bury([worker], self.now) == len(left)
+        for view, job in left:
+            job.token = job.worker = None
+            if job.attempts == 3:
+                view.jobs.remove(job)
+        for of in self.maps.values():
+            of.change_over_if_done()
 
     @rule(seconds=st.sampled_from([1, 60]))
     def time_goes_by(self, seconds: int) -> None:

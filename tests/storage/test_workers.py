@@ -33,18 +33,18 @@ def watching(store: SqlStore, freed: Mock | None = None, me: WorkerRecord | None
 def test_the_jobs_of_a_silent_worker_go_back_and_its_late_description_is_refused(store: SqlStore) -> None:
     view = enroll(store, "gate").view
     store.workers.beat(FAR, NOW)
-    [late] = store.jobs.claim(FAR.name, 1, None, NOW)
+    [late] = store.jobs.claim(FAR.name, 1)
     freed = Mock()
     mine = watching(store, freed)
     for _ in range(ROUNDS):
         mine._round()
-        assert store.jobs.claim("mine", 1, None, NOW + timedelta(days=9999)) == [], "a clock took the job away"
+        assert store.jobs.claim("mine", 1) == [], "a clock took the job away"
     assert mine.alive == 2
     mine._round()
     assert mine.alive == 1
     freed.assert_called_once_with()
 
-    [anew] = store.jobs.claim("mine", 1, None, NOW - timedelta(days=9999))
+    [anew] = store.jobs.claim("mine", 1)
     assert (anew.job_id, anew.attempts) == (late.job_id, 2)
     with pytest.raises(LeaseLost):
         finish(store, late)
@@ -56,7 +56,7 @@ def test_a_worker_that_gives_signs_of_life_keeps_its_jobs_for_ever(store: SqlSto
     enroll(store, "gate")
     mine = watching(store)
     store.workers.beat(FAR, NOW)
-    [claim] = store.jobs.claim(FAR.name, 1, None, NOW)
+    [claim] = store.jobs.claim(FAR.name, 1)
     for number in range(4 * ROUNDS):
         store.workers.beat(FAR, NOW - timedelta(days=number))
         mine._round()
@@ -85,19 +85,19 @@ def test_a_process_of_this_machine_that_is_gone_is_noticed_in_the_next_round(sto
     enroll(store, "gate")
     dead = replace(this_process("worker"), name="dead", pid=process.pid)
     store.workers.beat(dead, NOW)
-    store.jobs.claim(dead.name, 1, None, NOW)
+    store.jobs.claim(dead.name, 1)
     watching(store)._round()
     assert [worker.name for worker in store.workers.present() if worker.name == "dead"] == []
-    assert len(store.jobs.claim("mine", 1, None, NOW)) == 1
+    assert len(store.jobs.claim("mine", 1)) == 1
 
 
 def test_an_image_that_ends_three_workers_is_given_up(store: SqlStore) -> None:
     submitted = enroll(store, "bomb")
     for attempt in (1, 2, 3):
-        [claim] = store.jobs.claim(f"worker {attempt}", 1, None, NOW)
+        [claim] = store.jobs.claim(f"worker {attempt}", 1)
         assert claim.attempts == attempt
         assert store.workers.bury([claim.job_id], NOW) == 1
-    assert store.jobs.claim("worker", 1, None, NOW) == []
+    assert store.jobs.claim("worker", 1) == []
     view = store.views.get(submitted.view.id)
     assert (view.state, view.failure and view.failure[0]) == ("failed", "worker-died")
 
@@ -108,7 +108,7 @@ def test_a_worker_that_stops_takes_itself_out(store: SqlStore) -> None:
     mine = watching(store, me=me)
     mine.start()
     assert [worker.name for worker in store.workers.present()] == [me.name]
-    store.jobs.claim(me.name, 1, None, NOW)
+    store.jobs.claim(me.name, 1)
     mine.stop()
     assert store.workers.present() == []
-    assert len(store.jobs.claim("next", 1, None, NOW)) == 1
+    assert len(store.jobs.claim("next", 1)) == 1

@@ -3,7 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -65,10 +65,10 @@ class VocabularyWriter(Protocol):
 
 
 class TrainingJobs(Protocol):
-    """Jobs of maps, held under a lease."""
+    """Jobs of maps that a worker has claimed."""
 
-    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta | None, now: datetime) -> None:
-        """Report the progress of a job and renew its lease; raises LeaseLost."""
+    def report(self, claim: MapClaim, progress: JobProgress) -> None:
+        """Report the progress of a job; raises LeaseLost."""
         ...
 
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
@@ -116,7 +116,7 @@ class VocabularyTrainer:
         try:
             recipe = self._maps.get(claim.map).description
             describer = self._describers.of(recipe)
-            with _Heartbeat(lambda progress: self._jobs.report(claim, progress, None, _now())) as beat:
+            with _Heartbeat(lambda progress: self._jobs.report(claim, progress)) as beat:
                 learned = vocabularies.train(
                     self._fields(claim, recipe.parameters.seed, beat, stopping),
                     lambda field: describer.segment(field).static,

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import simplejpeg
 from PIL import Image as PilImage
+from PIL.TiffImagePlugin import TiffImageFile
 
 from schemas.errors import BadImage, BodyTooLarge
 from schemas.image import Bytes2D, Image, ImageFacts
@@ -33,6 +34,7 @@ SHORTEST_SIDE = 32
 """Smallest side accepted, in pixels."""
 
 _ORIENTATION = 0x0112  # EXIF tag
+_TILE_SIDES = (322, 323)  # tags of a TIFF: width and length of a tile
 _TURNED = range(5, 9)  # values that swap width and height
 _THUMBNAIL_QUALITY = 85
 _QUICKER = ("jpeg", "png")  # not by Pillow; not WebP, of which OpenCV returns damaged files too
@@ -168,6 +170,7 @@ class _Header:
                 stored = pil_image.size
                 orientation = _orientation(pil_image, data)
                 animated = kind == "webp" and getattr(pil_image, "n_frames", 1) > 1
+                tile = _tile(pil_image)
                 plain = kind in _QUICKER and pil_image.mode in _PLAIN_MODES and "transparency" not in pil_image.info
         except Exception as error:
             # Pillow's parsers raise errors of struct, zlib and others; the type is already checked.
@@ -175,6 +178,8 @@ class _Header:
         if animated:
             raise BadImage("not-a-picture", "this is an animated WebP; send a still image")
         _check_size(*stored, limits)
+        if tile[0] * tile[1] > max(limits.max_pixels, MEGA):
+            raise _undecodable(kind, f"it says that its tiles have {tile[0]} x {tile[1]} pixels")
         if kind == "png" and png.is_animated(data):
             raise BadImage("not-a-picture", "this is an animated PNG; send a still image")
         whole = _WHOLE.get(kind)
@@ -201,6 +206,14 @@ def _check_size(width: int, height: int, limits: Limits) -> None:
             "picture-too-small",
             f"the image is {width} x {height} pixels; at least {SHORTEST_SIDE} x {SHORTEST_SIDE} are needed",
         )
+
+
+def _tile(pil_image: PilImage.Image) -> tuple[int, int]:
+    """Width and height of the tiles of a TIFF, which its decoder makes room for; zeros without tiles."""
+    if not isinstance(pil_image, TiffImageFile):
+        return 0, 0
+    width, height = (pil_image.tag_v2.get(tag, 0) for tag in _TILE_SIDES)
+    return int(width), int(height)
 
 
 def _orientation(pil_image: PilImage.Image, data: bytes) -> int:

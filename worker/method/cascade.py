@@ -255,6 +255,7 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
         others = len(places.group([seqs[i] for i in rivals]))
     rival = rivals[0] if rivals else None
+    usual = _usual_dense(evidence)
     return Ranking(
         seqs=candidates.seqs[order],
         order=candidates.order[order],
@@ -267,13 +268,15 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         places=places,
         others=others,
         rival=rival,
-        first=tuple(_candidate(evidence, score, parts, int(row)) for row in order[:top]),
-        opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival])),
+        first=tuple(_candidate(evidence, score, parts, int(row), usual) for row in order[:top]),
+        opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival]), usual),
     )
 
 
-def _candidate(evidence: Evidence, score: Floats, parts: Mapping[str, Floats], row: int) -> RankedCandidate:
-    """One candidate with its evidence."""
+def _candidate(
+    evidence: Evidence, score: Floats, parts: Mapping[str, Floats], row: int, usual: tuple[float, float]
+) -> RankedCandidate:
+    """One candidate with its evidence; `usual` as `_usual_dense` gives it."""
     candidates = evidence.candidates
     return RankedCandidate(
         seq=int(candidates.seqs[row]),
@@ -281,21 +284,28 @@ def _candidate(evidence: Evidence, score: Floats, parts: Mapping[str, Floats], r
         parts={name: float(part[row]) for name, part in parts.items()},
         distances={name: float(distances[row]) for name, distances in candidates.distances.items()},
         ranks={name: int(ranks[row]) or None for name, ranks in candidates.ranks.items()},
-        dense=_dense_of(evidence, row),
+        dense=_dense_of(evidence, row, usual),
         graph=_graph_of(evidence, row),
         verified=evidence.verified.get(row),
     )
 
 
-def _dense_of(evidence: Evidence, row: int) -> DenseEvidence | None:
+def _usual_dense(evidence: Evidence) -> tuple[float, float]:
+    """Median and high quantile of the dense similarity over the re-ranked candidates; zeros where none was compared."""
+    if evidence.shifts is None or not len(evidence.rows):
+        return 0.0, 0.0
+    compared = evidence.terms["dense"][evidence.rows]
+    median, high = np.quantile(compared, (0.5, channel_fusion.REFERENCE_QUANTILE)).tolist()
+    return median, high
+
+
+def _dense_of(evidence: Evidence, row: int, usual: tuple[float, float]) -> DenseEvidence | None:
     """Dense evidence of one candidate; None where its cells were not compared."""
     if row not in evidence.place or evidence.shifts is None:
         return None
     down, across = evidence.shifts[evidence.place[row]].tolist()
-    compared = evidence.terms["dense"]
-    median, high = np.quantile(compared[evidence.rows], (0.5, channel_fusion.REFERENCE_QUANTILE)).tolist()
     rate = 0.0 if row in evidence.joined_only else evidence.align_scale
-    return DenseEvidence(float(compared[row]), median, high, (down, across), evidence.scales.get(row), rate)
+    return DenseEvidence(float(evidence.terms["dense"][row]), *usual, (down, across), evidence.scales.get(row), rate)
 
 
 def _graph_of(evidence: Evidence, row: int) -> GraphEvidence | None:

@@ -35,7 +35,8 @@ def spots(points: Points, within: float) -> list[list[int]]:
     list of list of int
         Indices into `points`, ascending; each point is in one spot.
     """
-    side = max(within, 1e-6)
+    # A little more: two points that are `within` apart once rounded may lie in cells that are not neighbours.
+    side = max(within * (1 + 1e-9), 1e-6)
     cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
     columns = np.floor(points / side).astype(np.int64).tolist()
     for i, (column, row) in enumerate(columns):

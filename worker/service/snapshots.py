@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -61,7 +61,7 @@ class SnapshotJobs(Protocol):
         """Queue the making of a snapshot; raises NotFound, Conflict."""
         ...
 
-    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta | None, now: datetime) -> None:
+    def report(self, claim: MapClaim, progress: JobProgress) -> None:
         """Report the progress of a job; raises LeaseLost."""
         ...
 
@@ -156,7 +156,7 @@ class SnapshotService:
         def tell(done: int, total: int) -> None:
             if stopping():
                 raise _Stop
-            self._jobs.report(claim, JobProgress(done, total), None, datetime.now(UTC))
+            self._jobs.report(claim, JobProgress(done, total))
 
         try:
             record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), tell)

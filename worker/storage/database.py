@@ -8,9 +8,9 @@ from typing import TypeVar
 
 import sqlalchemy as sa
 
-from schemas.errors import Damaged, DiskFull
+from schemas.errors import Damaged, DiskFull, StorageFailed
 from worker.storage import dialect, sealing
-from worker.storage.disk_errors import DAMAGED, problem_of, translated
+from worker.storage.disk_errors import DAMAGED, FULL, problem_of, translated
 from worker.storage.space import Space
 
 T = TypeVar("T")
@@ -82,6 +82,9 @@ class Database:
             problem = problem_of(error, "database")
             if problem is None:
                 raise
+            # SQLite says of a used-up quota, and of a disk that is full when it is synced, only that there is an error.
+            if isinstance(problem, StorageFailed) and self.space is not None and self.space.refused():
+                problem = DiskFull(FULL.format("database"))
             self.trouble = problem.detail
             raise problem from error
 

@@ -1,6 +1,7 @@
 """Differences between SQLite and PostgreSQL, except column types."""
 
 import errno
+import os
 import sqlite3
 from pathlib import Path
 from typing import Any
@@ -102,7 +103,10 @@ def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
     parsed = sa.make_url(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database is None:
         return make_engine(url)
-    address = f"file:{quote(str(Path(parsed.database).absolute()))}?mode=ro"
+    path = Path(parsed.database).absolute()
+    # Beside a file SQLite makes others even to read it. Where it may not, the file alone can be read, without its log.
+    still = "" if os.access(path.parent, os.W_OK) or _has_log(path) else "&immutable=1"
+    address = f"file:{quote(str(path))}?mode=ro{still}"
 
     def connect() -> sqlite3.Connection:
         connection = sqlite3.connect(address, uri=True, timeout=BUSY_S, check_same_thread=False)
@@ -112,6 +116,11 @@ def make_reader(url: str, *, damaged: bool = False) -> sa.Engine:
         return connection
 
     return sa.create_engine("sqlite://", creator=connect, poolclass=NullPool)
+
+
+def _has_log(path: Path) -> bool:
+    log = path.with_name(path.name + "-wal")
+    return log.exists() and log.stat().st_size > 0
 
 
 def _text(stored: bytes) -> str:
@@ -159,6 +168,12 @@ def is_damaged(error: sa.exc.DBAPIError) -> bool:
         or code in SQLITE_UNREADABLE
         or getattr(error.orig, "sqlstate", None) in ("XX001", "XX002")
     )
+
+
+def is_unopened(error: BaseException) -> bool:
+    """Whether an error means that SQLite may not open a file, or may not make one beside it."""
+    code = getattr(getattr(error, "orig", error), "sqlite_errorcode", 0) or 0
+    return code & 0xFF in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
 
 
 def server_trouble(error: sa.exc.DBAPIError) -> str | None:

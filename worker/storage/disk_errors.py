@@ -19,7 +19,7 @@ _SQLITE = {
 }
 _FILES = frozenset({errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENODEV, errno.ENXIO, errno.EMFILE})
 
-FULL = "the disk of the {} is full; free some space or delete views"
+FULL = "the disk of the {} is full, or a quota of it; free some space or delete views"
 DAMAGED = (
     "the file of the database is damaged ({}): whoever runs the service should stop it, then run "
     "`./revisit doctor --repair` or restore a backup"

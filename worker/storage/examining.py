@@ -19,6 +19,8 @@ REPAIR = "./revisit doctor --repair"
 
 STOP = f"stop the service, then {REPAIR}; if that cannot, {BACKUP}"
 
+ELSEWHERE = "is the disk read-only? Copy the data folder to one that can be written, and examine the copy"
+
 MOST_LINES = 20
 """Lines of SQLite's own check that are reported."""
 
@@ -145,6 +147,9 @@ def structure_findings(engine: sa.Engine) -> Iterator[Finding]:
             lines = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA integrity_check({MOST_LINES})")]
             broken = list(connection.exec_driver_sql("PRAGMA foreign_key_check")) if lines == ["ok"] else []
     except (sa.exc.SQLAlchemyError, sqlite3.Error, UnicodeError) as error:
+        if dialect.is_unopened(error):
+            yield Finding("database", f"cannot be opened here ({getattr(error, 'orig', error)})", ELSEWHERE)
+            return
         yield Finding(
             "database",
             f"is damaged ({getattr(error, 'orig', error)})",

@@ -1,7 +1,7 @@
 """Describe jobs: claimed by a worker, finished once, failed after three attempts."""
 
 import secrets
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 import sqlalchemy as sa
@@ -25,18 +25,15 @@ WORKER_DIED = (
 
 # Statements that every enrolment runs are built once: building one takes longer than running it.
 _DESCRIBES = JOBS.c.kind == "describe"
-_IS_LEFT = _DESCRIBES & (JOBS.c.state == "running") & (JOBS.c.lease_until <= sa.bindparam("moment"))
 _ANY_WAITING = sa.select(JOBS.c.id).where(_DESCRIBES, JOBS.c.state == "waiting").limit(1)
-_LEFT = sa.select(JOBS.c.id, JOBS.c.attempts).where(_IS_LEFT)
-_OLDEST = (
+_OLDEST_WAITING = (
     sa.select(JOBS)
+    .where(_DESCRIBES, JOBS.c.state == "waiting")
     .order_by(JOBS.c.background, JOBS.c.number)
     .limit(sa.bindparam("most", type_=sa.Integer))
     .with_for_update(skip_locked=True)
 )
-_OLDEST_WAITING = _OLDEST.where(_DESCRIBES, JOBS.c.state == "waiting")
-_OLDEST_LEFT = _OLDEST.where(_IS_LEFT, JOBS.c.attempts < ATTEMPTS)
-_LEASED = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of")).values(attempts=JOBS.c.attempts + 1)
+_CLAIMED = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of")).values(attempts=JOBS.c.attempts + 1)
 _UNFINISHED = sa.select(sa.func.count()).select_from(JOBS).where(_DESCRIBES, JOBS.c.state.in_(switching.UNFINISHED))
 _ENROLMENTS = _UNFINISHED.where(JOBS.c.background.is_(False))
 _RECIPE_OF_MAP = sa.select(MAPS.c.recipe).where(MAPS.c.id == sa.bindparam("of"))
@@ -48,30 +45,19 @@ _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
 class Jobs(Part):
     """The queue of describe jobs."""
 
-    def claim(self, worker: str, count: int, lease: timedelta | None, now: datetime) -> list[Claim]:
-        """Claim up to `count` of the oldest jobs that wait or whose lease has ended; a job at most three times.
+    def claim(self, worker: str, count: int) -> list[Claim]:
+        """Claim up to `count` of the oldest jobs that wait.
 
-        Without a lease a job stays claimed until it ends or its worker is found dead (see workers.py).
-        Enrolments, whose callers may be waiting, go before the jobs of a recipe switch.
+        A job stays claimed until it ends or its worker is found dead (see workers.py). Enrolments, whose callers may
+        be waiting, go before the jobs of a recipe switch.
         """
         with self._database.reading() as connection:  # with no job to claim, no writer has to wait
-            waits = connection.execute(_ANY_WAITING).first()
-            left = list(connection.execute(_LEFT, {"moment": now}))
-        for row in left:
-            if row.attempts >= ATTEMPTS:
-                self._bury(row.id, now)
-        if waits is None and not left:
-            return []
+            if connection.execute(_ANY_WAITING).first() is None:
+                return []
         with self._database.writing(in_turn=False) as connection:
-            jobs = list(connection.execute(_OLDEST_WAITING, {"most": int(count)}))
-            if left:
-                jobs += connection.execute(_OLDEST_LEFT, {"moment": now, "most": int(count)})
-            jobs = sorted(jobs, key=lambda job: (job.background, job.number))[:count]
-            return self._lease(connection, jobs, worker, None if lease is None else now + lease)
+            return self._claim(connection, list(connection.execute(_OLDEST_WAITING, {"most": int(count)})), worker)
 
-    def _lease(
-        self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str, until: datetime | None
-    ) -> list[Claim]:
+    def _claim(self, connection: sa.Connection, jobs: list[sa.Row[Any]], worker: str) -> list[Claim]:
         tokens = {job.number: secrets.token_hex(16) for job in jobs}
         views = {}
         for portion in batches(job.seq for job in jobs):
@@ -86,19 +72,11 @@ class Jobs(Part):
         # What is damaged beyond use is left for `revisit doctor`; the jobs behind it go on.
         jobs = [job for job in jobs if job.recipe in recipes and job.seq in views]
         for job in jobs:
-            lease = {"state": "running", "worker": worker, "token": tokens[job.number], "lease_until": until}
-            connection.execute(_LEASED, {"of": job.number, **lease})
+            held = {"state": "running", "worker": worker, "token": tokens[job.number]}
+            connection.execute(_CLAIMED, {"of": job.number, **held})
         return [
             Claim(job.id, tokens[job.number], views[job.seq], recipes[job.recipe], job.attempts + 1) for job in jobs
         ]
-
-    def _bury(self, job_id: str, now: datetime) -> None:
-        """Fail a job whose workers have all died."""
-        with self._database.writing() as connection:
-            job = connection.execute(sa.select(JOBS).where(JOBS.c.id == job_id).with_for_update()).one_or_none()
-            # Its last worker may have finished late rather than died.
-            if job is not None and job.state == "running" and job.lease_until and job.lease_until <= now:
-                self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:
         """Store a description and end its job; returns the revision from which it is searchable; raises LeaseLost."""
@@ -124,7 +102,7 @@ class Jobs(Part):
         if job is None:
             raise LeaseLost(f"the job {claim.job_id} went with its view {claim.view.id}, which was deleted")
         if job.state != "running" or job.token != claim.token:
-            raise LeaseLost(f"the lease of job {claim.job_id} ended and the job is {job.state} without this worker")
+            raise LeaseLost(f"the job {claim.job_id} was taken from this worker and is {job.state} without it")
         return job
 
     def settle(
@@ -138,7 +116,7 @@ class Jobs(Part):
         """End a job and update its view; returns the map's revision if that finished a recipe switch."""
         code, detail = failure
         outcome = {"failure_code": code, "failure_detail": detail}
-        ended = {"state": state, "token": None, "lease_until": None, "finished_at": now, **outcome}
+        ended = {"state": state, "token": None, "finished_at": now, **outcome}
         connection.execute(_JOB_ENDS, {"of": job.number, **ended})
         current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
         if job.recipe == current:
@@ -147,12 +125,12 @@ class Jobs(Part):
         return switching.finish_if_done(connection, job.map_id, now)
 
     def release(self, claim: Claim) -> None:
-        """Put a job back without counting the attempt; does nothing when the lease is lost."""
+        """Put a job back without counting the attempt; does nothing when the claim is void."""
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(
                 sa.update(JOBS)
                 .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
-                .values(state="waiting", worker=None, token=None, lease_until=None, attempts=JOBS.c.attempts - 1)
+                .values(state="waiting", worker=None, token=None, attempts=JOBS.c.attempts - 1)
             )
 
     def count_pending(self, name: str) -> int:

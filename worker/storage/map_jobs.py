@@ -9,7 +9,7 @@ first claimed by a worker, which trains the vocabulary, and then runs like one o
 import json
 import secrets
 from collections.abc import Collection, Mapping
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import cache
 from typing import Any, get_args
 
@@ -85,7 +85,7 @@ class MapJobs(Jobs):
         """End a claimed job as done; raises LeaseLost."""
         with self._database.writing() as connection:
             job = _held(connection, claim)
-            ended = {"state": "done", "finished_at": now, "token": None, "lease_until": None}
+            ended = {"state": "done", "finished_at": now, "token": None}
             done = {"progress_done": job.progress_total, "result": as_json(dict(result))}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **done))
 
@@ -122,7 +122,7 @@ class MapJobs(Jobs):
         """End an import as done; raises LeaseLost."""
         with self._database.writing(in_turn=False) as connection:
             job = _held(connection, claim)
-            ended = {"state": "done", "token": None, "lease_until": None, "finished_at": now}
+            ended = {"state": "done", "token": None, "finished_at": now}
             told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
 
@@ -136,11 +136,10 @@ class MapJobs(Jobs):
 
     # claims
 
-    def claim_map_job(self, worker: str, lease: timedelta | None, now: datetime) -> MapClaim | None:
-        """Claim the oldest job of a map that waits or whose lease has ended; a job at most three times."""
+    def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
+        """Claim the oldest job of a map that waits; a job at most three times."""
         waits = JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
-        left = (JOBS.c.state == "running") & (JOBS.c.lease_until <= now)
-        mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
+        mine = sa.select(JOBS).where(waits, JOBS.c.state == "waiting").order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
             if connection.execute(mine).first() is None:
                 return None
@@ -152,21 +151,20 @@ class MapJobs(Jobs):
                 _end(connection, job.number, "failed", now, ("worker-died", WORKER_DIED))
                 return None
             token = secrets.token_hex(16)
-            held = {"state": "running", "worker": worker, "token": token, "lease_until": _until(now, lease)}
+            held = {"state": "running", "worker": worker, "token": token}
             connection.execute(
                 sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
             )
             name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
             return MapClaim(job.id, job.kind, token, str(name))
 
-    def report(self, claim: MapClaim, progress: JobProgress, lease: timedelta | None, now: datetime) -> None:
-        """Report the progress of a claimed job and renew its lease; raises LeaseLost, also when it was cancelled."""
+    def report(self, claim: MapClaim, progress: JobProgress) -> None:
+        """Report the progress of a claimed job; raises LeaseLost, also when it was cancelled."""
         with self._database.writing(in_turn=False) as connection:
             job = _held(connection, claim)
             values = {
                 "progress_done": progress.done,
                 "progress_total": progress.total,
-                "lease_until": _until(now, lease),
             }
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
 
@@ -176,7 +174,7 @@ class MapJobs(Jobs):
             job = _held(connection, claim)
             row = connection.execute(sa.select(MAPS).where(MAPS.c.id == job.map_id)).one()
             kept = keep_recipe(connection, recipe)
-            running = {"recipe": kept, "token": None, "lease_until": None, "progress_done": None}
+            running = {"recipe": kept, "token": None, "progress_done": None}
             connection.execute(
                 sa.update(JOBS).where(JOBS.c.number == job.number).values(progress_total=None, **running)
             )
@@ -188,12 +186,12 @@ class MapJobs(Jobs):
             _end(connection, _held(connection, claim).number, "failed", now, (code, detail))
 
     def release_map_job(self, claim: MapClaim) -> None:
-        """Put a claimed job back without counting the attempt; does nothing when the lease is lost."""
+        """Put a claimed job back without counting the attempt; does nothing when the claim is void."""
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(
                 sa.update(JOBS)
                 .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
-                .values(state="waiting", worker=None, token=None, lease_until=None, attempts=JOBS.c.attempts - 1)
+                .values(state="waiting", worker=None, token=None, attempts=JOBS.c.attempts - 1)
             )
 
     # all kinds
@@ -295,12 +293,8 @@ def _held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:
     return job
 
 
-def _until(now: datetime, lease: timedelta | None) -> datetime | None:
-    return None if lease is None else now + lease
-
-
 def _end(connection: sa.Connection, number: int, state: JobState, now: datetime, failure: tuple[str, str]) -> None:
-    ended = {"state": state, "token": None, "lease_until": None, "finished_at": now}
+    ended = {"state": state, "token": None, "finished_at": now}
     reason = {"failure_code": failure[0], "failure_detail": failure[1]}
     connection.execute(sa.update(JOBS).where(JOBS.c.number == number).values(**ended, **reason))
 

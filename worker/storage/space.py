@@ -4,8 +4,10 @@ A deletion needs space before it frees any: the database writes a journal first.
 programs cannot take it, and is given up when a deletion finds the disk full. It is made again once there is room.
 """
 
+import errno
 import logging
 import os
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +21,7 @@ RESERVE = "reserve"
 
 _MEGA = 1_000_000
 _UNFINISHED = ".reserve-"
+_PROBE_BYTES = 65536
 
 
 class Space:
@@ -59,6 +62,10 @@ class Space:
                 return self._full(folder)
         self._refused = 0
         return None
+
+    def refused(self) -> bool:
+        """Whether nothing more can be written: the disk is full, or a quota, which its free space does not tell."""
+        return any(_refuses(folder) for folder in self._folders)
 
     def give_up(self) -> bool:
         """Remove the reserve; returns whether there was one."""
@@ -121,3 +128,13 @@ class Space:
             f"the disk of {folder} is full: {free:.1f} MB are left, {kept:.1f} MB are kept (REVISIT_RESERVE_MB) so "
             "that queries and deletions work; free some space or delete views"
         )
+
+
+def _refuses(folder: Path) -> bool:
+    try:
+        with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
+            file.write(bytes(_PROBE_BYTES))
+            os.fsync(file.fileno())
+    except OSError as error:
+        return error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return False

@@ -167,7 +167,7 @@ def end_jobs(connection: sa.Connection, map_id: int, recipe: str, now: datetime)
         connection.execute(
             sa.update(JOBS)
             .where(JOBS.c.number == number)
-            .values(state="done", finished_at=now, token=None, lease_until=None, result=as_json({"recipe": recipe}))
+            .values(state="done", finished_at=now, token=None, result=as_json({"recipe": recipe}))
             .values(progress_done=done, progress_total=total)
         )
 
@@ -187,7 +187,7 @@ def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> 
         sa.update(JOBS)
         .where(JOBS.c.map_id == map_id, JOBS.c.kind == "describe", JOBS.c.recipe == recipe)
         .where(JOBS.c.state.in_(UNFINISHED))
-        .values(state="cancelled", finished_at=now, token=None, lease_until=None)
+        .values(state="cancelled", finished_at=now, token=None)
     )
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(next_recipe=None, next_ranking=None))
 

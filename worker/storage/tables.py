@@ -192,7 +192,7 @@ JOBS = sa.Table(
     sa.Column("attempts", sa.Integer, nullable=False),
     sa.Column("worker", sa.Text),
     sa.Column("token", sa.Text),
-    sa.Column("lease_until", UtcDateTime),
+    sa.Column("lease_until", UtcDateTime),  # of versions before signs of life; NULL since
     sa.Column("progress_done", sa.Integer),  # of training and importing; describing is counted in jobs
     sa.Column("progress_total", sa.Integer),
     sa.Column("result", sa.Text),  # JSON

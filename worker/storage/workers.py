@@ -58,6 +58,6 @@ class Workers(MapJobs):
                 if job.kind == "describe" and job.attempts >= ATTEMPTS:
                     self.settle(connection, job, "failed", now, ("worker-died", WORKER_DIED))
                     continue
-                back = {"state": "waiting", "worker": None, "token": None, "lease_until": None}
+                back = {"state": "waiting", "worker": None, "token": None}
                 connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**back))
             return len(left)

@@ -1,0 +1,187 @@
+"""A file system turns itself read-only after an error, as ext4 does: everybody is answered, nothing is lost."""
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.sample_images import drawn, encoded
+from tests.stories.running import RunningService
+
+JPEG = {"content-type": "image/jpeg"}
+WAIT_S = 5
+ANSWER_S = WAIT_S + 5
+SETTINGS = {"REVISIT_RESERVE_MB": "4", "REVISIT_WAIT": str(WAIT_S), "REVISIT_LEASE_S": "2"}
+KEPT = range(6)
+
+
+def image(number: int) -> bytes:
+    """A JPEG that no other number has."""
+    return encoded(drawn(320, 240, number))
+
+
+class Disk:
+    """A disk of ext4 in a file.
+
+    Parameters
+    ----------
+    folder : Path
+        For the file, and for `at`, where the disk is mounted.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.at = folder / "disk"
+        self._file = folder / "disk.ext4"
+
+    def make(self) -> None:
+        """Make the file system, and mount it; skips where that is not possible."""
+        self.at.mkdir()
+        with self._file.open("wb") as file:
+            file.truncate(96_000_000)
+        try:
+            for command in (["mkfs.ext4", "-q", "-F", "-m", "0", str(self._file)], self._mounting()):
+                subprocess.run(command, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            why = getattr(error, "stderr", None) or error
+            pytest.skip(f"NOT TRIED: a disk that turns read-only needs ext4 and the right to mount it ({why})")
+
+    def _mounting(self) -> list[str]:
+        return ["mount", "-o", "loop,errors=remount-ro", str(self._file), str(self.at)]
+
+    def turn_read_only(self) -> None:
+        """What the kernel does by itself when it finds an error in the file system, whoever has files open."""
+        device = os.stat(self.at).st_dev
+        name = Path(f"/sys/dev/block/{os.major(device)}:{os.minor(device)}").resolve().name
+        subprocess.run(["sync", "-f", str(self.at)], check=True)
+        Path(f"/sys/fs/ext4/{name}/trigger_fs_error").write_text("1")
+        with pytest.raises(OSError, match="Read-only"):
+            (self.at / "probe").write_text("")
+
+    def repair(self) -> None:
+        """Unmount, examine, mount: what an operator does."""
+        self.unmount()
+        examined = subprocess.run(["e2fsck", "-f", "-y", str(self._file)], capture_output=True, text=True)
+        assert examined.returncode in (0, 1), examined.stdout
+        subprocess.run(self._mounting(), check=True)
+
+    def unmount(self) -> None:
+        """Take it away; whoever has files open keeps them."""
+        subprocess.run(["umount", "--lazy", str(self.at)], check=True)
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Disk]:
+    """A disk of its own."""
+    made = Disk(tmp_path)
+    made.make()
+    yield made
+    made.unmount()
+
+
+class Callers:
+    """Threads that call without a pause; what they were answered, and when."""
+
+    def __init__(self, url: str, deletable: list[str]) -> None:
+        self.acknowledged: list[int] = []
+        self.deleted: list[str] = []
+        self.answers: list[tuple[str, float, httpx.Response]] = []
+        self._url, self._deletable = url, deletable
+        self._stopping = threading.Event()
+        self._threads = ThreadPoolExecutor(4)
+        kinds = ("enroll", "enroll", "query", "delete")
+        self._running = [self._threads.submit(self._call, kind, 10_000 * n) for n, kind in enumerate(kinds, 1)]
+
+    def _call(self, kind: str, number: int) -> None:
+        with httpx.Client(base_url=self._url, timeout=4 * ANSWER_S) as client:
+            while not self._stopping.is_set():
+                number += 1
+                began = time.monotonic()
+                if kind == "query":
+                    answer = client.post("/query", content=image(number % len(KEPT)), headers=JPEG)
+                elif kind == "enroll":
+                    answer = client.post("/enroll", content=image(number), headers=JPEG)
+                    if answer.status_code in (201, 202):
+                        self.acknowledged.append(number)
+                else:
+                    view = self._deletable[-1]
+                    answer = client.delete(f"/views/{view}")
+                    if answer.status_code == 200:
+                        self.deleted.append(self._deletable.pop())
+                    time.sleep(0.3)
+                self.answers.append((kind, began, answer))
+                assert time.monotonic() - began < ANSWER_S, answer.text
+
+    def stop(self) -> None:
+        """Let each finish its call; raises what a call raised."""
+        self._stopping.set()
+        for one in self._running:
+            one.result()
+        self._threads.shutdown()
+
+
+def readiness(client: httpx.Client, ready: bool) -> dict[str, str]:
+    """The checks, once the service says that it is ready, or that it is not."""
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        told = client.get("/readyz").json()
+        if told["ready"] is ready:
+            checks: dict[str, str] = told["checks"]
+            return checks
+        time.sleep(0.1)
+    raise AssertionError(f"still {told}")
+
+
+@pytest.mark.slow
+def test_everybody_is_answered_and_what_was_acknowledged_is_there_after_a_repair(disk: Disk) -> None:
+    with (
+        RunningService(disk.at / "data", **SETTINGS) as service,
+        httpx.Client(base_url=service.url, timeout=ANSWER_S) as client,
+    ):
+        ids = [client.post("/enroll", content=image(n), headers=JPEG).json()["view"]["id"] for n in KEPT]
+        deletable = [
+            client.post("/enroll", content=image(100 + n), headers=JPEG).json()["view"]["id"] for n in range(40)
+        ]
+        callers = Callers(service.url, deletable)
+        time.sleep(2)
+        disk.turn_read_only()
+        since = time.monotonic()
+        told = readiness(client, False)
+        assert told["disk"] != "ok"
+        assert told["encoder"] == "ok"
+        time.sleep(3)
+        callers.stop()
+        late = [(kind, answer) for kind, began, answer in callers.answers if began > since]
+        for kind in ("enroll", "delete"):
+            assert {answer.status_code for of, answer in late if of == kind} == {503}, kind
+        assert {answer.headers["content-type"] for of, answer in late if of != "query"} == {"application/problem+json"}
+        assert {answer.status_code for of, answer in late if of == "query"} == {200}
+        assert len([answer for of, answer in late if of == "query"]) > 3
+        assert callers.acknowledged
+        assert callers.deleted
+        service.signal(signal.SIGTERM)
+        assert service.wait() == 0
+        assert not [line for line in service.output if "Traceback" in line]
+
+    disk.repair()
+    with (
+        RunningService(disk.at / "data", **SETTINGS) as service,
+        httpx.Client(base_url=service.url, timeout=ANSWER_S) as client,
+    ):
+        readiness(client, True)
+        for number, view in zip(KEPT, ids, strict=True):
+            found = client.post("/query", content=image(number), headers=JPEG).json()
+            assert found["matches"][0]["view"]["id"] == view
+        for number in callers.acknowledged:
+            assert client.post("/enroll", content=image(number), headers=JPEG).status_code == 200, "it was lost"
+        for view in callers.deleted:
+            assert client.get(f"/views/{view}").status_code == 404
+        for view in deletable:
+            assert client.get(f"/views/{view}/image").status_code == 200
+        assert client.post("/enroll", content=image(99_999), headers=JPEG).status_code == 201
