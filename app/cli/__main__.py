@@ -14,6 +14,7 @@ GROUPS = (
     "enroll",
     "recordings",
     "query",
+    "loops",
     "browse",
     "recipes",
     "calibrate",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import logs
 from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
+from app.cli.processor import check_processor
 
 if TYPE_CHECKING:
     from schemas.settings import Settings
@@ -73,6 +74,7 @@ def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":
 
 def run_serve(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
+    check_processor()
     settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
     _refuse_open(settings)
     logs.configure(settings.log, settings.log_level)
@@ -212,6 +214,7 @@ def announce(runtime: "Runtime", url: str) -> None:
 
 def run_worker(arguments: argparse.Namespace) -> int:
     """Describe images until SIGINT or SIGTERM."""
+    check_processor()
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
     logs.configure(settings.log, settings.log_level)
     from worker.runtime import build

@@ -62,3 +62,33 @@ def test_one_view_is_as_exact_as_the_map_is_dense() -> None:
     alone = locate(walk[:1], [0.9], walk[3:])
     assert alone is not None
     assert alone.radius_m is None
+
+
+def test_a_view_that_stands_alone_is_no_more_exact_for_having_others_beside_it() -> None:
+    walk = [Position(x=10.0, y=0.0), Position(x=22.0, y=0.0), Position(x=34.0, y=0.0)]
+    sure, torn = locate(walk, [0.999, 0.001, 0.0], walk), locate(walk[:2], [0.5, 0.5], walk)
+    assert sure is not None
+    assert torn is not None
+    assert sure.radius_m == pytest.approx(12, rel=0.01)  # not the centimetres by which the others pull
+    assert torn.radius_m == pytest.approx(6)
+
+
+def test_several_views_of_one_point_are_one_point() -> None:
+    here, there = [Position(x=0.0, y=0.0)] * 3, Position(x=8.0, y=0.0)
+    fix = locate([*here, there], [0.3, 0.3, 0.3, 0.0], [*here, there])
+    assert fix is not None
+    assert fix.radius_m == pytest.approx(8)
+
+
+@given(st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12), st.floats(0, 1)), min_size=2, max_size=6))
+def test_no_radius_is_smaller_than_the_map_is_dense(views: list[tuple[float, float, float]]) -> None:
+    positions = [Position(x=x, y=y) for x, y, _ in views]
+    fix = locate(positions, [weight for *_, weight in views], positions)
+    gaps = [np.hypot(x - views[0][0], y - views[0][1]) for x, y, _ in views]
+    nearest = min((gap for gap in gaps if gap > 1e-6), default=None)
+    assert fix is not None
+    if nearest is None:
+        assert fix.radius_m is None
+    else:
+        assert fix.radius_m is not None
+        assert fix.radius_m >= nearest / len(views) * 0.999

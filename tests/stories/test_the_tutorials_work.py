@@ -1,21 +1,38 @@
 """What the tutorials show is run as it stands there."""
 
+import csv
+import math
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from scenes import scene
 from tests.stories.photos import photo
 from tests.stories.running import ROOT, RunningService
 
-PAGE = ROOT / "docs" / "tutorials" / "museum-guide.md"
+TUTORIALS = ROOT / "docs" / "tutorials"
 NAMES = ("mill lane", "the green", "school hill", "chapel row")
 
 
+def programs(page: str) -> list[str]:
+    """The Python programs of a page."""
+    return re.findall(r"```python\n(.*?)```", (TUTORIALS / page).read_text(), re.DOTALL)
+
+
+def ran(folder: Path, service: RunningService, *argv: str) -> str:
+    """What a program prints that calls the service."""
+    path = os.pathsep.join([str(ROOT / "client"), str(ROOT)])
+    env = {**os.environ, "REVISIT_URL": service.url, "PYTHONPATH": path}
+    done = subprocess.run([sys.executable, *argv], cwd=folder, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
 def test_the_museum_guide_knows_its_exhibits(tmp_path: Path) -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    (program,) = programs("museum-guide.md")
     assert len(program.splitlines()) <= 35
     (tmp_path / "guide.py").write_text(program)
     for name in NAMES:
@@ -29,13 +46,50 @@ def test_the_museum_guide_knows_its_exhibits(tmp_path: Path) -> None:
     with RunningService(tmp_path / "data", REVISIT_ENCODER="compact") as service:
 
         def guide(*argv: str) -> str:
-            path = os.pathsep.join([str(ROOT / "client"), str(ROOT)])
-            env = {**os.environ, "REVISIT_URL": service.url, "PYTHONPATH": path}
-            ran = subprocess.run(
-                [sys.executable, "guide.py", *argv], cwd=tmp_path, env=env, capture_output=True, text=True, check=True
-            )
-            return ran.stdout.strip()
+            return ran(tmp_path, service, "guide.py", *argv)
 
         assert guide("teach") == guide("teach") == f"{len(NAMES)} exhibits"
         assert guide("visitor.jpg") == "chapel row: This is chapel row."
         assert "This is" not in guide("elsewhere.jpg")
+
+
+SPOTS, AGAIN = 10, 4
+RADIUS_M = 20.0
+DRIFT_M = 0.5
+
+
+def test_a_walk_that_comes_back_is_pulled_together(tmp_path: Path) -> None:
+    for name, program in zip(("close.py", "relax.py"), programs("loop-closure.md"), strict=True):
+        (tmp_path / name).write_text(program)
+    (tmp_path / "walk").mkdir()
+    true, drifted = [], []
+    for number in range(SPOTS + AGAIN):
+        spot = scene(f"spot {number % SPOTS}")
+        look = spot.seen_from() if number < SPOTS else spot.seen_from(dx=0.3, turn=2)
+        file = f"walk/{number:04}.jpg"
+        (tmp_path / file).write_bytes(photo(look))
+        angle = 2 * math.pi * number / SPOTS
+        x, y = RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle)
+        true.append((x, y))
+        drifted.append((file, x + DRIFT_M * number, y))
+    with (tmp_path / "odometry.csv").open("w") as table:
+        csv.writer(table).writerows([("file", "x", "y"), *drifted])
+
+    with RunningService(tmp_path / "data", REVISIT_ENCODER="compact") as service:
+        told = ran(tmp_path, service, "close.py").splitlines()
+        (tmp_path / "relaxed.csv").write_text(ran(tmp_path, service, "relax.py"))
+
+    closed = [tuple(map(int, re.findall(r"\d+", line)[:2])) for line in told]
+    assert len(closed) >= AGAIN - 1
+    assert all(keyframe - earlier == SPOTS for keyframe, earlier in closed)
+    before = furthest([(x, y) for _, x, y in drifted], true)
+    with (tmp_path / "relaxed.csv").open() as table:
+        after = furthest([(float(x), float(y)) for x, y in csv.reader(table)], true)
+    assert before > 6
+    assert after < 1, after
+
+
+def furthest(found: Sequence[tuple[float, float]], true: Sequence[tuple[float, float]]) -> float:
+    """The largest distance of a position from the true one, metres, both from where the walk begins."""
+    shift = true[0][0] - found[0][0], true[0][1] - found[0][1]
+    return max(math.dist((x + shift[0], y + shift[1]), there) for (x, y), there in zip(found, true, strict=True))

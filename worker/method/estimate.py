@@ -29,8 +29,9 @@ class Fix:
     position : Position
         Without heading.
     radius_m : float or None
-        Weighted root mean square horizontal distance of the agreeing views from `position`. Where they lie at one
-        point, the distance to the nearest other position; None when there is no other.
+        Weighted root mean square horizontal distance of the agreeing views from `position`; at least the distance from
+        the best one to the nearest other position, by as many points as share the weight: one view says no more of
+        where the query is than how densely the place is mapped. None when there is no other position.
     agreeing : tuple of int
         Indices of the matches within `AGREE_M` of the best one, the best included.
     """
@@ -68,13 +69,18 @@ def locate(positions: Sequence[Position], weights: Sequence[float], around: Sequ
     share = np.array([weights[i] for i in chosen], np.float64)
     share = share / share.sum() if share.sum() > 0 else np.full(len(chosen), 1 / len(chosen))
     mean = share @ offsets
-    radius = float(np.sqrt(share @ ((offsets[:, :2] - mean[:2]) ** 2).sum(axis=1)))
+    spread = float(np.sqrt(share @ ((offsets[:, :2] - mean[:2]) ** 2).sum(axis=1)))
     heights = [positions[i].alt if geographic else positions[i].z for i in chosen]
     height = None if any(h is None for h in heights) else float(mean[2])
-    if radius <= SAME_POINT_M:
-        gaps = [gap for other in around if SAME_POINT_M < (gap := distance(positions[0], other)) < inf]
-        return Fix(_place(mean, height, positions[0]), min(gaps, default=None), tuple(chosen))
-    return Fix(_place(mean, height, positions[0]), radius, tuple(chosen))
+    gaps = [gap for other in around if SAME_POINT_M < (gap := distance(positions[0], other)) < inf]
+    radius = max(spread, min(gaps) / _sharing(offsets[:, :2], share)) if gaps else spread
+    return Fix(_place(mean, height, positions[0]), radius if radius > SAME_POINT_M else None, tuple(chosen))
+
+
+def _sharing(points: npt.NDArray[np.float64], share: npt.NDArray[np.float64]) -> float:
+    """By how many points the weight is shared, 1 .. their number: the inverse of its sum of squares (Kish, 1965)."""
+    together = np.linalg.norm(points[:, None] - points, axis=2) <= SAME_POINT_M
+    return float(1 / (share @ together @ share))
 
 
 def distance(one: Position, other: Position) -> float:

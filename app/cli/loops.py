@@ -1,0 +1,91 @@
+"""``revisit loops``: find where a walk comes back to where it was, for a pose graph."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli import images
+from app.cli.console import DONE, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
+
+if TYPE_CHECKING:
+    from revisit_client.loops import Keyframe
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "loops",
+        help="find where a walk comes back to where it was",
+        description="Ask about each image of a walk in turn, then enrol it. Prints which images show the place of an "
+        "earlier one; docs/loops.md says how to read the constraints.",
+    )
+    parser.add_argument("paths", nargs="+", metavar="PATH", help="image, folder (with all inside) or glob, in order")
+    parser.add_argument("--map", required=True, help="map of this walk alone")
+    parser.add_argument(
+        "--positions", type=Path, metavar="CSV", required=True, help="odometry: columns file, x, y and heading if known"
+    )
+    parser.add_argument("--exclude-last", default="20", metavar="N|30s", help="newest images that are no loop (20)")
+    parser.add_argument("--consistent", type=int, default=1, metavar="N", help="images in a row that must agree (1)")
+    parser.add_argument("--within", type=float, metavar="METRES", help="look no further than this from the odometry")
+    parser.add_argument("--radius", type=float, default=5.0, metavar="METRES", help="of a loop that has none (5)")
+    parser.add_argument("--drive", metavar="NAME", help="count the images together, as those of this drive")
+    parser.add_argument("--precision", type=float, metavar="P", help="share of loops that must be right")
+    parser.add_argument("--g2o", type=Path, metavar="FILE", help="write the pose graph: odometry and loops")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the loops as a table")
+    speaks(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Find loops; returns 0 whether there are any or not."""
+    from revisit_client import Revisit
+    from revisit_client.loops import LoopCloser, csv, g2o
+
+    if arguments.consistent < 1:
+        wrong_use("--consistent takes 1 or more")
+    walk = _walk(arguments)
+    names = [path.name for path, _ in walk]
+    with (
+        Revisit(arguments.url, key=arguments.key) as revisit,
+        progress_bar(len(walk), "images", quiet=arguments.json) as step,
+    ):
+        closer = LoopCloser(
+            revisit,
+            arguments.map,
+            exclude_last=arguments.exclude_last,
+            consistent=arguments.consistent,
+            within_m=arguments.within,
+            radius_m=arguments.radius,
+            drive=arguments.drive,
+            precision=arguments.precision,
+        )
+        for path, keyframe in walk:
+            for loop in closer.add(path, keyframe):
+                if not arguments.json:
+                    where = f"{names[loop.keyframe]} is where {names[loop.earlier]} was"
+                    show(f"{where} (confidence {loop.confidence:.2f}, within {loop.radius_m:.1f} m)")
+            step(path.name)
+    for file, text in ((arguments.g2o, g2o(closer.keyframes, closer.loops)), (arguments.csv, csv(closer.loops))):
+        if file is not None:
+            file.write_text(text)
+            say(f"written: {file}")
+    if arguments.json:
+        listed = [vars(loop) | {"files": [names[loop.keyframe], names[loop.earlier]]} for loop in closer.loops]
+        show_json({"keyframes": len(walk), "loops": listed})
+    else:
+        show(f"{len(closer.loops)} loops among {len(walk)} images")
+    return DONE
+
+
+def _walk(arguments: argparse.Namespace) -> "list[tuple[Path, Keyframe]]":
+    """The images in order, each as a keyframe; raises Failure where one has no position in metres."""
+    from revisit_client.loops import Keyframe
+
+    positions = images.Positions(arguments.positions)
+    walk = []
+    for number, path in enumerate(images.found(arguments.paths)):
+        known = positions.of(path) or {}
+        if "x" not in known or "y" not in known:
+            wrong_use(f"{path}: {arguments.positions} says no x and y of it")
+        walk.append((path, Keyframe(number, known["x"], known["y"], known.get("heading"))))
+    return walk

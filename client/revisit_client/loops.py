@@ -1,0 +1,262 @@
+"""Loop closures for SLAM: keyframes go in one by one, constraints of a pose graph come out.
+
+closer = LoopCloser(revisit, "campus", exclude_last=20, consistent=2)
+for number, (image, x, y, heading) in enumerate(walk):
+    for loop in closer.add(image, Keyframe(number, x, y, heading)):
+        print(loop.keyframe, "is where", loop.earlier, "was")
+Path("graph.g2o").write_text(g2o(closer.keyframes, closer.loops))
+"""
+
+import csv as csv_files
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+from revisit_client.client import Revisit
+from revisit_client.errors import RevisitProblem
+from revisit_client.parameters import Image
+
+KEYFRAME = "keyframe"
+"""Name in the metadata of a view under which the number of its keyframe is kept."""
+
+HEADING_SD = 20.0
+"""Degrees by which the camera of a loop may be turned against the earlier one's, as a standard deviation."""
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A keyframe, and where odometry takes it to be.
+
+    Parameters
+    ----------
+    number : int
+        Of its own; later keyframes have larger ones.
+    x, y : float
+        Metres, x to the east and y to the north, or in any frame that is turned against these.
+    heading : float or None
+        Degrees clockwise from y; None: as the next keyframe lies.
+    """
+
+    number: int
+    x: float
+    y: float
+    heading: float | None = None
+
+    @classmethod
+    def of_pose(cls, number: int, x: float, y: float, yaw: float) -> "Keyframe":
+        """A keyframe by its yaw: radians counter-clockwise from x (REP 103)."""
+        return cls(number, x, y, (90 - math.degrees(yaw)) % 360)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A keyframe that shows the place of an earlier one.
+
+    Parameters
+    ----------
+    keyframe, earlier : int
+        Numbers.
+    confidence : float
+        Probability that it is the same place, 0..1.
+    radius_m : float
+        How far apart the two may be, root mean square, metres.
+    """
+
+    keyframe: int
+    earlier: int
+    confidence: float
+    radius_m: float
+
+
+class LoopCloser:
+    """Asks about each keyframe, then enrols it.
+
+    Parameters
+    ----------
+    revisit : Revisit
+    map : str
+        Made by the first keyframe; one map for one walk, since numbers of keyframes are looked up in it.
+    exclude_last : int or str
+        Newest keyframes that are no loop: a number, or seconds as ``30s``.
+    consistent : int
+        Keyframes in a row whose earlier ones must lie together before they count.
+    reach : int
+        How many numbers those earlier ones may lie apart from one to the next.
+    within_m : float or None
+        Only keyframes that odometry takes to be as near as this are looked for; None: all.
+    radius_m : float
+        Of a loop of whose position the service knows no radius, metres.
+    drive : str or None
+        Count the images together, as those of one drive.
+    precision : float or None
+        Share of loops that must be right; None: as the map says.
+    """
+
+    def __init__(
+        self,
+        revisit: Revisit,
+        map: str,
+        *,
+        exclude_last: int | str = 20,
+        consistent: int = 1,
+        reach: int = 5,
+        within_m: float | None = None,
+        radius_m: float = 5.0,
+        drive: str | None = None,
+        precision: float | None = None,
+    ) -> None:
+        if consistent < 1:
+            raise ValueError(f"consistent is {consistent}; it is 1 or more")
+        self._revisit, self._map = revisit, map
+        self._exclude_last, self._within_m = exclude_last, within_m
+        self._consistent, self._reach, self._radius_m = consistent, reach, radius_m
+        self._drive, self._precision = drive, precision
+        self._row: list[Loop] = []
+        self.keyframes: list[Keyframe] = []
+        self.loops: list[Loop] = []
+
+    def add(self, image: Image, keyframe: Keyframe) -> list[Loop]:
+        """Look for the place of a keyframe among the earlier ones, then enrol it.
+
+        Returns
+        -------
+        list of Loop
+            What is certain now and was not before: of this keyframe and, with `consistent`, of those before it.
+
+        Raises
+        ------
+        RevisitProblem, Unreachable
+            The keyframe is not among `keyframes`, and may be added again.
+        """
+        seen = self._seen(image, keyframe)
+        self._revisit.enroll(
+            image,
+            map=self._map,
+            x=keyframe.x,
+            y=keyframe.y,
+            heading=keyframe.heading,
+            metadata={KEYFRAME: keyframe.number},
+        )
+        self.keyframes.append(keyframe)
+        if seen is None:
+            self._row = []
+            return []
+        if self._row and abs(seen.earlier - self._row[-1].earlier) > self._reach:
+            self._row = []
+        self._row.append(seen)
+        if len(self._row) < self._consistent:
+            return []
+        fresh = self._row if len(self._row) == self._consistent else [seen]
+        self.loops += fresh
+        return list(fresh)
+
+    def _seen(self, image: Image, keyframe: Keyframe) -> Loop | None:
+        try:
+            answer = self._revisit.query(
+                image,
+                map=self._map,
+                exclude_last=self._exclude_last,
+                near=None if self._within_m is None else (keyframe.x, keyframe.y, self._within_m),
+                drive=self._drive,
+                precision=self._precision,
+            )
+        except RevisitProblem as problem:
+            if problem.code == "not-found":  # the first keyframe makes the map
+                return None
+            raise
+        if answer.status != "matched":
+            return None
+        earlier = (answer.matches[0].view.metadata or {}).get(KEYFRAME)
+        if not isinstance(earlier, int) or earlier >= keyframe.number:
+            return None
+        radius = None if answer.estimate is None else answer.estimate.radius_m
+        return Loop(keyframe.number, earlier, answer.confidence, radius or self._radius_m)
+
+
+def with_headings(keyframes: Sequence[Keyframe]) -> list[Keyframe]:
+    """The keyframes, each with a heading: for want of one that of the way to the next, at the end as before."""
+    found: list[Keyframe] = []
+    for number, one in enumerate(keyframes):
+        if one.heading is None:
+            to = keyframes[number + 1] if number + 1 < len(keyframes) else None
+            if to is not None and (to.x, to.y) != (one.x, one.y):
+                one = replace(one, heading=math.degrees(math.atan2(to.x - one.x, to.y - one.y)) % 360)
+            else:
+                one = replace(one, heading=found[-1].heading if found else 0.0)
+        found.append(one)
+    return found
+
+
+def g2o(
+    keyframes: Sequence[Keyframe],
+    loops: Sequence[Loop],
+    *,
+    drift: float = 0.05,
+    turn: float = 2.0,
+) -> str:
+    """A pose graph in the plane, as g2o, GTSAM and Ceres' examples read it.
+
+    Vertices are the poses of odometry (yaw in radians, counter-clockwise from x). Edges are the steps of odometry, and
+    the loops: at the same place, facing the same way, with the information 2 / radius² in x and y, since the radius is
+    the root mean square of both together, and that of 20° in yaw.
+
+    Parameters
+    ----------
+    keyframes : sequence of Keyframe
+    loops : sequence of Loop
+    drift : float
+        Standard deviation of a step, as a share of its length (at least a centimetre's).
+    turn : float
+        Standard deviation of the turn of a step, degrees.
+
+    Returns
+    -------
+    str
+        Lines ``VERTEX_SE2 id x y yaw`` and ``EDGE_SE2 from to dx dy dyaw`` with the upper
+        triangle of the information matrix. None fixes a vertex: GTSAM reads no edge of a file with ``FIX``.
+    """
+    poses = {one.number: (one.x, one.y, _yaw(one)) for one in with_headings(keyframes)}
+    lines = [f"VERTEX_SE2 {number} {x:.6f} {y:.6f} {yaw:.6f}" for number, (x, y, yaw) in poses.items()]
+    for one, two in zip(list(poses)[:-1], list(poses)[1:], strict=True):
+        dx, dy, dyaw = _step(poses[one], poses[two])
+        of_place = 1 / max(drift * math.hypot(dx, dy), 0.01) ** 2
+        lines.append(_edge(one, two, (dx, dy, dyaw), of_place, 1 / math.radians(turn) ** 2))
+    for loop in loops:
+        of_place = 2 / loop.radius_m**2
+        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, 1 / math.radians(HEADING_SD) ** 2))
+    return "\n".join(lines) + "\n"
+
+
+def csv(loops: Sequence[Loop]) -> str:
+    """The loops as a table: keyframe, earlier, confidence, radius_m."""
+    out = io.StringIO()
+    writer = csv_files.writer(out, lineterminator="\n")
+    names = [field.name for field in fields(Loop)]
+    writer.writerow(names)
+    writer.writerows([getattr(loop, name) for name in names] for loop in loops)
+    return out.getvalue()
+
+
+Pose = tuple[float, float, float]
+
+
+def _yaw(keyframe: Keyframe) -> float:
+    return _wrapped(math.radians(90 - (keyframe.heading or 0.0)))
+
+
+def _step(one: Pose, two: Pose) -> Pose:
+    """Pose `two` in the frame of pose `one`."""
+    dx, dy = two[0] - one[0], two[1] - one[1]
+    cos, sin = math.cos(one[2]), math.sin(one[2])
+    return cos * dx + sin * dy, cos * dy - sin * dx, _wrapped(two[2] - one[2])
+
+
+def _wrapped(angle: float) -> float:
+    """An angle in -pi..pi, radians."""
+    return math.atan2(math.sin(angle), math.cos(angle))
+
+
+def _edge(one: int, two: int, step: Pose, of_place: float, of_yaw: float) -> str:
+    measured = " ".join(f"{value:.6f}" for value in step)
+    return f"EDGE_SE2 {one} {two} {measured} {of_place:.6g} 0 0 {of_place:.6g} 0 {of_yaw:.6g}"

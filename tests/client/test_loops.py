@@ -1,0 +1,186 @@
+"""Loop closures: which keyframes count, and what the pose graph says of them."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from revisit_client import Revisit, RevisitProblem
+from revisit_client.loops import Keyframe, Loop, LoopCloser, csv, g2o, with_headings
+
+from tests import answers
+
+IMAGE = b"a picture"
+
+
+class Service:
+    """Answers the n-th query with the keyframe of its list: None is no match, a refusal is raised."""
+
+    def __init__(self, seen: Sequence[int | dict[str, Any] | None], radius_m: float | None = 3.0) -> None:
+        self.seen, self.radius_m = list(seen), radius_m
+        self.queries: list[bytes] = []
+        self.enrolled: list[bytes] = []
+
+    def __call__(self, request: httpx.Request) -> httpx.Response:
+        if request.url.path == "/enroll":
+            self.enrolled.append(request.url.query + request.content)
+            return httpx.Response(201, json=answers.enrolled())
+        self.queries.append(request.content)
+        seen = self.seen.pop(0)
+        if isinstance(seen, dict):
+            return httpx.Response(seen["status"], json=seen)
+        if seen is None:
+            return httpx.Response(200, json=answers.query_answer(status="no_match"))
+        match = answers.match(metadata={"keyframe": seen})
+        estimate = {"position": match["view"]["position"], "radius_m": self.radius_m, "views": []}
+        return httpx.Response(200, json=answers.query_answer(match) | {"estimate": estimate})
+
+    def closer(self, **options: Any) -> LoopCloser:
+        revisit = Revisit("http://test", transport=httpx.MockTransport(self), patience=0)
+        return LoopCloser(revisit, "walk", **options)
+
+
+def found(service: Service, **options: Any) -> list[tuple[int, int]]:
+    """Loops of a walk along x."""
+    closer = service.closer(**options)
+    count = len(service.seen)
+    at_once = [loop for number in range(count) for loop in closer.add(IMAGE, Keyframe(100 + number, number, 0))]
+    assert at_once == closer.loops
+    return [(loop.keyframe, loop.earlier) for loop in at_once]
+
+
+def test_a_matched_keyframe_is_a_loop_with_the_radius_of_the_service() -> None:
+    service = Service([None, None, 7])
+    closer = service.closer()
+
+    for number in (100, 101):
+        assert closer.add(IMAGE, Keyframe(number, number, 0)) == []
+    (loop,) = closer.add(IMAGE, Keyframe(102, 3.5, 4, 90))
+
+    assert loop == Loop(102, 7, loop.confidence, 3.0)
+    assert len(service.enrolled) == 3
+    assert b"keyframe" in service.enrolled[-1]
+    assert b'"exclude_last"\r\n\r\n20\r\n' in service.queries[0]
+
+
+def test_the_first_keyframe_makes_the_map() -> None:
+    service = Service([answers.problem("not-found", 404), None])
+
+    assert found(service) == []
+    assert len(service.enrolled) == 2
+
+
+def test_another_refusal_is_raised_and_nothing_is_enrolled() -> None:
+    service = Service([answers.problem("unauthorized", 401)])
+
+    with pytest.raises(RevisitProblem):
+        found(service)
+    assert service.enrolled == []
+
+
+def test_one_keyframe_that_stands_alone_is_no_loop_where_three_must_agree() -> None:
+    # 3 stands alone; 40, 41, 43 agree; 44 goes on; 90 is elsewhere.
+    service = Service([None, 3, None, 40, 41, 43, 44, 90, None])
+
+    assert found(service, consistent=3) == [(103, 40), (104, 41), (105, 43), (106, 44)]
+
+
+def test_a_walk_may_come_back_the_other_way() -> None:
+    assert found(Service([44, 42, 41]), consistent=3, reach=2) == [(100, 44), (101, 42), (102, 41)]
+    assert found(Service([44, 41, 40]), consistent=3, reach=2) == []
+
+
+def test_where_odometry_is_trusted_only_what_is_near_is_looked_for() -> None:
+    service = Service([None])
+
+    service.closer(within_m=30).add(IMAGE, Keyframe(0, 1.5, -2))
+
+    assert b'"near"\r\n\r\n1.5,-2,30\r\n' in service.queries[0]
+
+
+def test_a_view_that_is_no_keyframe_or_a_later_one_is_no_loop() -> None:
+    assert found(Service([500, None])) == []
+
+
+def test_where_the_service_knows_no_radius_the_callers_is_taken() -> None:
+    (loop,) = Service([1], radius_m=None).closer(radius_m=9).add(IMAGE, Keyframe(2, 0, 0))
+
+    assert loop.radius_m == 9
+
+
+def test_less_than_one_keyframe_cannot_agree() -> None:
+    with pytest.raises(ValueError, match="consistent is 0"):
+        Service([]).closer(consistent=0)
+
+
+def test_headings_are_those_of_the_way() -> None:
+    square = [Keyframe(0, 0, 0), Keyframe(1, 0, 1), Keyframe(2, 1, 1), Keyframe(3, 1, 1), Keyframe(4, 2, 1, 45)]
+
+    assert [one.heading for one in with_headings(square)] == [0, 90, 90, 90, 45]
+
+
+def edges(text: str) -> list[tuple[int, int, list[float]]]:
+    lines = [line.split() for line in text.splitlines() if line.startswith("EDGE_SE2")]
+    return [(int(line[1]), int(line[2]), [float(word) for word in line[3:]]) for line in lines]
+
+
+def vertices(text: str) -> dict[int, tuple[float, float, float]]:
+    lines = [line.split() for line in text.splitlines() if line.startswith("VERTEX_SE2")]
+    return {int(line[1]): (float(line[2]), float(line[3]), float(line[4])) for line in lines}
+
+
+def test_a_pose_graph_has_odometry_and_loops() -> None:
+    walk = [Keyframe(3, 0, 0, 0), Keyframe(5, 0, 2, 90), Keyframe(9, 2, 2, 90)]
+
+    text = g2o(walk, [Loop(9, 3, 0.99, 2.0)])
+
+    assert vertices(text) == {
+        3: (0, 0, pytest.approx(math.pi / 2, abs=1e-6)),  # north is a quarter turn from x
+        5: (0, 2, 0),
+        9: (2, 2, 0),
+    }
+    assert {line.split()[0] for line in text.splitlines()} == {"VERTEX_SE2", "EDGE_SE2"}
+    first, second, loop = edges(text)
+    assert first[:2] == (3, 5)
+    assert first[2][:3] == pytest.approx([2, 0, -math.pi / 2], abs=1e-6)  # two metres ahead, then to the right
+    assert first[2][3:] == pytest.approx([100, 0, 0, 100, 0, 1 / math.radians(2) ** 2], rel=1e-4)
+    assert (second[0], second[1]) == (5, 9)
+    # The radius is the root mean square of x and y together: 2 metres, of which each has the half, squared.
+    assert loop[:2] == (3, 9)
+    assert loop[2] == pytest.approx([0, 0, 0, 0.5, 0, 0, 0.5, 0, 1 / math.radians(20) ** 2], rel=1e-4)
+
+
+def test_yaw_and_heading_are_the_same_thing_the_other_way_round() -> None:
+    text = g2o([Keyframe.of_pose(0, 1, 2, 0.75), Keyframe.of_pose(1, 1, 2, -3)], [])
+
+    assert [pose[2] for pose in vertices(text).values()] == pytest.approx([0.75, -3], abs=1e-6)
+    assert edges(text)[0][2][3] == 1e4  # standing still is known to a centimetre
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.one_of(st.none(), st.floats(0, 359))),
+        min_size=2,
+        max_size=12,
+    )
+)
+def test_the_steps_lead_from_the_first_pose_to_all_others(poses: list[tuple[float, float, float | None]]) -> None:
+    text = g2o([Keyframe(number, *pose) for number, pose in enumerate(poses)], [])
+
+    expected = vertices(text)
+    x, y, yaw = expected[0]
+    for _, to, (dx, dy, dyaw, *information) in edges(text):
+        x, y = x + math.cos(yaw) * dx - math.sin(yaw) * dy, y + math.sin(yaw) * dx + math.cos(yaw) * dy
+        yaw += dyaw
+        assert (x, y) == pytest.approx(expected[to][:2], abs=0.1)
+        upper = np.zeros((3, 3))
+        upper[np.triu_indices(3)] = information
+        assert np.all(np.linalg.eigvalsh(upper + np.triu(upper, 1).T) > 0)
+
+
+def test_the_table_names_its_columns() -> None:
+    assert csv([Loop(9, 3, 0.5, 2.0)]) == "keyframe,earlier,confidence,radius_m\n9,3,0.5,2.0\n"
