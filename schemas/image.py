@@ -20,7 +20,7 @@ class Image:
     digest : str
         SHA-256 (hex) of the encoded bytes; seeds the sampling of its descriptors.
     format : str
-        ``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
+        ``jpeg``, ``png``, ``webp``, ``bmp``, ``tiff`` or ``heic``.
     byte_count : int
         Length of the encoded bytes.
     """

@@ -85,7 +85,7 @@ class SnapshotView(Line):
     width: int = Field(ge=1, le=2**31 - 1)
     height: int = Field(ge=1, le=2**31 - 1)
     byte_count: int = Field(ge=1, le=2**62)
-    format: Literal["png", "jpeg", "webp", "bmp", "tiff"]
+    format: Literal["png", "jpeg", "webp", "bmp", "tiff", "heic"]
     state: Literal["pending", "ready", "failed"]
     failure_code: str | None
     failure_detail: str | None

@@ -50,7 +50,7 @@ class ImageFacts(Answer):
     width: int
     height: int
     bytes: int
-    format: Literal["jpeg", "png", "webp", "bmp", "tiff"]
+    format: Literal["jpeg", "png", "webp", "bmp", "tiff", "heic"]
     sha256: str
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from app.cli.console import wrong_use
 
-SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"))
+SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
 
 Known = dict[str, Any]
 """Arguments of `Revisit.enroll` for one image."""
@@ -62,8 +62,6 @@ def _not_taken(path: Path) -> str | None:
     kind = path.suffix.lower()
     if kind in SUFFIXES:
         return None
-    if kind in (".heic", ".heif"):
-        return "HEIC is not read: convert it to JPEG, or let the phone save the most compatible format"
     return f"{kind or 'a name without an ending'} is no ending of an image"
 
 
@@ -108,6 +106,8 @@ def from_exif(path: Path) -> Known:
     """Position, heading and time of an image's EXIF; empty without them."""
     from PIL import ExifTags, UnidentifiedImageError
     from PIL import Image as PilImage
+
+    import worker.images.heic  # noqa: F401 (Pillow reads HEIC then)
 
     try:
         with PilImage.open(path) as pil_image:

@@ -188,7 +188,7 @@ PROBLEM_DETAILS: dict[str, str] = {
     "request-timeout": "the body did not arrive within 30 s; 4,096 bytes of it did",
     "conflict": "these bytes are in the map already with the place 'hall'; PATCH the view to change its attributes",
     "body-too-large": "the body has 31,457,280 bytes; at most 25,000,000 are taken",
-    "not-a-picture": "this seems to be a PDF; send an image as jpeg, png, webp, bmp or tiff",
+    "not-a-picture": "this seems to be a PDF; send an image as jpeg, png, webp, bmp, tiff or heic",
     "invalid-parameter": "top: Input should be less than or equal to 100 (got '500')",
     "undecodable-picture": "this jpeg image cannot be decoded: it ends before the image does",
     "picture-too-large": "the image is 12000 x 9000 = 108.0 megapixels; at most 50 are taken",

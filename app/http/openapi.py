@@ -17,7 +17,16 @@ from schemas.wire import Problem
 Json = dict[str, Any]
 
 _REF = "#/components/schemas/"
-_IMAGE_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff", "application/octet-stream")
+_IMAGE_TYPES = (
+    "image/jpeg",
+    "image/png",
+    "image/webp",
+    "image/bmp",
+    "image/tiff",
+    "image/heic",
+    "image/heif",
+    "application/octet-stream",
+)
 _EVERYWHERE = ("bad-request", "request-timeout", "invalid-parameter", "headers-too-large", "internal")
 _SCHEMES = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A key from `./revisit keys create`."},

@@ -12,7 +12,7 @@ from revisit_client import wire
 Time = datetime | str
 
 Image = bytes | str | os.PathLike[str]
-"""The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF), or its path."""
+"""The bytes of an image file (JPEG, PNG, WebP, BMP, TIFF, HEIC), or its path."""
 
 
 def named(image: Image) -> tuple[str | None, bytes]:

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from PIL import Image as PilImage
 
 from lab.faults.formats import arithmetic_jpegs, interlaced_png, run_length_bmp, tiled_tiff
+from lab.faults.heics import heics
 from schemas.errors import BadImage, BodyTooLarge
 from worker.images import png
 from worker.images.apart.pool import DecoderPool
@@ -64,6 +65,7 @@ def sound() -> dict[str, bytes]:
         "png-16": _saved(grey16, "PNG"),
         "tiff-16": _saved(grey16, "TIFF"),
         "bmp-rle": run_length_bmp(),
+        **{f"heic-{name}": data for name, data in heics().items()},
     }
     for mode in ("L", "CMYK"):
         made[f"jpeg-{mode}"] = _saved(rgb.convert(mode), "JPEG")

@@ -10,6 +10,7 @@ from PIL.TiffImagePlugin import IFDRational
 from app.cli import images
 from app.cli.__main__ import main
 from app.cli.console import Failure
+from lab.faults.heics import heics
 from tests import answers
 from tests.cli.fake_service import FakeService
 
@@ -82,8 +83,18 @@ def test_a_service_that_is_gone_stops_it_and_says_how_to_go_on(folder: Path, cap
     assert "run the same command again" in capsys.readouterr().err
 
 
+def test_photos_of_phones_are_sent_as_they_are(service: FakeService, folder: Path, capsys: Out) -> None:
+    (folder / "IMG_1.HEIC").write_bytes(heics()["plain"])
+    service.replies["POST /enroll"] = 201, answers.enrolled()
+
+    assert main(["enroll", str(folder)]) == 0
+
+    assert capsys.readouterr().out.startswith("4 enrolled, ")
+    assert any(heics()["plain"] in body for _, body in service.requests)
+
+
 def test_what_is_skipped_is_named_with_its_reason(service: FakeService, folder: Path, capsys: Out) -> None:
-    (folder / "IMG_1.HEIC").write_bytes(b"....ftypheic")
+    (folder / "clip.gif").write_bytes(b"GIF89a")
     (folder / "gone.png").symlink_to(folder / "nowhere.png")
     service.replies["POST /enroll"] = 201, answers.enrolled()
 
@@ -92,7 +103,7 @@ def test_what_is_skipped_is_named_with_its_reason(service: FakeService, folder: 
     told = capsys.readouterr()
     assert told.out == "3 enrolled, 0 already there, 0 failed, 3 skipped\n"
     assert f"skipped {folder / 'notes.txt'}: .txt is no ending of an image" in told.err
-    assert f"skipped {folder / 'IMG_1.HEIC'}: HEIC is not read: convert it to JPEG" in told.err
+    assert f"skipped {folder / 'clip.gif'}: .gif is no ending of an image" in told.err
     assert f"skipped {folder / 'gone.png'}: the link leads nowhere" in told.err
     assert main(["enroll", str(folder), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["skipped"]) == 3

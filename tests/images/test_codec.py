@@ -201,7 +201,7 @@ UNKNOWN_PLACES = {
     "a GIF that moves": gif(3),
     "a PDF": b"%PDF-1.7\n" + b"0" * 200,
     "an SVG drawing": b'<?xml version="1.0"?>\n<svg xmlns="http://www.w3.org/2000/svg"/>',
-    "an HEIC image": iso(b"heic"),
+    "a sequence of HEIC images": iso(b"hevc"),
     "an AVIF image": iso(b"avif"),
     "an MP4 or similar film": iso(b"isom"),
     "a JPEG 2000 image": b"\x00\x00\x00\x0cjP  \r\n\x87\n" + b"\x00" * 100,

@@ -3,14 +3,17 @@
 import io
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from PIL import Image as PilImage
 
 from app.http.application import create_app
+from lab.faults.heics import heics
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.running import RunningService
 from worker.images import stripping
 from worker.runtime import build
 
@@ -50,3 +53,19 @@ def test_an_image_that_another_copy_would_change_is_given_as_png(
         served = client.get(f"/views/{sent.json()['view']['id']}/image")
     assert served.headers["content-type"] == "image/png"
     assert np.array_equal(np.asarray(PilImage.open(io.BytesIO(served.content))), np.asarray(pixels))
+
+
+def test_of_a_photo_in_heic_a_jpeg_is_given_back(tmp_path: Path) -> None:
+    with RunningService(tmp_path) as service, httpx.Client(base_url=service.url, timeout=60) as client:
+        for name, data in heics().items():
+            sent = client.post(f"/enroll?place={name}", content=data, headers={"content-type": "image/heic"})
+            assert sent.status_code == 201, sent.text
+            assert sent.json()["view"]["image"]["format"] == "heic"
+        answer = client.post("/query", files={"image": ("IMG_1.HEIC", heics()["turned"])}).json()
+        view = answer["matches"][0]["view"]
+        shown = client.get(view["links"]["image"])
+
+    assert view["place"] == "turned"
+    assert shown.headers["content-type"] == "image/jpeg"
+    with PilImage.open(io.BytesIO(shown.content)) as jpeg:
+        assert (jpeg.size, dict(jpeg.getexif())) == ((64, 96), {})

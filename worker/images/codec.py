@@ -66,7 +66,8 @@ def decode(data: bytes, limits: Limits) -> Image:
     """Decode an image: upright, RGB, eight bits.
 
     Orientation follows EXIF. Grey is repeated, alpha is laid over white, sixteen bits keep their upper eight, CMYK is
-    converted without a profile, and of several pages or frames in JPEG, PNG and TIFF the first is taken.
+    converted without a profile, and of several pages or frames in JPEG, PNG and TIFF the first is taken, in HEIC
+    the primary one.
 
     Raises
     ------
@@ -105,7 +106,7 @@ def facts(image: Image) -> ImageFacts:
 
 
 def orientation(data: bytes) -> int:
-    """The orientation by which `decode` turns an image, 1 to 8; 1 for TIFF, whose field Pillow follows by itself."""
+    """The orientation by which `decode` turns an image, 1 to 8; 1 for TIFF and HEIC, which Pillow turns by itself."""
     with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
         return _orientation(pil_image, data)
 
@@ -140,7 +141,7 @@ def shrink(image: Image, longest: int = 640) -> Image:
     return replace(image, pixels=np.asarray(pixels, np.uint8))
 
 
-_FORMATS = [name.upper() for name in ACCEPTED]
+_FORMATS = ["HEIF" if name == "heic" else name.upper() for name in ACCEPTED]
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ def _tile(pil_image: PilImage.Image) -> tuple[int, int]:
 
 def _orientation(pil_image: PilImage.Image, data: bytes) -> int:
     """EXIF orientation, 1 to 8; 1 when it is missing or unreadable. Decodes no pixels."""
-    if pil_image.format == "TIFF":
+    if pil_image.format in ("TIFF", "HEIF"):
         return 1  # Pillow applies it by itself
     try:
         if pil_image.format == "PNG":

@@ -1,8 +1,9 @@
 """The type of a file by its first bytes; the name and content type of an upload are not trusted."""
 
 from schemas.errors import BadImage
+from worker.images.heic import is_heic
 
-ACCEPTED = ("jpeg", "png", "webp", "bmp", "tiff")
+ACCEPTED = ("jpeg", "png", "webp", "bmp", "tiff", "heic")
 
 # Only files that begin with one of these are passed to a decoder.
 _IMAGES = (
@@ -42,12 +43,8 @@ _OTHERS = (
 
 # Brands of ISO base media files.
 _BRANDS = {
-    b"heic": "an HEIC image",
-    b"heix": "an HEIC image",
-    b"heim": "an HEIC image",
-    b"heis": "an HEIC image",
-    b"hevc": "an HEIC image",
-    b"hevx": "an HEIC image",
+    b"hevc": "a sequence of HEIC images",
+    b"hevx": "a sequence of HEIC images",
     b"mif1": "an HEIF image",
     b"msf1": "an HEIF image",
     b"avif": "an AVIF image",
@@ -58,7 +55,7 @@ _BRANDS = {
 
 
 def image_type(data: bytes) -> str:
-    """The type of an image: ``jpeg``, ``png``, ``webp``, ``bmp`` or ``tiff``.
+    """The type of an image: ``jpeg``, ``png``, ``webp``, ``bmp``, ``tiff`` or ``heic``.
 
     Raises
     ------
@@ -70,6 +67,8 @@ def image_type(data: bytes) -> str:
             return name
     if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
         return "webp"
+    if is_heic(data):
+        return "heic"
     raise BadImage(
         "not-a-picture",
         f"this seems to be {_guess(data)}; send an image as {', '.join(ACCEPTED[:-1])} or {ACCEPTED[-1]}",

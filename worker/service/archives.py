@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 from schemas.errors import BadBody, BodyTooLarge
 
-SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff"))
+SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
 MANIFESTS = ("manifest.csv", "manifest.tsv", "manifest.ndjson", "manifest.jsonl")
 
 MOST_FILES = 50_000

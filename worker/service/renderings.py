@@ -67,9 +67,11 @@ class RenderingService:
         """The enrolled image without metadata, and its media type; raises NotFound.
 
         The pixels are those that were enrolled; an image without metadata is the enrolled bytes. One whose structure
-        cannot be followed is given as PNG.
+        cannot be followed is given as PNG, and HEIC, which few browsers show, as JPEG.
         """
         record, data = self._views.get(view_id), self._views.image(view_id)
+        if record.image.format == "heic":
+            return self._thumbnail(data, max(record.image.width, record.image.height)), "image/jpeg"
         with suppress(ValueError, BadImage):
             stripped = stripping.strip(data, record.image.format)
             # Decoders guess where a damaged TIFF or BMP has its pixels; rewritten it could have others.

@@ -25,7 +25,7 @@ _CHECKSUM = _PLACES["checksum"]
 
 VIEW_STATES = ("pending", "ready", "failed")
 
-FORMATS = ("png", "jpeg", "webp", "bmp", "tiff")
+FORMATS = ("png", "jpeg", "webp", "bmp", "tiff", "heic")
 
 COORDINATES = ("x", "y", "z", "lat", "lon", "alt", "heading")
 

@@ -35,7 +35,7 @@ def _responses(*types: str, description: str, drawn: bool = False) -> dict[int |
     responses=_responses(
         *_TYPES,
         description="The enrolled image: its pixels, orientation and colour profile, without EXIF, position, comments "
-        "and whatever lies behind it. One that has none of these comes byte for byte.",
+        "and whatever lies behind it. One that has none of these comes byte for byte. HEIC comes as JPEG, upright.",
     ),
 )
 async def image(view_id: ViewId, request: Request, curator: Curates) -> Response:

@@ -20,6 +20,7 @@ from PIL import Image as PilImage
 from schemas.errors import RevisitError
 from worker.images import codec
 from worker.images.apart.protocol import READY, THUMBNAIL, Request, mapped, send_reply
+from worker.images.heic import SMALLEST
 
 FIXED_MEMORY = 512 * codec.MEGA
 """Memory that decoding may take beyond `PIXEL_MEMORY` for each pixel, in bytes."""
@@ -89,6 +90,7 @@ def _warm_up(limits: codec.Limits) -> None:
             PilImage.fromarray(pixels).convert(mode).save(out, form)
             codec.decode(out.getvalue(), limits)
             codec.thumbnail(out.getvalue(), 16)
+    codec.decode(SMALLEST, limits)
 
 
 def _restrict(max_pixels: int) -> None:
