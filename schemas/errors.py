@@ -137,6 +137,12 @@ class NotFound(RevisitError):
         super().__init__(f"there is no {kind} {echoed(name)!r}" + (f"; {hint}" if hint else ""))
 
 
+class NoPose(RevisitError):
+    """Nothing is sure, or views of the place have no geographic position."""
+
+    code = "no-pose"
+
+
 class Conflict(RevisitError):
     """The request contradicts stored data or a running job."""
 

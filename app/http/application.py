@@ -23,6 +23,7 @@ from app.http.routes import (
     images,
     imports,
     jobs,
+    localize,
     map_health,
     maps,
     places,
@@ -92,7 +93,8 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
-    for group in (views, images, maps, imports, map_health, unknown, places, jobs, snapshots, health, console):
+    of_maps = (views, images, maps, imports, map_health, unknown, places, jobs, snapshots)
+    for group in (localize, *of_maps, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)

@@ -104,7 +104,7 @@ def takes_images(model: type[Parameters], *, several: bool, headers: list[Json] 
 
     Each parameter may be a part or stand in the URL; FastAPI can document only one of the two.
     """
-    single: Json = {"type": "string", "format": "binary", "description": "JPEG, PNG, WebP, BMP or TIFF."}
+    single: Json = {"type": "string", "format": "binary", "description": "JPEG, PNG, WebP, BMP, TIFF or HEIC."}
     image: Json = {"type": "array", "items": single, "minItems": 1} if several else single
     fields = _fields(model)
     in_url = [{"name": name, "in": "query", "schema": schema} for name, schema in fields.items()]

@@ -208,6 +208,15 @@ class QueryParameters(FilterParameters):
     )
 
 
+class LocalizeParameters(Parameters):
+    """Parameters of `POST /localize/geopose`."""
+
+    map: MapName = "default"
+    precision: float | None = Field(
+        None, ge=0.5, le=0.999, description="Share of poses that must be of the right place. Default: the map's."
+    )
+
+
 class ListViews(FilterParameters):
     """Parameters of `GET /views`."""
 

@@ -58,6 +58,9 @@ KINDS: Mapping[str, Kind] = {
     "unauthorized": Kind(401, "A key is needed", "Send a valid key."),
     "forbidden": Kind(403, "The key does not allow this", "Use a key with the needed scope and map."),
     "not-found": Kind(404, "There is no such thing", "Check the id or name; `GET /maps` and `GET /views` list them."),
+    "no-pose": Kind(
+        404, "The image gives no geographic pose", "Follow `detail`; without the Accept header the answer says more."
+    ),
     "method-not-allowed": Kind(405, "The address does not answer this method", "Use a method that `Allow` names."),
     "request-timeout": Kind(408, "The request did not arrive in time", "Send it again, over a faster connection."),
     "conflict": Kind(
@@ -65,7 +68,9 @@ KINDS: Mapping[str, Kind] = {
     ),
     "body-too-large": Kind(413, "The body is too large", "Send fewer or smaller images; JPEG is compact."),
     "not-a-picture": Kind(
-        415, "This is not an image of an accepted type", "Send JPEG, PNG, WebP, BMP or TIFF with its content type."
+        415,
+        "This is not an image of an accepted type",
+        "Send JPEG, PNG, WebP, BMP, TIFF or HEIC with its content type.",
     ),
     "invalid-parameter": Kind(422, "Parameters cannot be used", "Correct each parameter that `errors` lists."),
     "undecodable-picture": Kind(

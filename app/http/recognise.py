@@ -106,6 +106,7 @@ class Recogniser:
         explain: bool,
         drive: str | None,
         drive_timeout_s: float,
+        keep: bool = True,
     ) -> wire.QueryAnswer:
         """Rank the views of a map that may show the place of an image; raises as `QueryService.query`."""
         query = partial(
@@ -119,6 +120,7 @@ class Recogniser:
             explain=explain,
             drive=drive,
             drive_timeout_s=drive_timeout_s,
+            keep=keep,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
         return presenters.query_answer(map_name, result)

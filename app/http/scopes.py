@@ -16,6 +16,7 @@ OF_ALL_MAPS = frozenset({"/metrics"})
 
 READ: tuple[tuple[str, str], ...] = (
     ("POST", "/query"),
+    ("POST", "/localize/geopose"),
     ("GET", "/views"),
     ("GET", "/views/{view_id}"),
     ("GET", "/views/{view_id}/image"),

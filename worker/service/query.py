@@ -161,6 +161,7 @@ class QueryService:
         explain: bool = False,
         drive: str | None = None,
         drive_timeout_s: float = DRIVE_TIMEOUT_S,
+        keep: bool = True,
     ) -> QueryResult:
         """Which views of a map show the place of an image.
 
@@ -182,6 +183,8 @@ class QueryService:
             Name of the drive that the image is the next one of.
         drive_timeout_s : float
             The drive begins anew when its last image is older.
+        keep : bool
+            Whether the image may be kept among the map's unknown places.
 
         Raises
         ------
@@ -210,7 +213,8 @@ class QueryService:
             decision = blame_image(decision, self._problem(image, described.value))
         query_id = str(uuid7())
         whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
-        if results.keep_queries and whole and decision.status == "no_match" and decision.reason.code != "poor-picture":
+        unknown = whole and decision.status == "no_match" and decision.reason.code != "poor-picture"
+        if keep and results.keep_queries and unknown:
             self._keep_unknown(map_name, query_id, results.recipe.description, described.value, data)
         differs: tuple[Region, ...] = ()
         if explain:

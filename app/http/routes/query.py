@@ -1,11 +1,14 @@
 """`POST /query`: recognise the place of an image."""
 
+import json
+
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from app.http.body import IMAGE_PART, take
 from app.http.dependencies import Measures, Recognises
 from app.http.examples import QUERY_ANSWER
+from app.http.geopose import OGC, basic_ypr, wants_geopose
 from app.http.keys import Accesses, check_map
 from app.http.openapi import refusals, takes_images
 from app.http.parameters import QueryParameters
@@ -22,11 +25,12 @@ router = APIRouter(tags=["enrol and query"])
     response_model=QueryAnswer,
     openapi_extra=takes_images(QueryParameters, several=False),
     responses={
-        200: {"content": {"application/json": {"example": QUERY_ANSWER}}},
+        200: {"content": {"application/json": {"example": QUERY_ANSWER}, OGC: {"schema": {"type": "object"}}}},
         **refusals(
             "no-picture",
             "malformed-body",
             "not-found",
+            "no-pose",
             "body-too-large",
             "not-a-picture",
             "undecodable-picture",
@@ -38,7 +42,10 @@ router = APIRouter(tags=["enrol and query"])
     },
 )
 async def query(request: Request, recogniser: Recognises, metrics: Measures, access: Accesses) -> Response:
-    """Which views of a map show the place of this image?"""
+    """Which views of a map show the place of this image?
+
+    With `Accept: application/geopose+json` the answer is the pose of these views, as OGC GeoPose 1.0 (Basic-YPR).
+    """
     sent = await take(request)
     charge_images(request, len(sent.images))
     errors = list(sent.errors)
@@ -59,4 +66,6 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures, acc
     )
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
+    if wants_geopose(request.headers.get("accept", "")):
+        return Response(json.dumps(basic_ypr(answer)), media_type=OGC)
     return Response(answer.model_dump_json(), media_type="application/json")

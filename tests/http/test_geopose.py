@@ -1,0 +1,190 @@
+"""Poses on the globe: the arithmetic, and the two protocols over HTTP."""
+
+import base64
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.http import geopose
+from schemas.errors import InvalidParameters, NoPose
+from schemas.wire import QueryAnswer
+from tests import answers
+from tests.http.fakes import FakeRecogniser
+from tests.openapi import CheckedClient
+from tests.sample_images import photo
+
+OSCP = {"accept": geopose.OSCP_VERSION}
+
+
+def answer(status: str = "matched", *, heading: float | None = 60.0, radius: float | None = 3.5) -> QueryAnswer:
+    """An answer whose place lies on the globe."""
+    at = {"x": None, "y": None, "z": None, "lat": 50.0, "lon": 14.0, "alt": None, "heading": heading}
+    estimate: dict[str, Any] = {"position": at | {"heading": None}, "radius_m": radius, "views": []}
+    return QueryAnswer.model_validate(
+        answers.query_answer(answers.match(position=at), status=status) | {"estimate": estimate}
+    )
+
+
+@pytest.mark.parametrize(("heading", "yaw"), [(0, 90), (90, 0), (180, -90), (270, 180), (30, 60), (359, 91)])
+def test_yaw_is_counted_from_east_the_other_way_round(heading: float, yaw: float) -> None:
+    assert geopose.yaw_of(heading) == yaw
+
+
+@given(st.floats(0, 359.999))
+def test_a_quaternion_turns_east_to_where_the_camera_looks(heading: float) -> None:
+    q = geopose.quaternion_of(geopose.yaw_of(heading))
+    # The first column of the rotation's matrix: where the axis that pointed east points now.
+    east, north = 1 - 2 * q["z"] ** 2, 2 * q["w"] * q["z"]
+    assert -180 < geopose.yaw_of(heading) <= 180
+    assert (east, north) == pytest.approx((math.sin(math.radians(heading)), math.cos(math.radians(heading))), abs=1e-9)
+
+
+def test_a_sure_answer_is_a_pose() -> None:
+    assert geopose.basic_ypr(answer()) == {
+        "position": {"lat": 50.0, "lon": 14.0, "h": 0.0},
+        "angles": {"yaw": 30.0, "pitch": 0.0, "roll": 0.0},
+        "accuracy": {"position": 3.5, "orientation": 20.0},
+        "confidence": 0.93,
+    }
+
+
+def test_what_is_not_known_is_not_claimed() -> None:
+    assert geopose.basic_ypr(answer(heading=None, radius=None))["accuracy"] == {"position": None, "orientation": 180.0}
+
+
+@pytest.mark.parametrize("status", ["ambiguous", "no_match"])
+def test_nothing_sure_is_no_pose(status: str) -> None:
+    with pytest.raises(NoPose, match="do this"):
+        geopose.basic_ypr(answer(status))
+
+
+def test_metres_are_no_pose() -> None:
+    with pytest.raises(NoPose, match="lat and lon"):
+        geopose.basic_ypr(QueryAnswer.model_validate(answers.query_answer(answers.match())))
+
+
+@pytest.mark.parametrize(
+    ("accept", "wanted"),
+    [
+        ("", False),
+        ("*/*", False),
+        ("application/json", False),
+        ("application/geopose+json", True),
+        ("application/geopose+json, application/json;q=0.5", True),
+        ("application/geopose+json;q=0.5, application/json", False),
+        ("application/geopose+json;q=x", False),
+    ],
+)
+def test_who_asks_for_a_pose(accept: str, wanted: bool) -> None:
+    assert geopose.wants_geopose(accept) is wanted
+
+
+@pytest.mark.parametrize(
+    ("accept", "spoken"),
+    [
+        ("application/vnd.oscp+json;version=2.0", True),
+        ("application/vnd.oscp+json; version=2.0", True),
+        ("text/html, application/vnd.oscp+json;version=2.0;q=0.9", True),
+        ("application/vnd.oscp+json;version=1.0", False),
+        ("application/vnd.oscp+json", False),
+        ("*/*", False),
+    ],
+)
+def test_which_version_is_spoken(accept: str, spoken: bool) -> None:
+    assert geopose.speaks_oscp(accept) is spoken
+
+
+def request(**changes: Any) -> dict[str, Any]:
+    """A request as apps send it."""
+    camera = {
+        "timestamp": 1767225600000,
+        "sensorId": "0",
+        "privacy": {"dataRetention": [], "dataAcceptableUse": []},
+        "sequenceNumber": 0,
+        "imageFormat": "RGBA32",
+        "size": [64, 48],
+        "imageBytes": base64.b64encode(photo()).decode(),
+        "imageOrientation": {"mirrored": False, "rotation": 0},
+    }
+    return {
+        "id": "8f6e6e1e",
+        "timestamp": 1767225600000,
+        "type": "geopose",
+        "sensors": [{"id": "0", "type": "camera"}],
+        "sensorReadings": {"cameraReadings": [camera | changes.pop("camera", {})], **changes.pop("readings", {})},
+    } | changes
+
+
+PRIOR = {"id": "a", "geopose": {"position": {"lat": 50.1, "lon": 14.1, "h": 0}}, "accuracy": {"position": 60.0}}
+FIX = {"latitude": 50.2, "longitude": 14.2, "accuracy": 5.0, "altitude": 3}
+
+
+def test_the_last_prior_says_where_to_look() -> None:
+    read = geopose.GeoPoseRequest.model_validate
+
+    assert read(request()).near() is None
+    assert read(request(readings={"geolocationReadings": [FIX]})).near() == (50.2, 14.2, 100.0)
+    assert read(request(readings={"geolocationReadings": [FIX]}, priorPoses=[PRIOR])).near() == (50.1, 14.1, 180.0)
+
+
+@pytest.mark.parametrize("camera", [{"imageBytes": "no base64!"}, {"imageOrientation": {"rotation": 90}}])
+def test_an_image_that_cannot_be_read_is_refused(camera: dict[str, Any]) -> None:
+    with pytest.raises(InvalidParameters):
+        geopose.GeoPoseRequest.model_validate(request(camera=camera)).image()
+
+
+def test_a_request_is_a_query_whose_image_is_not_kept(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    client.post("/enroll?map=campus", content=photo(), headers={"content-type": "image/jpeg"})
+
+    sent = client.post("/localize/geopose?map=campus&precision=0.99", json=request(priorPoses=[PRIOR]), headers=OSCP)
+
+    assert sent.status_code == 404  # the fake's places have no lat and lon
+    assert set(sent.json()) == {"ERROR"}
+    assert sent.headers["content-type"] == geopose.OSCP_VERSION
+    assert (recogniser.given["map"], recogniser.given["precision"]) == ("campus", 0.99)
+    assert recogniser.given["keep"] is False
+    assert recogniser.given["filters"].near == (50.1, 14.1, 180.0)
+    assert recogniser.given["filters"].geographic is True
+
+
+def test_another_version_is_a_bad_request(client: CheckedClient) -> None:
+    for headers in ({"accept": "application/json"}, {"accept": "application/vnd.oscp+json;version=1.0"}):
+        answered = client.post("/localize/geopose", json=request(), headers=headers)
+        assert (answered.status_code, answered.json()["type"]) == (400, "urn:revisit:problem:bad-request")
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ({}, "id"),
+        ({"id": "a", "sensorReadings": {"cameraReadings": []}}, "sensorReadings.cameraReadings"),
+        (request(camera={"imageBytes": "%"}), "sensorReadings.cameraReadings.0.imageBytes"),
+        (request(priorPoses=[{"geopose": {"position": {"lat": 99, "lon": 0}}}]), "priorPoses.0.geopose.position.lat"),
+    ],
+)
+def test_what_is_wrong_with_a_request_is_named(client: CheckedClient, body: dict[str, Any], named: str) -> None:
+    refused = client.post("/localize/geopose", json=body, headers=OSCP)
+
+    assert refused.status_code == 422
+    assert named in [one["parameter"] for one in refused.json()["errors"]]
+
+
+def test_what_is_no_image_is_refused_as_everywhere(client: CheckedClient) -> None:
+    text = base64.b64encode(b"%PDF-1.7").decode()
+
+    refused = client.post("/localize/geopose", json=request(camera={"imageBytes": text}), headers=OSCP)
+
+    assert (refused.status_code, refused.json()["type"]) == (415, "urn:revisit:problem:not-a-picture")
+
+
+def test_a_query_without_a_pose_says_why(client: CheckedClient) -> None:
+    headers = {"accept": "application/geopose+json", "content-type": "image/jpeg"}
+
+    client.post("/enroll", content=photo(), headers=headers)
+
+    refused = client.post("/query", content=photo(), headers=headers)
+
+    assert (refused.status_code, refused.json()["type"]) == (404, "urn:revisit:problem:no-pose")
