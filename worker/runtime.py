@@ -228,6 +228,7 @@ def build(
                 enrolment=store.enrolment,
                 settlements=settlements,
                 decode=decoder.decode_patiently,
+                taken=decoder.taken,
                 limits=Limits.of(settings),
                 wake=lambda: loop.wake() if loop is not None else None,
             )

@@ -118,6 +118,8 @@ def _told(work: "Sequence[Work]", left_out: list[dict[str, str]], arguments: arg
 
 def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> "list[Work]":
     """Each image with its attributes: the CSV wins over EXIF, both over the options for all images."""
+    from worker.images.exif import taken
+
     positions = None if arguments.positions is None else images.Positions(arguments.positions)
     work, unlisted = [], 0
     if (arguments.x is None) != (arguments.y is None):
@@ -130,7 +132,7 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
         if arguments.place_from_folder:
             known["place"] = path.resolve().parent.name
         if arguments.exif:
-            seen = images.from_exif(path)
+            seen = taken(path)
             known = {name: value for name, value in known.items() if name not in ("x", "y") or "lat" not in seen} | seen
         if positions is not None:
             listed = positions.of(path)

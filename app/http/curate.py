@@ -255,7 +255,7 @@ class Curator:
         return presenters.job(await asyncio.to_thread(self._maps.train_vocabulary, name))
 
     async def import_recording(
-        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None]
+        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None], *, exif: bool
     ) -> wire.Job:
         """Receive a recording and queue its import.
 
@@ -268,6 +268,8 @@ class Curator:
             Bytes that will come; 0: unknown.
         charge : function
             Called with the number of its images, once they are known.
+        exif : bool
+            Whether EXIF is read where the manifest says nothing.
 
         Raises
         ------
@@ -284,7 +286,7 @@ class Curator:
                     pieces.clear()
             await asyncio.to_thread(upload.write, bytes(pieces))
             charge(await asyncio.to_thread(self._imports.check, upload))
-            return presenters.job(await asyncio.to_thread(self._imports.accept, upload, name))
+            return presenters.job(await asyncio.to_thread(partial(self._imports.accept, upload, name, exif=exif)))
         finally:
             await asyncio.to_thread(upload.discard)  # does nothing to one that was accepted
 

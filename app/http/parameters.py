@@ -208,6 +208,14 @@ class QueryParameters(FilterParameters):
     )
 
 
+class ImportParameters(Parameters):
+    """Parameters of `POST /maps/{map}/imports`."""
+
+    exif: bool = Field(
+        True, description="Take place and time of an image from its EXIF where the manifest says nothing of them."
+    )
+
+
 class LocalizeParameters(Parameters):
     """Parameters of `POST /localize/geopose`."""
 

@@ -32,6 +32,7 @@ class JobCalls:
         *,
         map: str,
         manifest: str | os.PathLike[str] | None = None,
+        exif: bool = True,
     ) -> wire.Job:
         """Send a recording, whose images are then enrolled by the job that is returned; see `wait_for_job`.
 
@@ -46,6 +47,8 @@ class JobCalls:
             Made when there is none.
         manifest : path or None
             Sent as the manifest of a folder that holds none.
+        exif : bool
+            Take place and time from the images where the manifest says nothing of them.
         """
         body: bytes | Iterator[bytes]
         headers = {"content-type": "application/zip"}
@@ -64,6 +67,7 @@ class JobCalls:
             wire.Job,
             "POST",
             f"/maps/{map}/imports",
+            params=None if exif else {"exif": "false"},
             content=body,
             headers=headers,
             repeat=False,

@@ -13,6 +13,7 @@ from app.cli.console import Failure
 from lab.faults.heics import heics
 from tests import answers
 from tests.cli.fake_service import FakeService
+from worker.images.exif import taken
 
 Out = pytest.CaptureFixture[str]
 
@@ -200,7 +201,7 @@ def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
     gps[29], gps[7] = "2026:03:01", (IFDRational(9), IFDRational(30), IFDRational(0))
     PilImage.new("RGB", (40, 40)).save(path, exif=exif)
 
-    known = images.from_exif(path)
+    known = taken(path)
 
     assert known["lat"] == pytest.approx(-33.86)
     assert known["lon"] == pytest.approx(151.2)
@@ -209,5 +210,5 @@ def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
 
 
 def test_images_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
-    assert images.from_exif(folder / "b.png") == {}
-    assert images.from_exif(folder / "notes.txt") == {}
+    assert taken(folder / "b.png") == {}
+    assert taken(folder / "notes.txt") == {}

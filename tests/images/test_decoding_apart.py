@@ -1,5 +1,6 @@
 """Decoding apart: a picture that ends its decoder ends nothing else."""
 
+import io
 import os
 import signal
 import subprocess
@@ -8,9 +9,11 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from PIL import Image as PilImage
 
 from schemas.errors import BadImage, BodyTooLarge, Busy, Unavailable
 from tests.conftest import ROOT
@@ -19,6 +22,7 @@ from worker.images.apart import process as process_module
 from worker.images.apart.pool import DecoderPool
 from worker.images.apart.process import DecoderProcess
 from worker.images.codec import Limits, decode, thumbnail
+from worker.images.exif import taken
 
 LIMITS = Limits(max_bytes=5_000_000, max_pixels=1_000_000)
 
@@ -43,6 +47,34 @@ def test_an_image_is_the_same_decoded_apart(pool: DecoderPool, form: str) -> Non
     assert np.array_equal(here.pixels, apart.pixels)
     assert (here.digest, here.format, here.byte_count) == (apart.digest, apart.format, apart.byte_count)
     assert pool.thumbnail(data, 64) == thumbnail(data, 64)
+
+
+def test_what_exif_says_is_the_same_apart(pool: DecoderPool) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 30.0), 16: "T", 17: 361.0})
+    exif.get_ifd(0x8825).update({29: "2026:05:04", 7: (9.0, 30.0, 0.0)})
+    said = encoded(drawn(320, 240), "jpeg", exif=exif)
+
+    assert (
+        pool.taken(said)
+        == taken(io.BytesIO(said))
+        == {
+            "lat": pytest.approx(-27.4),
+            "lon": pytest.approx(153 + 30 / 3600),
+            "heading": 1,
+            "captured_at": datetime(2026, 5, 4, 9, 30, tzinfo=UTC),
+        }
+    )
+    for silent in (encoded(drawn(320, 240), "png"), b"", b"%PDF-1.7"):
+        assert pool.taken(silent) == {}
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [((95.0, 0.0, 0.0), (14.0, 0.0, 0.0)), ((0.0, 0.0, 0.0),) * 2])
+def test_a_position_that_is_none_is_left_out(latitude: tuple[float, ...], longitude: tuple[float, ...]) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "N", 2: latitude, 3: "E", 4: longitude})
+
+    assert taken(io.BytesIO(encoded(drawn(64, 48), "jpeg", exif=exif))) == {}
 
 
 def test_refusals_are_the_same_apart(pool: DecoderPool) -> None:

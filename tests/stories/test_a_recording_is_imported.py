@@ -11,7 +11,9 @@ from typing import Any
 
 import httpx
 import pytest
+from PIL import Image as PilImage
 
+from lab.faults.heics import heics
 from tests.sample_images import drawn, encoded, photo
 from tests.stories.running import RunningService
 
@@ -55,9 +57,9 @@ def client(service: RunningService) -> Iterator[httpx.Client]:
         yield one
 
 
-def sent(client: httpx.Client, name: str, files: Mapping[str, bytes | str]) -> dict[str, Any]:
+def sent(client: httpx.Client, name: str, files: Mapping[str, bytes | str], **params: str) -> dict[str, Any]:
     """The ended job of an import."""
-    answer = client.post(f"/maps/{name}/imports", content=zipped(files), headers=ZIP)
+    answer = client.post(f"/maps/{name}/imports", params=params, content=zipped(files), headers=ZIP)
     assert answer.status_code == 202, answer.text
     assert answer.headers["location"] == f"/jobs/{answer.json()['id']}"
     return ended(client, answer.json()["id"])
@@ -141,6 +143,28 @@ def test_an_import_is_cancelled_and_what_it_enrolled_stays(client: httpx.Client,
     assert views["pending"] == 0
     assert views["ready"] < 300
     assert sent(client, "after", photos(1))["state"] == "done"
+
+
+def test_where_the_manifest_is_silent_the_photo_says_where_it_was_taken(client: httpx.Client) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "N", 2: (50.0, 30.0, 0.0), 3: "E", 4: (14.0, 0.0, 0.0), 16: "T", 17: 90.0})
+    exif.get_ifd(0x8825).update({29: "2026:05:04", 7: (9.0, 30.0, 0.0)})
+    files = {f"{name}.jpg": encoded(drawn(64, 48, n), "jpeg", exif=exif) for n, name in enumerate("ab")}
+    files["c.heic"] = heics()["turned"]
+    told: dict[str, bytes | str] = {**files, "manifest.csv": "file,x,y,place\nb.jpg,1,2,hall\n"}
+
+    assert sent(client, "exif", told)["result"]["enrolled"] == 3
+    assert sent(client, "exif", told)["result"]["already_there"] == 3
+    assert sent(client, "silent", told, exif="false")["result"]["enrolled"] == 3
+
+    views = {view["filename"]: view for view in client.get("/views?map=exif").json()["views"]}
+    a, b, c = (views[name] for name in ("a.jpg", "b.jpg", "c.heic"))
+    assert (a["position"]["lat"], a["position"]["heading"]) == (50.5, 90)
+    assert a["captured_at"] == b["captured_at"] == "2026-05-04T09:30:00.000000Z"
+    assert (b["position"]["x"], b["position"]["lat"], b["position"]["heading"]) == (1, None, None)
+    assert c["position"]["lat"] == pytest.approx(50 + 5 / 60)
+    silent = {view["filename"]: view for view in client.get("/views?map=silent").json()["views"]}
+    assert (silent["a.jpg"]["position"], silent["a.jpg"]["captured_at"]) == (None, None)
 
 
 def jobs_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:

@@ -1,9 +1,11 @@
 """The port of everything that decodes clients' bytes, and the decoder without a process of its own."""
 
+import io
 from typing import Protocol
 
 from schemas.image import Image
-from worker.images import codec
+from worker.images import codec, exif
+from worker.images.exif import Known
 
 
 class Decoder(Protocol):
@@ -28,6 +30,10 @@ class Decoder(Protocol):
 
     def thumbnail(self, data: bytes, longest: int) -> bytes:
         """A JPEG without metadata, upright, its longer side at most `longest` pixels; raises as `decode`."""
+        ...
+
+    def taken(self, data: bytes) -> Known:
+        """As `exif.taken`; raises BadImage, BodyTooLarge, Unavailable."""
         ...
 
     def close(self) -> None:
@@ -60,6 +66,10 @@ class InProcessDecoder:
     def thumbnail(self, data: bytes, longest: int) -> bytes:
         """As `codec.thumbnail`."""
         return codec.thumbnail(data, longest)
+
+    def taken(self, data: bytes) -> Known:
+        """As `exif.taken`."""
+        return exif.taken(io.BytesIO(data))
 
     def close(self) -> None:
         """Nothing to release."""

@@ -4,9 +4,9 @@ import hashlib
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +15,7 @@ from uuid6 import uuid7
 from schemas.errors import LeaseLost, NotFound, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.recipe import MapRecipe
-from schemas.records import JobProgress, JobRecord, MapClaim, Submitted, ViewRecord
+from schemas.records import JobProgress, JobRecord, MapClaim, Position, Submitted, ViewAttributes, ViewRecord
 from worker.images.codec import facts
 from worker.service import steady
 from worker.service.import_ports import ImportEnrolment, ImportJobs, Upload, Uploads
@@ -82,15 +82,17 @@ class ImportService:
         with open_recording(upload.path, self._limits) as recording:
             return len(recording.items) + recording.failed
 
-    def accept(self, upload: Upload, name: str) -> JobRecord:
+    def accept(self, upload: Upload, name: str, *, exif: bool) -> JobRecord:
         """Queue the import of a checked recording into a map, which is made when there is none.
+
+        With `exif` images are enrolled with what their EXIF says where the manifest says nothing.
 
         Raises
         ------
         DiskFull, StorageFailed
         """
         job_id = str(uuid7())
-        self._uploads.keep(upload, job_id, {})
+        self._uploads.keep(upload, job_id, {"exif": exif})
         try:
             job = self._jobs.queue_import(job_id, name, self._default_recipe, datetime.now(UTC))
         except BaseException:
@@ -139,6 +141,8 @@ class Importer:
         Waits for views to be described.
     decode : function
         Bytes to Image; raises BadImage.
+    taken : function
+        Bytes to what their EXIF says, by the names of attributes; raises BadImage.
     limits : Limits
     wake : function
         Called when a description was queued.
@@ -152,11 +156,12 @@ class Importer:
         enrolment: ImportEnrolment,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
+        taken: Callable[[bytes], Mapping[str, Any]],
         limits: Limits,
         wake: Callable[[], None],
     ) -> None:
         self._uploads, self._jobs, self._enrolment, self._settlements = uploads, jobs, enrolment, settlements
-        self._decode, self._limits, self._wake = decode, limits, wake
+        self._decode, self._taken, self._limits, self._wake = decode, taken, limits, wake
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
         """Import a recording until `stopping()` is true; what is there already is skipped, an error fails the job.
@@ -167,14 +172,15 @@ class Importer:
             The job was put back, and is to be tried again.
         """
         try:
-            path, _ = self._uploads.find(claim.job_id)
+            path, wanted = self._uploads.find(claim.job_id)
             with open_recording(path, self._limits) as recording:
                 report = _Report(images=len(recording.items) + recording.failed, failed=recording.failed)
                 for note in recording.notes:
                     report.rows_without_file += note.problem == "no-file"
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
-                _Run(self, claim, stopping, report).all(recording.items)
+                exif = wanted.get("exif", False)
+                _Run(self, claim, stopping, report, exif=exif).all(recording.items)
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
         except _Stop:
             self._jobs.release_map_job(claim)
@@ -204,17 +210,18 @@ class Importer:
 
     # what a run of a job does with one image
 
-    def read(self, claim: MapClaim, item: Item) -> "tuple[bytes, ViewRecord | None, Image | None]":
-        """The bytes of an image, and its view in the map or else the decoded image; raises ValueError, RevisitError."""
+    def read(self, claim: MapClaim, item: Item, *, exif: bool) -> "_Read":
+        """An image, and its view in the map or else the decoded image; raises ValueError, RevisitError."""
         data = item.read()
-        view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), item.attributes)
-        return data, view, None if view is not None else self._decode(data)
+        attributes = completed(item.attributes, self._taken(data)) if exif else item.attributes
+        view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)
+        return _Read(data, attributes, view, None if view is not None else self._decode(data))
 
-    def submit(self, claim: MapClaim, item: Item, data: bytes, image: Image) -> Submitted:
+    def submit(self, claim: MapClaim, data: bytes, attributes: ViewAttributes, image: Image) -> Submitted:
         """Store an image durably and queue its description; raises Conflict, LeaseLost, DiskFull, StorageFailed."""
         try:
             submitted = self._enrolment.submit(
-                claim.map, data, facts(image), item.attributes, None, _now(), steady.reading_s(), background=True
+                claim.map, data, facts(image), attributes, None, _now(), steady.reading_s(), background=True
             )
         except NotFound as error:
             raise LeaseLost(error.detail) from None
@@ -244,8 +251,11 @@ class Importer:
 class _Run:
     """One run of a job: its images pass from being read over being stored to being described, in order."""
 
-    def __init__(self, importer: Importer, claim: MapClaim, stopping: Callable[[], bool], report: _Report) -> None:
+    def __init__(
+        self, importer: Importer, claim: MapClaim, stopping: Callable[[], bool], report: _Report, *, exif: bool
+    ) -> None:
         self._importer, self._claim, self._stopping, self._report = importer, claim, stopping, report
+        self._exif = exif
         self._began = importer.began(claim)
         self._seen: set[str] = set()
         self._describing: deque[tuple[str, str, bool]] = deque()  # file, view, whether this import enrolled it
@@ -268,7 +278,7 @@ class _Run:
     def _reading(self, items: list[Item], threads: ThreadPoolExecutor) -> "Iterator[tuple[Item, Future[Any]]]":
         ahead: deque[tuple[Item, Future[Any]]] = deque()
         for item in items:
-            ahead.append((item, threads.submit(self._importer.read, self._claim, item)))
+            ahead.append((item, threads.submit(self._importer.read, self._claim, item, exif=self._exif)))
             if len(ahead) >= DECODED_AHEAD:
                 yield ahead.popleft()
         yield from ahead
@@ -276,9 +286,10 @@ class _Run:
     def _import(self, item: Item, reading: "Future[Any]") -> None:
         self._tell()
         try:
-            data, view, image = reading.result()
+            read = reading.result()
+            view = read.view
             if view is None:
-                view = self._importer.submit(self._claim, item, data, image).view
+                view = self._importer.submit(self._claim, read.data, read.attributes, read.image).view
         except (*STORAGE_ERRORS, LeaseLost):
             raise
         except RevisitError as error:
@@ -322,6 +333,31 @@ class _Run:
         if time.monotonic() - self._told >= TOLD_EVERY_S:
             self._importer.report(self._claim, self._report)
             self._told = time.monotonic()
+
+
+@dataclass(frozen=True)
+class _Read:
+    """An image that was read, with its view in the map or else decoded."""
+
+    data: bytes
+    attributes: ViewAttributes
+    view: ViewRecord | None
+    image: Image | None
+
+
+def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttributes:
+    """Attributes with what is known besides: a position where none of it was given, and the time.
+
+    Parameters
+    ----------
+    attributes : ViewAttributes
+        Of a manifest, which wins.
+    known : mapping of our names to values
+        Of the image's EXIF.
+    """
+    place = {name: known[name] for name in ("lat", "lon", "alt", "heading") if name in known}
+    position = Position(**place) if attributes.position == Position() else attributes.position
+    return replace(attributes, position=position, captured_at=attributes.captured_at or known.get("captured_at"))
 
 
 def _now() -> datetime:

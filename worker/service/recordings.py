@@ -1,7 +1,7 @@
 """Recordings: the images of an upload with what is known of them, in the order in which they are enrolled."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -9,6 +9,7 @@ from typing import Self
 from schemas.errors import BadBody
 from schemas.records import ViewAttributes
 from schemas.settings import MEGA, Settings
+from schemas.values import file_name
 from worker.service.archives import MOST_MANIFEST_BYTES, Archive, Entry
 from worker.service.manifests import Manifest, attributes, read_manifest
 
@@ -138,4 +139,5 @@ def _add(recording: Recording, archive: Archive, entry: Entry, manifest: Manifes
                 recording.notes.append(Note(entry.name, "bad-row", str(error)))
                 recording.failed += 1
                 return
+    known = replace(known, filename=file_name(entry.name))
     recording.items.append(Item(entry.name, known, lambda: archive.read(entry, limits.image_bytes)))

@@ -1,19 +1,20 @@
 """`POST /maps/{map}/imports`: enrol the images of a recording."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from python_multipart.multipart import parse_options_header
 
-from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.dependencies import Curates, MapName
 from app.http.notes import note
 from app.http.openapi import refusals
+from app.http.parameters import ImportParameters
 from app.http.rate_limits import charge_images
 from schemas.errors import BadBody
 from schemas.wire import Job
 
-router = APIRouter(tags=["maps"], dependencies=[no_parameters])
+router = APIRouter(tags=["maps"])
 
 TYPES = ("application/zip", "application/x-zip-compressed", "application/octet-stream")
 
@@ -28,7 +29,9 @@ _ZIP = {"schema": {"type": "string", "format": "binary", "description": "A zip a
     openapi_extra={"requestBody": {"required": True, "content": dict.fromkeys(TYPES, _ZIP)}},
     responses={202: _STARTED, **refusals("malformed-body", "body-too-large", "disk-full")},
 )
-async def import_recording(name: MapName, request: Request, curator: Curates) -> Response:
+async def import_recording(
+    name: MapName, params: Annotated[ImportParameters, Query()], request: Request, curator: Curates
+) -> Response:
     """Enrol the images of a zip archive, with a manifest of what is known of them or without, as a job."""
     kind = parse_options_header(request.headers.get("content-type", ""))[0].decode("latin-1")
     if kind not in TYPES:
@@ -40,6 +43,7 @@ async def import_recording(name: MapName, request: Request, curator: Curates) ->
         request.stream(),
         int(announced) if announced.isdigit() else 0,
         lambda images: charge_images(request, images + 1),  # an upload is no image by itself
+        exif=params.exif,
     )
     note(job_ids=[job.id])
     return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})

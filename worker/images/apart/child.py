@@ -5,6 +5,7 @@ other end of the socket is closed, which the kernel does when the service dies, 
 that no codec can hold up.
 """
 
+import io
 import math
 import resource
 import signal
@@ -19,7 +20,8 @@ from PIL import Image as PilImage
 
 from schemas.errors import RevisitError
 from worker.images import codec
-from worker.images.apart.protocol import READY, THUMBNAIL, Request, mapped, send_reply
+from worker.images.apart.protocol import READY, TAKEN, THUMBNAIL, Request, mapped, send_reply
+from worker.images.exif import taken
 from worker.images.heic import SMALLEST
 
 FIXED_MEMORY = 512 * codec.MEGA
@@ -65,6 +67,10 @@ def _answer(request: Request, data: bytes, target: Any, limits: codec.Limits) ->
             small = codec.thumbnail(data, request.longest)
             target[: len(small)] = small
             return {"length": len(small)}
+        if request.kind == TAKEN:
+            known = taken(io.BytesIO(data))
+            moment = known.pop("captured_at", None)
+            return {"known": known, "captured_at": None if moment is None else moment.isoformat()}
         room = np.frombuffer(target, np.uint8)
         pixels, form = codec.decode_pixels(data, limits, room)
         if not np.may_share_memory(pixels, room):
@@ -81,8 +87,6 @@ def _answer(request: Request, data: bytes, target: Any, limits: codec.Limits) ->
 
 def _warm_up(limits: codec.Limits) -> None:
     """Import everything that decoding imports late, before opening files is forbidden."""
-    import io
-
     pixels = np.zeros((32, 32, 3), np.uint8)
     for form in _FORMATS:
         for mode in ("RGB", "L"):
@@ -91,6 +95,7 @@ def _warm_up(limits: codec.Limits) -> None:
             codec.decode(out.getvalue(), limits)
             codec.thumbnail(out.getvalue(), 16)
     codec.decode(SMALLEST, limits)
+    taken(io.BytesIO(SMALLEST))
 
 
 def _restrict(max_pixels: int) -> None:

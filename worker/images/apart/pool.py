@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from datetime import datetime
 from typing import TypeVar
 
 import numpy as np
@@ -15,9 +16,10 @@ from schemas.image import Image
 from schemas.settings import Settings
 from worker.images.apart.buffers import Buffers
 from worker.images.apart.process import DecoderProcess, Died, Hung
-from worker.images.apart.protocol import DECODE, THUMBNAIL
+from worker.images.apart.protocol import DECODE, TAKEN, THUMBNAIL
 from worker.images.codec import Limits, check_length
 from worker.images.decoder import Decoder, InProcessDecoder
+from worker.images.exif import Known
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +85,11 @@ class DecoderPool:
         """A small JPEG; raises as `decode`."""
         return self._with_process(lambda process: self._thumbnail(process, data, longest), patient=False)
 
+    def taken(self, data: bytes) -> Known:
+        """What the EXIF says; waits for its turn, and raises BadImage where reading it ends the process."""
+        check_length(data, self._limits)
+        return self._with_process(lambda process: self._taken(process, data), patient=True)
+
     def close(self) -> None:
         """End all processes, after the images that they decode."""
         self._closed.set()
@@ -113,6 +120,12 @@ class DecoderPool:
         reply, memory = process.ask(THUMBNAIL, data, longest)
         _raise_refusal(reply)
         return memory[: int(reply["length"])]
+
+    def _taken(self, process: DecoderProcess, data: bytes) -> Known:
+        reply, _ = process.ask(TAKEN, data)
+        _raise_refusal(reply)
+        known, moment = dict(reply["known"]), reply["captured_at"]
+        return known if moment is None else {**known, "captured_at": datetime.fromisoformat(moment)}
 
     def _with_process(self, use: Callable[[DecoderProcess], Made], *, patient: bool) -> Made:
         process = self._borrow(patient)

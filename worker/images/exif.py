@@ -1,0 +1,87 @@
+"""Where and when a photo was taken, by its EXIF (Exif 2.32)."""
+
+import math
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from PIL import ExifTags
+from PIL import Image as PilImage
+
+import worker.images.heic  # noqa: F401 (Pillow reads HEIC then)
+
+Known = dict[str, Any]
+"""What is known, by the names of `ViewAttributes` and `Position`."""
+
+
+def taken(source: Path | BinaryIO) -> Known:
+    """Position, heading and time of an image; empty without them.
+
+    Parameters
+    ----------
+    source : Path or file
+
+    Returns
+    -------
+    dict
+        ``lat``, ``lon`` in degrees and ``alt`` in metres, ``heading`` in degrees clockwise from true north,
+        ``captured_at`` with its zone; each only where it is known.
+    """
+    try:
+        with PilImage.open(source) as pil_image:
+            exif = pil_image.getexif()
+            gps = exif.get_ifd(ExifTags.IFD.GPSInfo)
+            camera = exif.get_ifd(ExifTags.IFD.Exif)
+    except Exception:
+        # Pillow's parsers raise errors of struct and others; whether the image is sound, its decoder says.
+        return {}
+    known: Known = {}
+    latitude = _degrees(gps.get(2), gps.get(1), "S")
+    longitude = _degrees(gps.get(4), gps.get(3), "W")
+    # Cameras without a GPS fix write 0, 0, which is a point in the sea.
+    there = latitude is not None and longitude is not None and (latitude, longitude) != (0.0, 0.0)
+    if there and abs(latitude or 0) <= 90 and abs(longitude or 0) <= 180:
+        known |= {"lat": latitude, "lon": longitude}
+        if (height := _number(gps.get(6))) is not None:
+            known["alt"] = -height if gps.get(5) in (1, b"\x01") else height
+    direction, kind = _number(gps.get(17)), gps.get(16)
+    if direction is not None and kind != "M":  # M: magnetic, which is not north
+        known["heading"] = direction % 360
+    if (moment := _taken(camera, gps)) is not None:
+        known["captured_at"] = moment
+    return known
+
+
+def _number(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _degrees(value: Any, reference: Any, negative: str) -> float | None:
+    """(degrees, minutes, seconds) as degrees; negative when `reference` begins with `negative`."""
+    if not isinstance(value, Iterable):
+        return None
+    parts = [_number(part) for part in value]
+    if len(parts) != 3 or any(part is None for part in parts):
+        return None
+    degrees: float = sum(part / 60.0**i for i, part in enumerate(parts) if part is not None)
+    return -degrees if str(reference).upper().startswith(negative) else degrees
+
+
+def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
+    """Time of capture: the GPS time (UTC), or the camera's clock when EXIF has its zone."""
+    clock, zone = exif.get(0x9003), exif.get(0x9011)
+    try:
+        if gps.get(29) and gps.get(7):
+            hours, minutes, seconds = (float(part) for part in gps[7])
+            day = datetime.strptime(str(gps[29]), "%Y:%m:%d")
+            return day.replace(hour=int(hours), minute=int(minutes), second=int(seconds), tzinfo=UTC)
+        if clock and zone:
+            return datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
+    except (TypeError, ValueError):
+        return None
+    return None
