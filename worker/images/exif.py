@@ -37,12 +37,8 @@ def taken(source: Path | BinaryIO) -> Known:
         # Pillow's parsers raise errors of struct and others; whether the image is sound, its decoder says.
         return {}
     known: Known = {}
-    latitude = _degrees(gps.get(2), gps.get(1), "S")
-    longitude = _degrees(gps.get(4), gps.get(3), "W")
-    # Cameras without a GPS fix write 0, 0, which is a point in the sea.
-    there = latitude is not None and longitude is not None and (latitude, longitude) != (0.0, 0.0)
-    if there and abs(latitude or 0) <= 90 and abs(longitude or 0) <= 180:
-        known |= {"lat": latitude, "lon": longitude}
+    if (point := _point(gps)) is not None:
+        known |= {"lat": point[0], "lon": point[1]}
         if (height := _number(gps.get(6))) is not None:
             known["alt"] = -height if gps.get(5) in (1, b"\x01") else height
     direction, kind = _number(gps.get(17)), gps.get(16)
@@ -51,6 +47,16 @@ def taken(source: Path | BinaryIO) -> Known:
     if (moment := _taken(camera, gps)) is not None:
         known["captured_at"] = moment
     return known
+
+
+def _point(gps: Mapping[int, Any]) -> tuple[float, float] | None:
+    """Latitude and longitude in degrees; None where they are no point on the earth."""
+    latitude = _degrees(gps.get(2), gps.get(1), "S")
+    longitude = _degrees(gps.get(4), gps.get(3), "W")
+    # Cameras without a GPS fix write 0, 0, which is a point in the sea.
+    if latitude is None or longitude is None or (latitude, longitude) == (0.0, 0.0):
+        return None
+    return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
 
 
 def _number(value: Any) -> float | None:
