@@ -25,7 +25,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("source", type=Path, metavar="FILE|DIR", help="zip archive, or folder (with all inside)")
     parser.add_argument("--map", default="default", help="map to import into (default: default)")
     parser.add_argument("--manifest", type=Path, metavar="FILE", help="manifest of a folder that holds none")
-    parser.add_argument("--no-exif", action="store_true", help="take nothing from the images themselves")
+    parser.add_argument("--exif", action="store_true", help="take place and time from EXIF where no manifest has them")
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Revisit(arguments.url, key=arguments.key, timeout=600) as revisit:
         try:
             job = revisit.import_recording(
-                arguments.source, map=arguments.map, manifest=arguments.manifest, exif=not arguments.no_exif
+                arguments.source, map=arguments.map, manifest=arguments.manifest, exif=arguments.exif
             )
         except ValueError as error:
             wrong_use(str(error))

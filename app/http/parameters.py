@@ -212,7 +212,7 @@ class ImportParameters(Parameters):
     """Parameters of `POST /maps/{map}/imports`."""
 
     exif: bool = Field(
-        True, description="Take place and time of an image from its EXIF where the manifest says nothing of them."
+        False, description="Take place and time of an image from its EXIF where the manifest says nothing of them."
     )
 
 

@@ -32,7 +32,7 @@ class JobCalls:
         *,
         map: str,
         manifest: str | os.PathLike[str] | None = None,
-        exif: bool = True,
+        exif: bool = False,
     ) -> wire.Job:
         """Send a recording, whose images are then enrolled by the job that is returned; see `wait_for_job`.
 
@@ -67,7 +67,7 @@ class JobCalls:
             wire.Job,
             "POST",
             f"/maps/{map}/imports",
-            params=None if exif else {"exif": "false"},
+            params={"exif": "true"} if exif else None,
             content=body,
             headers=headers,
             repeat=False,

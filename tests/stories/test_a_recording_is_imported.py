@@ -151,20 +151,26 @@ def test_where_the_manifest_is_silent_the_photo_says_where_it_was_taken(client: 
     exif.get_ifd(0x8825).update({29: "2026:05:04", 7: (9.0, 30.0, 0.0)})
     files = {f"{name}.jpg": encoded(drawn(64, 48, n), "jpeg", exif=exif) for n, name in enumerate("ab")}
     files["c.heic"] = heics()["turned"]
-    told: dict[str, bytes | str] = {**files, "manifest.csv": "file,x,y,place\nb.jpg,1,2,hall\n"}
+    told: dict[str, bytes | str] = {**files, "manifest.csv": "file,lat,lon,place\nb.jpg,1,2,hall\n"}
+    metric: dict[str, bytes | str] = {**files, "manifest.csv": "file,x,y\nb.jpg,1,2\n"}
 
-    assert sent(client, "exif", told)["result"]["enrolled"] == 3
-    assert sent(client, "exif", told)["result"]["already_there"] == 3
-    assert sent(client, "silent", told, exif="false")["result"]["enrolled"] == 3
+    assert sent(client, "exif", told, exif="true")["result"]["enrolled"] == 3
+    assert sent(client, "exif", told, exif="true")["result"]["already_there"] == 3
+    assert sent(client, "metric", metric, exif="true")["result"]["enrolled"] == 3
+    assert sent(client, "silent", told)["result"]["enrolled"] == 3
 
-    views = {view["filename"]: view for view in client.get("/views?map=exif").json()["views"]}
-    a, b, c = (views[name] for name in ("a.jpg", "b.jpg", "c.heic"))
+    def views(name: str) -> list[dict[str, Any]]:
+        found = {view["filename"]: view for view in client.get(f"/views?map={name}").json()["views"]}
+        return [found[file] for file in ("a.jpg", "b.jpg", "c.heic")]
+
+    a, b, c = views("exif")
     assert (a["position"]["lat"], a["position"]["heading"]) == (50.5, 90)
     assert a["captured_at"] == b["captured_at"] == "2026-05-04T09:30:00.000000Z"
-    assert (b["position"]["x"], b["position"]["lat"], b["position"]["heading"]) == (1, None, None)
+    assert (b["position"]["lat"], b["position"]["heading"]) == (1, None)
     assert c["position"]["lat"] == pytest.approx(50 + 5 / 60)
-    silent = {view["filename"]: view for view in client.get("/views?map=silent").json()["views"]}
-    assert (silent["a.jpg"]["position"], silent["a.jpg"]["captured_at"]) == (None, None)
+    assert [(view["position"] or {}).get("x") for view in views("metric")] == [None, 1, None]
+    assert all((view["position"] or {}).get("lat") is None for view in views("metric"))
+    assert (views("silent")[0]["position"], views("silent")[0]["captured_at"]) == (None, None)
 
 
 def jobs_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:

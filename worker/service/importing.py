@@ -4,7 +4,7 @@ import hashlib
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -35,6 +35,9 @@ TOLD_EVERY_S = 0.5
 """Seconds between reports of progress, which also learn of a cancellation."""
 
 PAUSE_S = 0.02
+
+PLACE = ("lat", "lon", "alt", "heading")
+"""What EXIF can say of a place."""
 
 MOST_NOTES = 1000
 """Notes that a report lists; the others are counted."""
@@ -179,8 +182,8 @@ class Importer:
                     report.rows_without_file += note.problem == "no-file"
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
-                exif = wanted.get("exif", False)
-                _Run(self, claim, stopping, report, exif=exif).all(recording.items)
+                exif = _wanted_of_exif(recording.items) if wanted.get("exif") else frozenset()
+                _Run(self, claim, stopping, report, exif).all(recording.items)
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
         except _Stop:
             self._jobs.release_map_job(claim)
@@ -210,10 +213,12 @@ class Importer:
 
     # what a run of a job does with one image
 
-    def read(self, claim: MapClaim, item: Item, *, exif: bool) -> "_Read":
+    def read(self, claim: MapClaim, item: Item, exif: frozenset[str]) -> "_Read":
         """An image, and its view in the map or else the decoded image; raises ValueError, RevisitError."""
         data = item.read()
-        attributes = completed(item.attributes, self._taken(data)) if exif else item.attributes
+        attributes = item.attributes
+        if exif:
+            attributes = completed(attributes, {k: v for k, v in self._taken(data).items() if k in exif})
         view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)
         return _Read(data, attributes, view, None if view is not None else self._decode(data))
 
@@ -252,7 +257,12 @@ class _Run:
     """One run of a job: its images pass from being read over being stored to being described, in order."""
 
     def __init__(
-        self, importer: Importer, claim: MapClaim, stopping: Callable[[], bool], report: _Report, *, exif: bool
+        self,
+        importer: Importer,
+        claim: MapClaim,
+        stopping: Callable[[], bool],
+        report: _Report,
+        exif: frozenset[str],
     ) -> None:
         self._importer, self._claim, self._stopping, self._report = importer, claim, stopping, report
         self._exif = exif
@@ -278,7 +288,7 @@ class _Run:
     def _reading(self, items: list[Item], threads: ThreadPoolExecutor) -> "Iterator[tuple[Item, Future[Any]]]":
         ahead: deque[tuple[Item, Future[Any]]] = deque()
         for item in items:
-            ahead.append((item, threads.submit(self._importer.read, self._claim, item, exif=self._exif)))
+            ahead.append((item, threads.submit(self._importer.read, self._claim, item, self._exif)))
             if len(ahead) >= DECODED_AHEAD:
                 yield ahead.popleft()
         yield from ahead
@@ -345,6 +355,12 @@ class _Read:
     image: Image | None
 
 
+def _wanted_of_exif(items: Sequence[Item]) -> frozenset[str]:
+    """What EXIF may say of them: beside positions in metres no degrees."""
+    metric = any(item.attributes.position.x is not None for item in items)
+    return frozenset({"captured_at"} if metric else {"captured_at", *PLACE})
+
+
 def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttributes:
     """Attributes with what is known besides: a position where none of it was given, and the time.
 
@@ -355,7 +371,7 @@ def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttri
     known : mapping of our names to values
         Of the image's EXIF.
     """
-    place = {name: known[name] for name in ("lat", "lon", "alt", "heading") if name in known}
+    place = {name: known[name] for name in PLACE if name in known}
     position = Position(**place) if attributes.position == Position() else attributes.position
     return replace(attributes, position=position, captured_at=attributes.captured_at or known.get("captured_at"))
 
