@@ -10,6 +10,12 @@ SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff",
 MANIFESTS = ("manifest.csv", "manifest.tsv", "manifest.ndjson", "manifest.jsonl")
 """Names of manifests."""
 
+TRAJECTORIES = frozenset(
+    ("groundtruth.txt", "trajectory.txt", "poses.txt", "pose.txt", "cameratrajectory.txt", "keyframetrajectory.txt")
+    + ("rgb.txt", "images.txt")
+)
+"""Names of files of poses, besides those that end with ``.tum``, and of lists of images with their times."""
+
 PIECE = 1 << 20
 """Bytes sent at a time."""
 
@@ -41,11 +47,11 @@ def pieces_of(path: Path) -> Iterator[bytes]:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Images and manifests of a folder, with all inside, sorted; nothing that is hidden, by a dot."""
+    """Images, manifests and poses of a folder, with all inside, sorted; nothing that is hidden, by a dot."""
     return sorted(
         path
         for path in folder.rglob("*")
-        if (path.suffix.lower() in SUFFIXES or path.name.lower() in MANIFESTS)
+        if (path.suffix.lower() in {*SUFFIXES, ".tum"} or path.name.lower() in {*MANIFESTS, *TRAJECTORIES})
         and path.is_file()
         and not any(part.startswith(".") for part in path.relative_to(folder).parts)
     )

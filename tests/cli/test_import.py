@@ -45,6 +45,17 @@ def packed(service: FakeService) -> zipfile.ZipFile:
     return zipfile.ZipFile(io.BytesIO(service.requests[0][1]))
 
 
+def test_poses_go_along(service: FakeService, walk: Path) -> None:
+    (walk / "groundtruth.txt").write_text("1 0 0 0 0 0 0 1\n")
+    (walk / "slam.tum").write_text("1 0 0 0 0 0 0 1\n")
+    replying(service)
+
+    assert main(["import", str(walk), "--map", answers.job()["map"]]) == 0
+
+    with packed(service) as archive:
+        assert archive.namelist() == ["2.jpg", "front/1.jpg", "groundtruth.txt", "slam.tum"]
+
+
 def test_a_folder_is_packed_and_its_errors_are_listed(service: FakeService, walk: Path, capsys: Out) -> None:
     name = answers.job()["map"]
     replying(service, enrolled=1, failed=1, errors=[{"file": "2.jpg", "problem": "bad-row", "detail": "x is 'far'"}])

@@ -173,6 +173,22 @@ def test_where_the_manifest_is_silent_the_photo_says_where_it_was_taken(client: 
     assert (views("silent")[0]["position"], views("silent")[0]["captured_at"]) == (None, None)
 
 
+def test_a_trajectory_says_where_the_images_were_taken(client: httpx.Client) -> None:
+    images = {f"rgb/{10 + n / 10:.2f}.png": photo(n, "png") for n in range(4)}
+    level = "-0.7071068 0 0 0.7071068"
+    poses = "".join(f"{10 + n / 10 + 0.01} {n} {2 * n} 0 {level}\n" for n in range(3))
+
+    report = sent(client, "tum", {**images, "groundtruth.txt": f"# time tx ty tz qx qy qz qw\n{poses}"})["result"]
+    broken = client.post("/maps/broken/imports", content=zipped({**images, "poses.txt": "1 2 3\n"}), headers=ZIP)
+
+    assert (report["enrolled"], report["files_without_row"]) == (4, 1)
+    views = client.get("/views?map=tum").json()["views"]
+    assert [(view["position"] or {}).get("y") for view in views] == [0, 2, 4, None]
+    assert views[1]["position"]["heading"] == pytest.approx(0, abs=1e-3)
+    assert broken.status_code == 400
+    assert "poses.txt, line 1: has 3 finite numbers" in broken.json()["detail"]
+
+
 def jobs_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:
     """The jobs of server-sent events, as they come."""
     for line in answer.iter_lines():

@@ -1,6 +1,6 @@
 """Recordings: the images of an upload with what is known of them, in the order in which they are enrolled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -10,8 +10,10 @@ from schemas.errors import BadBody
 from schemas.records import ViewAttributes
 from schemas.settings import MEGA, Settings
 from schemas.values import file_name
+from worker.service import trajectories
 from worker.service.archives import MOST_MANIFEST_BYTES, Archive, Entry
 from worker.service.manifests import Manifest, attributes, read_manifest
+from worker.service.trajectories import Pose
 
 
 @dataclass(frozen=True)
@@ -102,12 +104,18 @@ def open_recording(path: Path, limits: Limits) -> Recording:
     recording = Recording(archive.close)
     try:
         manifest = _manifest(archive)
+        used, walked = (set[str](), None) if manifest is not None else _trajectory(archive)
         for entry in archive.images:
-            _add(recording, archive, entry, manifest, limits)
+            if walked is not None:
+                _add_walked(recording, archive, entry, walked, limits)
+            else:
+                _add(recording, archive, entry, manifest, limits)
     except BaseException:
         archive.close()
         raise
     for entry in archive.others:
+        if entry.name in used:
+            continue
         recording.notes.append(Note(entry.name, "no-image", "is no image by its name, and was left out"))
     if manifest is not None:
         for row in manifest.unused():
@@ -125,6 +133,48 @@ def _manifest(archive: Archive) -> Manifest | None:
         raise BadBody("malformed-body", f"the manifest cannot be used: {error}") from None
 
 
+def _trajectory(archive: Archive) -> tuple[set[str], dict[str, Pose] | None]:
+    """Files that were read for poses, and poses by image; None where there is no trajectory.
+
+    Raises
+    ------
+    BadBody
+        There are several, or one that cannot be used.
+    """
+    named = [entry for entry in archive.others if trajectories.is_trajectory(entry.name)]
+    if not named:
+        return set(), None
+    if len(named) > 1:
+        several = f"it has {len(named)} trajectories, such as {named[0].name} and {named[1].name}"
+        raise BadBody("malformed-body", f"the archive is refused: {several}; keep one, or send a manifest")
+    lists = [entry for entry in archive.others if trajectories.is_list(entry.name)]
+    try:
+        poses = trajectories.read_poses(named[0].name, archive.read(named[0], MOST_MANIFEST_BYTES))
+        times: dict[str, float] = {}
+        for entry in lists:
+            times |= trajectories.read_list(entry.name, archive.read(entry, MOST_MANIFEST_BYTES))
+        files = [entry.name.replace("\\", "/") for entry in archive.images]
+        return {entry.name for entry in (*named, *lists)}, trajectories.poses_of(files, poses, times)
+    except ValueError as error:
+        raise BadBody("malformed-body", f"the trajectory cannot be used: {error}") from None
+
+
+def _add_walked(
+    recording: Recording, archive: Archive, entry: Entry, walked: Mapping[str, Pose], limits: Limits
+) -> None:
+    pose = walked.get(entry.name.replace("\\", "/"))
+    if pose is None:
+        detail = f"no pose lies within {trajectories.TOLERANCE_S:g} s of it; it is enrolled without position"
+        recording.notes.append(Note(entry.name, "no-row", detail))
+    known = ViewAttributes() if pose is None else pose.attributes()
+    _keep(recording, archive, entry, known, limits)
+
+
+def _keep(recording: Recording, archive: Archive, entry: Entry, known: ViewAttributes, limits: Limits) -> None:
+    known = replace(known, filename=file_name(entry.name))
+    recording.items.append(Item(entry.name, known, lambda: archive.read(entry, limits.image_bytes)))
+
+
 def _add(recording: Recording, archive: Archive, entry: Entry, manifest: Manifest | None, limits: Limits) -> None:
     known = ViewAttributes()
     if manifest is not None:
@@ -139,5 +189,4 @@ def _add(recording: Recording, archive: Archive, entry: Entry, manifest: Manifes
                 recording.notes.append(Note(entry.name, "bad-row", str(error)))
                 recording.failed += 1
                 return
-    known = replace(known, filename=file_name(entry.name))
-    recording.items.append(Item(entry.name, known, lambda: archive.read(entry, limits.image_bytes)))
+    _keep(recording, archive, entry, known, limits)

@@ -1,0 +1,111 @@
+"""Poses of TUM and KITTI as attributes of images: which way is up, which way the camera looks, which image is meant."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worker.service.trajectories import Pose, is_list, is_trajectory, poses_of, read_list, read_poses
+
+LEVEL = "-0.7071068 0 0 0.7071068"
+"""The camera's z turned from up to +y: looking north, upright."""
+
+
+def tum(*lines: str) -> list[Pose]:
+    return read_poses("groundtruth.txt", ("# time tx ty tz qx qy qz qw\n" + "\n".join(lines)).encode())
+
+
+def test_a_camera_of_tum_that_looks_north() -> None:
+    (pose,) = tum(f"1305031102.1753 1.5 2.5 0.5 {LEVEL}")
+
+    assert (pose.x, pose.y, pose.z, pose.time) == (1.5, 2.5, 0.5, 1305031102.1753)
+    assert pose.heading == pytest.approx(0, abs=1e-4) or pose.heading == pytest.approx(360, abs=1e-4)
+    captured = pose.attributes().captured_at
+    assert captured is not None
+    assert captured.isoformat().startswith("2011-05-10T12:38:22.175")
+
+
+@given(st.floats(1, 359))
+def test_a_turn_about_the_vertical_turns_the_heading(degrees: float) -> None:
+    half = math.radians(-degrees) / 2  # clockwise seen from above
+    # The turn about z, times the quaternion that levels the camera.
+    c, s, q = math.cos(half), math.sin(half), math.sqrt(0.5)
+    (pose,) = tum(f"1 0 0 0 {-q * c} {-q * s} {q * s} {q * c}")
+
+    assert pose.heading == pytest.approx(degrees, abs=1e-6)
+
+
+def test_a_camera_that_looks_up_has_no_heading_and_small_times_are_no_date() -> None:
+    (pose,) = tum("12.5 0 0 0 0 0 0 1")
+
+    assert (pose.heading, pose.attributes().captured_at) == (None, None)
+
+
+def test_a_camera_of_kitti_starts_looking_ahead_and_turns_right() -> None:
+    ahead = "1 0 0 3 0 1 0 -1.5 0 0 1 40"
+    right = "0 0 1 5 0 1 0 0 -1 0 0 41"
+
+    first, second = read_poses("poses.txt", f"{ahead}\n{right}\n".encode())
+
+    assert first == Pose(3, 40, 1.5, 0.0)
+    assert second.heading == pytest.approx(90)
+
+
+def test_images_get_the_pose_nearest_in_time() -> None:
+    poses = tum(f"10.00 1 0 0 {LEVEL}", f"10.10 2 0 0 {LEVEL}", f"9.90 0 0 0 {LEVEL}")
+    files = ["rgb/10.04.png", "rgb/10.06.png", "rgb/10.30.png", "rgb/a.png", "rgb/b.png"]
+
+    found = poses_of(files, poses, {"rgb/a.png": 9.9, "b.png": 10.0})
+
+    assert {file: pose.x for file, pose in found.items()} == {
+        "rgb/10.04.png": 1,
+        "rgb/10.06.png": 2,
+        "rgb/a.png": 0,
+        "rgb/b.png": 1,
+    }
+
+
+def test_poses_without_times_go_by_number_or_in_order() -> None:
+    poses = [Pose(number, 0, 0, None) for number in range(3)]
+
+    assert [pose.x for pose in poses_of(["000002.png", "000000.png"], poses, {}).values()] == [2, 0]
+    assert [pose.x for pose in poses_of(["a.png", "b.png", "c.png"], poses, {}).values()] == [0, 1, 2]
+    with pytest.raises(ValueError, match="3 poses without times do not belong to 2 images"):
+        poses_of(["a.png", "b.png"], poses, {})
+    with pytest.raises(ValueError, match="do not belong"):
+        poses_of(["000007.png"], poses, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "no pose"),
+        ("# only a comment\n", "no pose"),
+        ("1 2 3\n", "line 1: has 3 finite numbers"),
+        (f"1 0 0 0 {LEVEL}\n1 0 0 3 0 1 0 0 0 0 1 4\n", "line 2: has 12 numbers, other than the first"),
+        ("1 0 0 nan 0 0 0 1\n", "line 1"),
+        ("1 0 0 north 0 0 0 1\n", "line 1: holds something that is no number"),
+        ("1 0 0 0 0 0 0 0\n", "quaternion is 0"),
+    ],
+)
+def test_a_line_that_cannot_be_used_is_named(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        read_poses("poses.txt", text.encode())
+
+
+def test_lists_of_images() -> None:
+    assert read_list("rgb.txt", b"# time file\n1.5 rgb/1.5.png\n2 ./rgb/2.png\n") == {
+        "rgb/1.5.png": 1.5,
+        "rgb/2.png": 2,
+    }
+    with pytest.raises(ValueError, match="line 1"):
+        read_list("rgb.txt", b"soon rgb/1.png")
+    with pytest.raises(ValueError, match="no text"):
+        read_list("rgb.txt", b"\xff\xfe\x00")
+
+
+def test_they_are_known_by_their_names() -> None:
+    assert all(map(is_trajectory, ("groundtruth.txt", "a/poses.txt", "CameraTrajectory.txt", "walk.TUM")))
+    assert not any(map(is_trajectory, ("notes.txt", "rgb.txt", "poses.csv")))
+    assert is_list("seq/rgb.txt")

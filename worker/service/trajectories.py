@@ -1,0 +1,191 @@
+"""Trajectories as manifests: poses in the formats of TUM's RGB-D benchmark and of KITTI's odometry, given to images.
+
+TUM: ``time tx ty tz qx qy qz qw``, the camera in a world whose z points up. KITTI: the first three rows of a matrix,
+twelve numbers, the camera in the frame of the first one, whose y points down; one line for each image. In both the
+camera looks along its own z.
+"""
+
+import math
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import PurePosixPath
+
+from schemas.records import Position, ViewAttributes
+
+NAMES = frozenset(
+    {"groundtruth.txt", "trajectory.txt", "poses.txt", "pose.txt", "cameratrajectory.txt", "keyframetrajectory.txt"}
+)
+"""Names of trajectories, besides those that end with ``.tum``."""
+
+LISTS = frozenset({"rgb.txt", "images.txt"})
+"""Names of lists of images: ``time file``."""
+
+TOLERANCE_S = 0.05
+"""Seconds between an image and the pose that it gets."""
+
+LEAST_UNIX_S = 1e8
+"""Smallest time that counts as Unix time: others are counted from the start of a recording."""
+
+MOST_POSES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera was and where it looked.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Metres, z up.
+    heading : float or None
+        Degrees clockwise from +y; None where it looks straight up or down.
+    time : float or None
+        Seconds.
+    """
+
+    x: float
+    y: float
+    z: float
+    heading: float | None
+    time: float | None = None
+
+    def attributes(self) -> ViewAttributes:
+        """As those of a view."""
+        moment = None
+        if self.time is not None and self.time >= LEAST_UNIX_S:
+            moment = datetime.fromtimestamp(self.time, UTC)
+        return ViewAttributes(position=Position(x=self.x, y=self.y, z=self.z, heading=self.heading), captured_at=moment)
+
+
+def is_trajectory(name: str) -> bool:
+    """Whether a file is a trajectory by its name."""
+    path = PurePosixPath(name.lower())
+    return path.name in NAMES or path.suffix == ".tum"
+
+
+def is_list(name: str) -> bool:
+    """Whether a file lists images by their times."""
+    return PurePosixPath(name.lower()).name in LISTS
+
+
+def read_poses(name: str, data: bytes) -> list[Pose]:
+    """Poses of a trajectory, in its order; raises ValueError with the line that cannot be used."""
+    poses: list[Pose] = []
+    for number, words in _lines(name, data):
+        try:
+            values = [float(word) for word in words]
+        except ValueError:
+            raise ValueError(f"{name}, line {number}: holds something that is no number") from None
+        if not all(map(math.isfinite, values)) or len(values) not in (8, 12):
+            wanted = "TUM has 8 numbers a line, KITTI 12"
+            raise ValueError(f"{name}, line {number}: has {len(values)} finite numbers; {wanted}")
+        if poses and (poses[0].time is None) != (len(values) == 12):
+            raise ValueError(f"{name}, line {number}: has {len(values)} numbers, other than the first")
+        poses.append(_of_tum(name, number, values) if len(values) == 8 else _of_kitti(values))
+        if len(poses) > MOST_POSES:
+            raise ValueError(f"{name}: has more than {MOST_POSES:,} poses; send the recording in parts")
+    if not poses:
+        raise ValueError(f"{name}: holds no pose")
+    return poses
+
+
+def read_list(name: str, data: bytes) -> dict[str, float]:
+    """Times in seconds by file; raises ValueError."""
+    times = {}
+    for number, words in _lines(name, data):
+        try:
+            time, file = float(words[0]), words[1]
+        except (IndexError, ValueError):
+            raise ValueError(f"{name}, line {number}: needs a time and a file") from None
+        times[file.replace("\\", "/").removeprefix("./")] = time
+    return times
+
+
+def poses_of(files: Sequence[str], poses: Sequence[Pose], times: Mapping[str, float]) -> dict[str, Pose]:
+    """The pose of each file; without those that have none.
+
+    Poses with times go to the files nearest in time, whose times are listed or are their names. Others go by number: the
+    names of the files where all are numbers, else their order.
+
+    Parameters
+    ----------
+    files : sequence of str
+        In their order.
+    poses : sequence of Pose
+    times : mapping of the end of a file's path to seconds
+
+    Raises
+    ------
+    ValueError
+        Without times, and there are not as many poses as files.
+    """
+    if poses[0].time is None:
+        return _by_number(files, poses)
+    ordered = sorted(poses, key=_time)
+    found = {}
+    for file in files:
+        moment = _time_of(file, times)
+        if moment is not None:
+            at = bisect_left(ordered, moment, key=_time)
+            near = min(ordered[max(at - 1, 0) : at + 1], key=lambda pose: abs(_time(pose) - moment))
+            if abs(_time(near) - moment) <= TOLERANCE_S:
+                found[file] = near
+    return found
+
+
+def _by_number(files: Sequence[str], poses: Sequence[Pose]) -> dict[str, Pose]:
+    stems = [PurePosixPath(file).stem for file in files]
+    if all(stem.isdecimal() for stem in stems):
+        numbers = [int(stem) for stem in stems]
+        if max(numbers) < len(poses):
+            return {file: poses[number] for file, number in zip(files, numbers, strict=True)}
+    if len(files) != len(poses):
+        raise ValueError(f"{len(poses):,} poses without times do not belong to {len(files):,} images")
+    return dict(zip(files, poses, strict=True))
+
+
+def _time(pose: Pose) -> float:
+    return 0.0 if pose.time is None else pose.time
+
+
+def _time_of(file: str, times: Mapping[str, float]) -> float | None:
+    path = PurePosixPath(file)
+    for start in range(len(path.parts)):
+        listed = times.get("/".join(path.parts[start:]))
+        if listed is not None:
+            return listed
+    try:
+        return float(path.stem)
+    except ValueError:
+        return None
+
+
+def _of_tum(name: str, number: int, values: Sequence[float]) -> Pose:
+    time, x, y, z, qx, qy, qz, qw = values
+    length = qx * qx + qy * qy + qz * qz + qw * qw
+    if length < 1e-6:
+        raise ValueError(f"{name}, line {number}: its quaternion is 0")
+    # The third column of the rotation's matrix: where the camera's z points.
+    east, north = 2 * (qx * qz + qy * qw) / length, 2 * (qy * qz - qx * qw) / length
+    return Pose(x, y, z, _heading(east, north), time)
+
+
+def _of_kitti(values: Sequence[float]) -> Pose:
+    _, _, right, x, _, _, _, down, _, _, ahead, y = values
+    return Pose(x, y, -down, _heading(right, ahead))
+
+
+def _heading(east: float, north: float) -> float | None:
+    return math.degrees(math.atan2(east, north)) % 360 if math.hypot(east, north) > 0.1 else None
+
+
+def _lines(name: str, data: bytes) -> "list[tuple[int, list[str]]]":
+    """Numbers and words of the lines that are neither empty nor comments."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{name}: is no text") from None
+    split = [(number, line.split()) for number, line in enumerate(text.splitlines(), start=1)]
+    return [(number, words) for number, words in split if words and not words[0].startswith("#")]
