@@ -11,8 +11,16 @@ MANIFESTS = ("manifest.csv", "manifest.tsv", "manifest.ndjson", "manifest.jsonl"
 """Names of manifests."""
 
 TRAJECTORIES = frozenset(
-    ("groundtruth.txt", "trajectory.txt", "poses.txt", "pose.txt", "cameratrajectory.txt", "keyframetrajectory.txt")
-    + ("rgb.txt", "images.txt")
+    [
+        "groundtruth.txt",
+        "trajectory.txt",
+        "poses.txt",
+        "pose.txt",
+        "cameratrajectory.txt",
+        "keyframetrajectory.txt",
+        "rgb.txt",
+        "images.txt",
+    ]
 )
 """Names of files of poses, besides those that end with ``.tum``, and of lists of images with their times."""
 

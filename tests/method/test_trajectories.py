@@ -5,8 +5,9 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from revisit_client import recordings
 
-from worker.service.trajectories import Pose, is_list, is_trajectory, poses_of, read_list, read_poses
+from worker.service.trajectories import LISTS, NAMES, Pose, is_list, is_trajectory, poses_of, read_list, read_poses
 
 LEVEL = "-0.7071068 0 0 0.7071068"
 """The camera's z turned from up to +y: looking north, upright."""
@@ -103,6 +104,10 @@ def test_lists_of_images() -> None:
         read_list("rgb.txt", b"soon rgb/1.png")
     with pytest.raises(ValueError, match="no text"):
         read_list("rgb.txt", b"\xff\xfe\x00")
+
+
+def test_what_the_client_sends_of_a_folder_is_what_is_read() -> None:
+    assert recordings.TRAJECTORIES == NAMES | LISTS
 
 
 def test_they_are_known_by_their_names() -> None:

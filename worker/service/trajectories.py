@@ -106,8 +106,8 @@ def read_list(name: str, data: bytes) -> dict[str, float]:
 def poses_of(files: Sequence[str], poses: Sequence[Pose], times: Mapping[str, float]) -> dict[str, Pose]:
     """The pose of each file; without those that have none.
 
-    Poses with times go to the files nearest in time, whose times are listed or are their names. Others go by number: the
-    names of the files where all are numbers, else their order.
+    Poses with times go to the files nearest in time, whose times are listed or are their names. Others go by number:
+    the names of the files where all are numbers, else their order.
 
     Parameters
     ----------
