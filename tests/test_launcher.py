@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from app.version import VERSION
+
 ROOT = Path(__file__).parents[1]
 FAKE = """#!/bin/sh
 case $1 in
@@ -270,6 +272,13 @@ def test_help_is_the_command_lines_own_and_installs_nothing(checkout: Checkout, 
     assert helped.returncode == 0
     assert helped.stdout == command_line("--help").stdout
     assert "not set up" in helped.stderr
+    assert not list(checkout.folder.glob(".venv*"))
+
+
+def test_the_version_is_told_without_installing(checkout: Checkout) -> None:
+    told = with_commands(checkout).run("--version")
+
+    assert (told.returncode, told.stdout) == (0, f"revisit {VERSION}\n")
     assert not list(checkout.folder.glob(".venv*"))
 
 

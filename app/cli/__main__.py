@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from app.cli.console import DONE, FAILED, WRONG_USE, Failure, say
 from app.cli.filters import points_joined
+from app.version import VERSION
 
 GROUPS = (
     "serve",
@@ -43,6 +44,7 @@ def parser() -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    whole.add_argument("--version", action="version", version=f"revisit {VERSION}")
     verbs = whole.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in GROUPS:
         importlib.import_module(f"app.cli.{name}").add(verbs)
