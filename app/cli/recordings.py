@@ -26,6 +26,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--map", default="default", help="map to import into (default: default)")
     parser.add_argument("--manifest", type=Path, metavar="FILE", help="manifest of a folder that holds none")
     parser.add_argument("--exif", action="store_true", help="take place and time from EXIF where no manifest has them")
+    parser.add_argument("--panorama", action="store_true", help="each image is a panorama, and becomes eight views")
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -38,7 +39,11 @@ def run(arguments: argparse.Namespace) -> int:
     with Revisit(arguments.url, key=arguments.key, timeout=600) as revisit:
         try:
             job = revisit.import_recording(
-                arguments.source, map=arguments.map, manifest=arguments.manifest, exif=arguments.exif
+                arguments.source,
+                map=arguments.map,
+                manifest=arguments.manifest,
+                exif=arguments.exif,
+                panorama=arguments.panorama,
             )
         except ValueError as error:
             wrong_use(str(error))

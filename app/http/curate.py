@@ -12,6 +12,7 @@ from app.http.calibration_report import calibration_report
 from app.http.health_report import map_health, unknown_places
 from schemas import wire
 from schemas.health import Code as HealthCode
+from schemas.imports import ImportOptions
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PostCalibration, PutMap
 from worker.description.presets import Wanted
@@ -255,7 +256,12 @@ class Curator:
         return presenters.job(await asyncio.to_thread(self._maps.train_vocabulary, name))
 
     async def import_recording(
-        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None], *, exif: bool
+        self,
+        name: str,
+        body: AsyncIterator[bytes],
+        announced: int,
+        charge: Callable[[int], None],
+        options: ImportOptions,
     ) -> wire.Job:
         """Receive a recording and queue its import.
 
@@ -268,8 +274,7 @@ class Curator:
             Bytes that will come; 0: unknown.
         charge : function
             Called with the number of its images, once they are known.
-        exif : bool
-            Whether EXIF is read where the manifest says nothing.
+        options : ImportOptions
 
         Raises
         ------
@@ -285,8 +290,8 @@ class Curator:
                     await asyncio.to_thread(upload.write, bytes(pieces))
                     pieces.clear()
             await asyncio.to_thread(upload.write, bytes(pieces))
-            charge(await asyncio.to_thread(self._imports.check, upload))
-            return presenters.job(await asyncio.to_thread(partial(self._imports.accept, upload, name, exif=exif)))
+            charge(await asyncio.to_thread(self._imports.check, upload, options))
+            return presenters.job(await asyncio.to_thread(self._imports.accept, upload, name, options))
         finally:
             await asyncio.to_thread(upload.discard)  # does nothing to one that was accepted
 

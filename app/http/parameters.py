@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WithJso
 from app.http.validation import Parameters
 from schemas import values
 from schemas.errors import ParameterError
+from schemas.imports import ImportOptions
 from schemas.records import Filters, Position, ViewAttributes
 from schemas.wire import HealthCode
 
@@ -214,6 +215,13 @@ class ImportParameters(Parameters):
     exif: bool = Field(
         False, description="Take place and time of an image from its EXIF where the manifest says nothing of them."
     )
+    panorama: bool = Field(
+        False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."
+    )
+
+    def options(self) -> ImportOptions:
+        """The same as a record."""
+        return ImportOptions(exif=self.exif, panorama=self.panorama)
 
 
 class LocalizeParameters(Parameters):

@@ -33,6 +33,7 @@ class JobCalls:
         map: str,
         manifest: str | os.PathLike[str] | None = None,
         exif: bool = False,
+        panorama: bool = False,
     ) -> wire.Job:
         """Send a recording, whose images are then enrolled by the job that is returned; see `wait_for_job`.
 
@@ -49,6 +50,8 @@ class JobCalls:
             Sent as the manifest of a folder that holds none.
         exif : bool
             Take place and time from the images where the manifest says nothing of them.
+        panorama : bool
+            Every image is an equirectangular panorama, and is enrolled as eight views.
         """
         body: bytes | Iterator[bytes]
         headers = {"content-type": "application/zip"}
@@ -67,7 +70,7 @@ class JobCalls:
             wire.Job,
             "POST",
             f"/maps/{map}/imports",
-            params={"exif": "true"} if exif else None,
+            params=texts({"exif": exif or None, "panorama": panorama or None}),
             content=body,
             headers=headers,
             repeat=False,

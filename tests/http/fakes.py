@@ -309,7 +309,7 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
         return self._job("j2")
 
     async def import_recording(
-        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None], *, exif: bool
+        self, name: str, body: AsyncIterator[bytes], announced: int, charge: Callable[[int], None], options: Any
     ) -> wire.Job:
         async for _ in body:
             pass

@@ -189,6 +189,28 @@ def test_a_trajectory_says_where_the_images_were_taken(client: httpx.Client) -> 
     assert "poses.txt, line 1: has 3 finite numbers" in broken.json()["detail"]
 
 
+def test_a_panorama_becomes_eight_views_with_their_headings(client: httpx.Client) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "N", 2: (50.0, 30.0, 0.0), 3: "E", 4: (14.0, 0.0, 0.0), 16: "T", 17: 90.0})
+    files: dict[str, bytes | str] = {
+        "a.jpg": encoded(drawn(512, 256, 3), "jpeg", exif=exif),
+        "b.jpg": encoded(drawn(512, 256, 4)),
+        "flat.jpg": encoded(drawn(400, 300, 5)),
+    }
+
+    report = sent(client, "round", files, panorama="true", exif="true")["result"]
+    again = sent(client, "round", files, panorama="true", exif="true")["result"]
+
+    assert (report["images"], report["enrolled"], report["failed"]) == (24, 16, 8)
+    assert {error["file"] for error in report["errors"]} == {f"flat.jpg#{45 * n:03}" for n in range(8)}
+    assert "twice as wide as high" in report["errors"][0]["detail"]
+    assert (again["already_there"], again["failed"]) == (16, 8)
+    views = client.get("/views?map=round&limit=50").json()["views"]
+    assert [view["filename"] for view in views] == ["a.jpg"] * 8 + ["b.jpg"] * 8
+    assert [view["position"]["heading"] for view in views[:8]] == [90, 135, 180, 225, 270, 315, 0, 45]
+    assert all(view["position"] is None for view in views[8:])
+
+
 def jobs_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:
     """The jobs of server-sent events, as they come."""
     for line in answer.iter_lines():

@@ -4,9 +4,9 @@ import hashlib
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,11 +14,22 @@ from uuid6 import uuid7
 
 from schemas.errors import LeaseLost, NotFound, RevisitError, StorageFailed
 from schemas.image import Image
+from schemas.imports import ImportOptions
 from schemas.recipe import MapRecipe
-from schemas.records import JobProgress, JobRecord, MapClaim, Position, Submitted, ViewAttributes, ViewRecord
+from schemas.records import (
+    JobProgress,
+    JobRecord,
+    MapClaim,
+    Submitted,
+    ViewAttributes,
+    ViewRecord,
+)
+from worker.images import panorama
 from worker.images.codec import facts
 from worker.service import steady
+from worker.service.completing import completed, turned, wanted_of_exif
 from worker.service.import_ports import ImportEnrolment, ImportJobs, Upload, Uploads
+from worker.service.panoramas import Panoramas
 from worker.service.recordings import Item, Limits, Note, open_recording
 from worker.service.settlements import Settlements
 from worker.service.trouble import STORAGE_ERRORS
@@ -36,8 +47,6 @@ TOLD_EVERY_S = 0.5
 
 PAUSE_S = 0.02
 
-PLACE = ("lat", "lon", "alt", "heading")
-"""What EXIF can say of a place."""
 
 MOST_NOTES = 1000
 """Notes that a report lists; the others are counted."""
@@ -73,8 +82,8 @@ class ImportService:
         """Begin to receive a recording of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
         return self._uploads.receive(announced)
 
-    def check(self, upload: Upload) -> int:
-        """Number of images of a received recording.
+    def check(self, upload: Upload, options: ImportOptions) -> int:
+        """Number of images that will be enrolled of a received recording.
 
         Raises
         ------
@@ -83,19 +92,18 @@ class ImportService:
         """
         upload.end()
         with open_recording(upload.path, self._limits) as recording:
-            return len(recording.items) + recording.failed
+            views = panorama.DIRECTIONS if options.panorama else 1
+            return views * len(recording.items) + recording.failed
 
-    def accept(self, upload: Upload, name: str, *, exif: bool) -> JobRecord:
+    def accept(self, upload: Upload, name: str, options: ImportOptions) -> JobRecord:
         """Queue the import of a checked recording into a map, which is made when there is none.
-
-        With `exif` images are enrolled with what their EXIF says where the manifest says nothing.
 
         Raises
         ------
         DiskFull, StorageFailed
         """
         job_id = str(uuid7())
-        self._uploads.keep(upload, job_id, {"exif": exif})
+        self._uploads.keep(upload, job_id, asdict(options))
         try:
             job = self._jobs.queue_import(job_id, name, self._default_recipe, datetime.now(UTC))
         except BaseException:
@@ -176,14 +184,16 @@ class Importer:
         """
         try:
             path, wanted = self._uploads.find(claim.job_id)
+            options = ImportOptions(**wanted)
             with open_recording(path, self._limits) as recording:
-                report = _Report(images=len(recording.items) + recording.failed, failed=recording.failed)
+                items = Panoramas(self._decode).split(recording.items) if options.panorama else recording.items
+                report = _Report(images=len(items) + recording.failed, failed=recording.failed)
                 for note in recording.notes:
                     report.rows_without_file += note.problem == "no-file"
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
-                exif = _wanted_of_exif(recording.items) if wanted.get("exif") else frozenset()
-                _Run(self, claim, stopping, report, exif).all(recording.items)
+                exif = wanted_of_exif(items) if options.exif else frozenset()
+                _Run(self, claim, stopping, report, exif).all(items)
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
         except _Stop:
             self._jobs.release_map_job(claim)
@@ -218,7 +228,9 @@ class Importer:
         data = item.read()
         attributes = item.attributes
         if exif:
-            attributes = completed(attributes, {k: v for k, v in self._taken(data).items() if k in exif})
+            known = self._taken(data if item.original is None else item.original())
+            attributes = completed(attributes, {name: value for name, value in known.items() if name in exif})
+        attributes = turned(attributes, item.turn)
         view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)
         return _Read(data, attributes, view, None if view is not None else self._decode(data))
 
@@ -353,27 +365,6 @@ class _Read:
     attributes: ViewAttributes
     view: ViewRecord | None
     image: Image | None
-
-
-def _wanted_of_exif(items: Sequence[Item]) -> frozenset[str]:
-    """What EXIF may say of them: beside positions in metres no degrees."""
-    metric = any(item.attributes.position.x is not None for item in items)
-    return frozenset({"captured_at"} if metric else {"captured_at", *PLACE})
-
-
-def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttributes:
-    """Attributes with what is known besides: a position where none of it was given, and the time.
-
-    Parameters
-    ----------
-    attributes : ViewAttributes
-        Of a manifest, which wins.
-    known : mapping of our names to values
-        Of the image's EXIF.
-    """
-    place = {name: known[name] for name in PLACE if name in known}
-    position = Position(**place) if attributes.position == Position() else attributes.position
-    return replace(attributes, position=position, captured_at=attributes.captured_at or known.get("captured_at"))
 
 
 def _now() -> datetime:

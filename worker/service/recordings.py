@@ -44,12 +44,18 @@ class Item:
         Path within the recording.
     attributes : ViewAttributes
     read : function
-        Returns its bytes; raises ValueError.
+        Returns its bytes; raises ValueError, RevisitError.
+    original : function or None
+        Bytes of the image that it is made of, whose EXIF counts; None: it is made of none.
+    turn : float
+        Degrees by which it is turned clockwise against that one.
     """
 
     file: str
     attributes: ViewAttributes
     read: Callable[[], bytes]
+    original: Callable[[], bytes] | None = None
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)

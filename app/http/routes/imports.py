@@ -43,7 +43,7 @@ async def import_recording(
         request.stream(),
         int(announced) if announced.isdigit() else 0,
         lambda images: charge_images(request, images + 1),  # an upload is no image by itself
-        exif=params.exif,
+        params.options(),
     )
     note(job_ids=[job.id])
     return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})

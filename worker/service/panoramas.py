@@ -1,0 +1,51 @@
+"""Panoramas of a recording, each as several views."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+from schemas.image import Image
+from worker.images import panorama
+from worker.service.recordings import Item
+
+KEPT = 3
+"""Panoramas whose views are kept: those whose views are being read."""
+
+
+class Panoramas:
+    """Makes the views of panoramas when the first of them is read, and keeps them until the last is.
+
+    Parameters
+    ----------
+    decode : function
+        Bytes to Image; raises BadImage.
+    """
+
+    def __init__(self, decode: Callable[[bytes], Image]) -> None:
+        self._decode = decode
+        self._views: OrderedDict[str, list[bytes]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def split(self, items: Sequence[Item]) -> list[Item]:
+        """The views of all panoramas, named by the direction in which they look from the middle."""
+        return [
+            replace(
+                item,
+                file=f"{item.file}#{turn:03.0f}",
+                read=partial(self._view, item, number),
+                original=item.read,
+                turn=turn,
+            )
+            for item in items
+            for number, turn in enumerate(panorama.turns())
+        ]
+
+    def _view(self, item: Item, number: int) -> bytes:
+        with self._lock:  # the views of one panorama are read at once, and are to be made once
+            if item.file not in self._views:
+                self._views[item.file] = panorama.views(self._decode(item.read()).pixels)
+                while len(self._views) > KEPT:
+                    self._views.popitem(last=False)
+            return self._views[item.file][number]
