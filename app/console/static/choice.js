@@ -8,7 +8,10 @@ const CHOSEN = "revisit-map";
 export const chosenMap = () => sessionStorage.getItem(CHOSEN) ?? "default";
 export const chooseMap = (name) => sessionStorage.setItem(CHOSEN, name);
 
-/** A select of the maps; `refresh` fetches their names and counts, `facts` is of the chosen one. */
+/**
+ * A select of the maps; `refresh` fetches their names and counts, `facts` is of the chosen one, `chosen` its name once
+ * they are there.
+ */
 export function mapSelect(changed = () => {}) {
   const select = h("select", {
     onchange: () => {
@@ -18,20 +21,26 @@ export function mapSelect(changed = () => {}) {
   });
   let maps = [];
   const facts = () => maps.find((one) => one.name === select.value) ?? null;
-  async function refresh() {
+  let refreshed = null;
+  const refresh = () => (refreshed = fetched());
+  async function chosen() {
+    await (refreshed ?? refresh());
+    return select.value;
+  }
+  async function fetched() {
     maps = (await call("GET", "/maps")).maps;
     const names = maps.map((one) => one.name);
     const ready = (name) => maps.find((one) => one.name === name)?.views.ready ?? 0;
     const largest = names.reduce((best, name) => (ready(name) > ready(best) ? name : best), names[0] ?? "default");
-    const chosen = names.includes(chosenMap()) ? chosenMap() : largest;
+    const first = names.includes(chosenMap()) ? chosenMap() : largest;
     if (!names.includes("default")) names.push("default");
     select.replaceChildren(
-      ...names.map((name) => h("option", { value: name, selected: name === chosen }, `${name} (${ready(name)})`)),
+      ...names.map((name) => h("option", { value: name, selected: name === first }, `${name} (${ready(name)})`)),
     );
-    select.value = chosen;
-    chooseMap(chosen);
+    select.value = first;
+    chooseMap(first);
     changed(facts());
     return maps;
   }
-  return { select, refresh, facts };
+  return { select, refresh, facts, chosen };
 }

@@ -101,11 +101,11 @@ function making(maps, made, wanted) {
 
   async function make(event) {
     event.preventDefault();
-    const name = maps.select.value;
     button.disabled = true;
     bar.hidden = false;
     bar.removeAttribute("value");
     try {
+      const name = await maps.chosen();
       const started = await call("POST", `/maps/${encodeURIComponent(name)}/snapshots`);
       const job = await followed(started, ({ progress }) => progress && show(progress), wanted);
       if (!wanted()) return;
