@@ -4,12 +4,14 @@ import csv
 import math
 import os
 import re
+import socket
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from scenes import scene
+from tests.sample_images import photo as small_photo
 from tests.stories.photos import photo
 from tests.stories.running import ROOT, RunningService
 
@@ -93,3 +95,35 @@ def furthest(found: Sequence[tuple[float, float]], true: Sequence[tuple[float, f
     """The largest distance of a position from the true one, metres, both from where the walk begins."""
     shift = true[0][0] - found[0][0], true[0][1] - found[0][1]
     return max(math.dist((x + shift[0], y + shift[1]), there) for (x, y), there in zip(found, true, strict=True))
+
+
+def test_an_operator_loses_a_disk_and_nothing_else(tmp_path: Path) -> None:
+    blocks = re.findall(r"```sh\n(.*?)```", (TUTORIALS / "operator.md").read_text(), re.DOTALL)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    (tmp_path / "revisit").write_text(f'#!/bin/sh\nexec {sys.executable} -m app.cli "$@"\n')
+    (tmp_path / "revisit").chmod(0o755)
+    (tmp_path / "photos").mkdir()
+    for number in range(6):
+        (tmp_path / "photos" / f"{number}.jpg").write_bytes(small_photo(number))
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
+    environment |= {"PYTHONPATH": f"{ROOT}:{ROOT / 'client'}", "REVISIT_ENCODER": "color", "REVISIT_PORT": port}
+    environment["REVISIT_URL"] = f"http://127.0.0.1:{port}"
+
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", "".join(blocks).replace("localhost:8000", f"localhost:{port}")],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=180,
+    )
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "6 enrolled, 0 already there, 0 failed" in done.stdout
+    assert "401" in done.stdout.splitlines()
+    assert 'revisit_views{map="campus",state="ready"} 6.0' in done.stdout
+    assert len(re.findall(r"\d\.jpg", done.stdout.rpartition("doctor")[2])) == 6
+    assert (tmp_path / "robot-7.key").stat().st_mode & 0o077 == 0
