@@ -72,8 +72,7 @@ class Database:
             with self.engine.connect() as connection:
                 connection = dialect.for_writing(connection)
                 with connection.begin():
-                    if in_turn:
-                        dialect.take_turn(connection)
+                    dialect.begin_writing(connection, in_turn=in_turn)
                     sealing.begin(connection)
                     yield connection
                     sealing.seal(connection)

@@ -13,7 +13,19 @@ from sqlalchemy.pool import NullPool, QueuePool
 from schemas.errors import SetupError
 
 BUSY_S = 60
-"""Seconds that a writer of SQLite waits for its turn."""
+"""Seconds that a writer waits for its turn."""
+
+SILENT_S = 10
+"""Seconds after which PostgreSQL ends a writing transaction whose process says nothing: it was stopped, or cut off."""
+
+SERVER_GONE = {
+    "connect_timeout": 5,  # seconds, as are the next three
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 20_000,  # milliseconds
+}
+"""When a PostgreSQL server that vanished without a word counts as away; parameters of a URL go before them."""
 
 WRITERS = 0x7265766973697400
 """Key of PostgreSQL's advisory lock that writers take in turn ("revisit" in ASCII)."""
@@ -31,6 +43,7 @@ _IN_A_MOMENT = {
     "25006": "it is a standby and takes no writes",
     "40001": "others changed the same rows",
     "40P01": "others waited for the same rows",
+    "25P03": "this process was silent for too long while it wrote",
 }
 
 
@@ -59,7 +72,9 @@ def make_engine(url: str) -> sa.Engine:
 
 
 def _postgresql(url: sa.URL) -> sa.Engine:
-    return sa.create_engine(url.set(drivername="postgresql+psycopg"), max_overflow=-1, pool_pre_ping=True)
+    patience = {name: value for name, value in SERVER_GONE.items() if name not in url.query}
+    url = url.set(drivername="postgresql+psycopg")
+    return sa.create_engine(url, max_overflow=-1, pool_pre_ping=True, connect_args=patience)
 
 
 def _sqlite(url: sa.URL) -> sa.Engine:
@@ -137,19 +152,44 @@ def for_reading(connection: sa.Connection) -> sa.Connection:
 
 def for_writing(connection: sa.Connection) -> sa.Connection:
     """A connection whose transaction writes from its beginning."""
-    if connection.dialect.name == "postgresql":  # after `take_turn` each statement sees earlier commits
+    if connection.dialect.name == "postgresql":  # after its turn has come each statement sees earlier commits
         return connection.execution_options(isolation_level="READ COMMITTED")
     return connection.execution_options(writes=True)
 
 
-def take_turn(connection: sa.Connection) -> None:
-    """Wait until no other transaction writes, as SQLite does by itself.
+def begin_writing(connection: sa.Connection, *, in_turn: bool) -> None:
+    """Limit how long a transaction that writes may wait for others and keep others waiting, as its first statement.
 
-    Otherwise PostgreSQL could commit revisions out of order, and an index that reads the changes since its own would
-    miss some.
+    Without the second limit a process that is stopped in a transaction, or cut off, would hold up all others until the
+    server notices that it is gone, which may be hours.
+
+    Parameters
+    ----------
+    connection : Connection
+        In the transaction.
+    in_turn : bool
+        Wait until no other transaction writes, as SQLite does by itself. Otherwise PostgreSQL could commit revisions
+        out of order, and an index that reads the changes since its own would miss some.
     """
-    if connection.dialect.name == "postgresql":
-        connection.execute(sa.text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": WRITERS})
+    if connection.dialect.name != "postgresql":
+        return
+    turn = f"pg_advisory_xact_lock({WRITERS})" if in_turn else ""
+    connection.execute(bounded(SILENT_S, turn))
+
+
+def bounded(silent_s: float, lock: str = "") -> sa.Executable:
+    """A statement of PostgreSQL that bounds the waits of the transaction it is in, then takes a lock if one is given.
+
+    Parameters
+    ----------
+    silent_s : float
+        Seconds between statements after which the server ends the transaction.
+    lock : str
+        A call of ``pg_advisory_xact_lock``. Its wait, as that for any lock later, ends after `BUSY_S`.
+    """
+    limits = {"lock_timeout": BUSY_S, "idle_in_transaction_session_timeout": silent_s}
+    calls = [f"set_config('{name}', '{round(1000 * seconds)}', true)" for name, seconds in limits.items()]
+    return sa.text(f"SELECT {', '.join(calls + [lock] * bool(lock))}")
 
 
 def is_full(error: BaseException) -> bool:
@@ -170,6 +210,13 @@ def is_damaged(error: sa.exc.DBAPIError) -> bool:
     )
 
 
+def is_busy(error: BaseException) -> bool:
+    """Whether an error means that others held a lock for `BUSY_S`."""
+    orig = getattr(error, "orig", None)
+    code = getattr(orig, "sqlite_errorcode", 0) or 0
+    return code & 0xFF == sqlite3.SQLITE_BUSY or getattr(orig, "sqlstate", None) == "55P03"
+
+
 def is_unopened(error: BaseException) -> bool:
     """Whether an error means that SQLite may not open a file, or may not make one beside it."""
     code = getattr(getattr(error, "orig", error), "sqlite_errorcode", 0) or 0
@@ -182,9 +229,11 @@ def server_trouble(error: sa.exc.DBAPIError) -> str | None:
     Codes are of appendix A of its manual. An error of a connection that never came about has none.
     """
     state = getattr(error.orig, "sqlstate", "")
+    if state in _IN_A_MOMENT:
+        return _IN_A_MOMENT[state]
     if state is None or error.connection_invalidated:
         return "there is no connection to it" if isinstance(error, sa.exc.OperationalError) else None
-    return "there is no connection to it" if state[:2] == "08" else _IN_A_MOMENT.get(state)
+    return "there is no connection to it" if state[:2] == "08" else None
 
 
 def is_file(engine: sa.Engine) -> bool:

@@ -25,11 +25,12 @@ DAMAGED = (
     "`./revisit doctor --repair` or restore a backup"
 )
 AWAY = "the database server cannot be asked: {}; try again in a moment, the service goes on by itself"
+BUSY = "the database was being written by others for {} s; try again in a moment"
 FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
 
 
 def problem_of(error: BaseException, what: str) -> RevisitError | None:
-    """DiskFull, StorageFailed or Damaged when the disk, the file or the server is at fault, else None.
+    """DiskFull, StorageFailed or Damaged when the disk, the file, the server or other writers are at fault, else None.
 
     Parameters
     ----------
@@ -42,6 +43,8 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
     if isinstance(error, sa.exc.DBAPIError):
         if dialect.is_damaged(error):
             return Damaged(DAMAGED.format(error.orig))
+        if dialect.is_busy(error):
+            return StorageFailed(BUSY.format(dialect.BUSY_S))
         trouble = dialect.server_trouble(error)
         if trouble is not None:
             return StorageFailed(AWAY.format(trouble))

@@ -21,6 +21,9 @@ SCHEMA = "hashtext('revisit ' || current_schema())"
 SERVING = 256
 """Second key of the lock that services share; below it lie those of images, by the first byte of their digests."""
 
+IMAGE_SILENT_S = 120
+"""Seconds between statements of the transaction that holds the lock of images, while an object store is slow."""
+
 ImageLock = Callable[[str], AbstractContextManager[None]]
 """From the first two digits of digests to a lock that writers and removers of such images hold in turn."""
 
@@ -36,8 +39,8 @@ def image_lock(database: Database, data: Path) -> ImageLock:
     @contextmanager
     def by_server(first: str) -> Iterator[None]:
         with translated("database"), database.engine.connect() as connection, connection.begin():
-            lock = sa.text(f"SELECT pg_advisory_xact_lock({SCHEMA}, :key)")
-            connection.execute(lock, {"key": int(first, 16)})
+            lock = f"pg_advisory_xact_lock({SCHEMA}, {int(first, 16)})"
+            connection.execute(dialect.bounded(IMAGE_SILENT_S, lock))
             yield
 
     return by_file if dialect.is_file(database.engine) else by_server

@@ -1,0 +1,56 @@
+"""Writers wait for each other, but not for long: neither for one that writes on, nor for one that fell silent."""
+
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from schemas.errors import StorageFailed
+from tests.storage.conftest import Open
+from tests.storage.databases import postgres_schema
+from tests.storage.material import enroll
+from worker.storage import dialect
+from worker.storage.database import Database
+from worker.storage.store import open_store
+
+
+def test_a_writer_that_waits_too_long_is_told_that_others_write(
+    reopen: Open, database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dialect, "BUSY_S", 0.3)
+    store = reopen()
+    others = Database(database_url)
+    with others.writing():
+        began = time.monotonic()
+        with pytest.raises(StorageFailed, match="being written by others"):
+            enroll(store, "gate")
+        assert 0.2 < time.monotonic() - began < 5
+    others.close()
+    enroll(store, "gate")
+
+
+def test_a_writer_that_falls_silent_is_passed_and_told(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when its machine is suspended, or cut off from the network; the writers of a file are on one machine."""
+    monkeypatch.setattr(dialect, "SILENT_S", 0.3)
+    stopped, wake, told = threading.Event(), threading.Event(), []
+    with postgres_schema() as url, closing(open_store(url, data)) as store, closing(Database(url)) as silent:
+
+        def write_and_stop() -> None:
+            try:
+                with silent.writing():
+                    stopped.set()
+                    wake.wait(30)
+            except StorageFailed as error:
+                told.append(error)
+
+        writer = threading.Thread(target=write_and_stop)
+        writer.start()
+        stopped.wait(30)
+        began = time.monotonic()
+        enroll(store, "hall")
+        assert time.monotonic() - began < 10
+        wake.set()
+        writer.join()
+    assert ["silent for too long" in str(error) for error in told] == [True]
