@@ -8,7 +8,7 @@ from app.cli import images
 from app.cli.console import DONE, Verbs, progress_bar, say, show, show_json, speaks, wrong_use
 
 if TYPE_CHECKING:
-    from revisit_client.loops import Keyframe
+    from revisit_client.loops import Keyframe, LoopCloser
 
 
 def add(verbs: Verbs) -> None:
@@ -17,15 +17,20 @@ def add(verbs: Verbs) -> None:
         "loops",
         help="find where a walk comes back to where it was",
         description="Ask about each image of a walk in turn, then enrol it. Prints which images show the place of an "
-        "earlier one; docs/loops.md says how to read the constraints.",
+        "earlier one; what was found when it is interrupted is written. docs/loops.md says how to read it.",
     )
     parser.add_argument("paths", nargs="+", metavar="PATH", help="image, folder (with all inside) or glob, in order")
     parser.add_argument("--map", required=True, help="map of this walk alone")
     parser.add_argument(
         "--positions", type=Path, metavar="CSV", required=True, help="odometry: columns file, x, y and heading if known"
     )
-    parser.add_argument("--exclude-last", default="20", metavar="N|30s", help="newest images that are no loop (20)")
-    parser.add_argument("--consistent", type=int, default=1, metavar="N", help="images in a row that must agree (1)")
+    parser.add_argument(
+        "--exclude-last",
+        default="20",
+        metavar="N|30s",
+        help="newest images that are no loop: a number, or those enrolled in the last seconds (20)",
+    )
+    parser.add_argument("--consistent", type=int, default=3, metavar="N", help="images in a row that must agree (3)")
     parser.add_argument("--within", type=float, metavar="METRES", help="look no further than this from the odometry")
     parser.add_argument("--radius", type=float, default=5.0, metavar="METRES", help="of a loop that has none (5)")
     parser.add_argument("--drive", metavar="NAME", help="count the images together, as those of this drive")
@@ -37,44 +42,59 @@ def add(verbs: Verbs) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Find loops; returns 0 whether there are any or not."""
+    """Find loops; returns 0 whether there are any or not. What was found is written also when it ends early."""
     from revisit_client import Revisit
-    from revisit_client.loops import LoopCloser, csv, g2o
+    from revisit_client.loops import LoopCloser
 
-    if arguments.consistent < 1:
-        wrong_use("--consistent takes 1 or more")
     walk = _walk(arguments)
+    for file in (arguments.g2o, arguments.csv):
+        if file is not None and (file.is_dir() or not file.absolute().parent.is_dir()):
+            wrong_use(f"{file}: cannot be written; name a file in a folder that exists")
     names = [path.name for path, _ in walk]
     with (
         Revisit(arguments.url, key=arguments.key) as revisit,
         progress_bar(len(walk), "images", quiet=arguments.json) as step,
     ):
-        closer = LoopCloser(
-            revisit,
-            arguments.map,
-            exclude_last=arguments.exclude_last,
-            consistent=arguments.consistent,
-            within_m=arguments.within,
-            radius_m=arguments.radius,
-            drive=arguments.drive,
-            precision=arguments.precision,
-        )
-        for path, keyframe in walk:
-            for loop in closer.add(path, keyframe):
-                if not arguments.json:
-                    where = f"{names[loop.keyframe]} is where {names[loop.earlier]} was"
-                    show(f"{where} (confidence {loop.confidence:.2f}, within {loop.radius_m:.1f} m)")
-            step(path.name)
-    for file, text in ((arguments.g2o, g2o(closer.keyframes, closer.loops)), (arguments.csv, csv(closer.loops))):
-        if file is not None:
-            file.write_text(text)
-            say(f"written: {file}")
+        try:
+            closer = LoopCloser(
+                revisit,
+                arguments.map,
+                exclude_last=arguments.exclude_last,
+                consistent=arguments.consistent,
+                within_m=arguments.within,
+                radius_m=arguments.radius,
+                drive=arguments.drive,
+                precision=arguments.precision,
+            )
+        except ValueError as error:
+            wrong_use(str(error))
+        try:
+            for path, keyframe in walk:
+                for loop in closer.add(path, keyframe):
+                    if not arguments.json:
+                        where = f"{names[loop.keyframe]} is where {names[loop.earlier]} was"
+                        show(f"{where} (confidence {loop.confidence:.2f}, within {loop.radius_m:.1f} m)")
+                step(path.name)
+        finally:
+            _write(arguments, closer)
     if arguments.json:
         listed = [vars(loop) | {"files": [names[loop.keyframe], names[loop.earlier]]} for loop in closer.loops]
         show_json({"keyframes": len(walk), "loops": listed})
     else:
         show(f"{len(closer.loops)} loops among {len(walk)} images")
     return DONE
+
+
+def _write(arguments: argparse.Namespace, closer: "LoopCloser") -> None:
+    """The files asked for, as far as the walk came; none before its first image."""
+    from revisit_client.loops import csv, g2o
+
+    if not closer.keyframes:
+        return
+    for file, text in ((arguments.g2o, g2o(closer.keyframes, closer.loops)), (arguments.csv, csv(closer.loops))):
+        if file is not None:
+            file.write_text(text)
+            say(f"written: {file} ({len(closer.keyframes)} keyframes)")
 
 
 def _walk(arguments: argparse.Namespace) -> "list[tuple[Path, Keyframe]]":

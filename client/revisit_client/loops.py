@@ -1,6 +1,6 @@
 """Loop closures for SLAM: keyframes go in one by one, constraints of a pose graph come out.
 
-closer = LoopCloser(revisit, "campus", exclude_last=20, consistent=2)
+closer = LoopCloser(revisit, "campus", exclude_last=20)
 for number, (image, x, y, heading) in enumerate(walk):
     for loop in closer.add(image, Keyframe(number, x, y, heading)):
         print(loop.keyframe, "is where", loop.earlier, "was")
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 from revisit_client.client import Revisit
-from revisit_client.errors import RevisitProblem
+from revisit_client.errors import ClientError, RevisitProblem
 from revisit_client.parameters import Image
 
 KEYFRAME = "keyframe"
@@ -22,6 +22,9 @@ KEYFRAME = "keyframe"
 
 HEADING_SD = 20.0
 """Degrees by which the camera of a loop may be turned against the earlier one's, as a standard deviation."""
+
+UNKNOWN_SD = 180.0
+"""The same where a heading of the two is guessed: the way may have been walked backwards, or the camera look aside."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,21 @@ class Keyframe:
         Metres, x to the east and y to the north, or in any frame that is turned against these.
     heading : float or None
         Degrees clockwise from y; None: as the next keyframe lies.
+
+    Raises
+    ------
+    ValueError
+        A pose that is not finite.
     """
 
     number: int
     x: float
     y: float
     heading: float | None = None
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.x, self.y, self.heading or 0.0))):
+            raise ValueError(f"keyframe {self.number} lies at {self.x}, {self.y}, {self.heading}; poses are finite")
 
     @classmethod
     def of_pose(cls, number: int, x: float, y: float, yaw: float) -> "Keyframe":
@@ -69,6 +81,28 @@ class Loop:
     radius_m: float
 
 
+def confirmed(seen: Sequence[Loop | None], consistent: int, reach: int) -> list[Loop]:
+    """What the last of `seen` makes certain that was not before.
+
+    Parameters
+    ----------
+    seen : sequence of (Loop or None)
+        What each keyframe so far was recognised as.
+    consistent : int
+        Keyframes in a row whose earlier ones must lie together before they count, 1 or more.
+    reach : int
+        How many numbers those earlier ones may lie apart from one to the next.
+    """
+    row: list[Loop] = []
+    for loop in reversed(seen):
+        if loop is None or len(row) > consistent or (row and abs(loop.earlier - row[-1].earlier) > reach):
+            break
+        row.append(loop)
+    if len(row) < consistent:
+        return []
+    return row[::-1] if len(row) == consistent else row[:1]
+
+
 class LoopCloser:
     """Asks about each keyframe, then enrols it.
 
@@ -76,9 +110,10 @@ class LoopCloser:
     ----------
     revisit : Revisit
     map : str
-        Made by the first keyframe; one map for one walk, since numbers of keyframes are looked up in it.
+        Made by the first keyframe. It may hold views already, but none of another walk: one map for one walk, since a
+        walk's keyframes compete with those of another for the same place.
     exclude_last : int or str
-        Newest keyframes that are no loop: a number, or seconds as ``30s``.
+        Newest views that are no loop: a number, or those enrolled within the last seconds, as ``30s``.
     consistent : int
         Keyframes in a row whose earlier ones must lie together before they count.
     reach : int
@@ -91,6 +126,20 @@ class LoopCloser:
         Count the images together, as those of one drive.
     precision : float or None
         Share of loops that must be right; None: as the map says.
+
+    Attributes
+    ----------
+    keyframes : list of Keyframe
+        Those enrolled.
+    seen : list of (Loop or None)
+        What each of them was recognised as, before `consistent` is asked for.
+    loops : list of Loop
+        What is certain.
+
+    Raises
+    ------
+    ValueError
+        An option is out of range.
     """
 
     def __init__(
@@ -99,7 +148,7 @@ class LoopCloser:
         map: str,
         *,
         exclude_last: int | str = 20,
-        consistent: int = 1,
+        consistent: int = 3,
         reach: int = 5,
         within_m: float | None = None,
         radius_m: float = 5.0,
@@ -108,12 +157,18 @@ class LoopCloser:
     ) -> None:
         if consistent < 1:
             raise ValueError(f"consistent is {consistent}; it is 1 or more")
+        if reach < 0:
+            raise ValueError(f"reach is {reach}; it is 0 or more")
+        for name, metres in (("within_m", within_m), ("radius_m", radius_m)):
+            if metres is not None and not 0 < metres < math.inf:
+                raise ValueError(f"{name} is {metres}; it is above 0")
         self._revisit, self._map = revisit, map
         self._exclude_last, self._within_m = exclude_last, within_m
         self._consistent, self._reach, self._radius_m = consistent, reach, radius_m
         self._drive, self._precision = drive, precision
-        self._row: list[Loop] = []
+        self._numbers: dict[str, int] = {}
         self.keyframes: list[Keyframe] = []
+        self.seen: list[Loop | None] = []
         self.loops: list[Loop] = []
 
     def add(self, image: Image, keyframe: Keyframe) -> list[Loop]:
@@ -126,11 +181,18 @@ class LoopCloser:
 
         Raises
         ------
-        RevisitProblem, Unreachable
-            The keyframe is not among `keyframes`, and may be added again.
+        ValueError
+            The number is not larger than that of the keyframe before.
+        ClientError
+            The service refused or did not answer, or the map holds another walk. The keyframe is not among
+            `keyframes`, and may be added again.
         """
+        if not self.keyframes:
+            self._refuse_another_walk()
+        elif keyframe.number <= self.keyframes[-1].number:
+            raise ValueError(f"keyframe {keyframe.number} comes after {self.keyframes[-1].number}; numbers grow")
         seen = self._seen(image, keyframe)
-        self._revisit.enroll(
+        enrolled = self._revisit.enroll(
             image,
             map=self._map,
             x=keyframe.x,
@@ -138,18 +200,25 @@ class LoopCloser:
             heading=keyframe.heading,
             metadata={KEYFRAME: keyframe.number},
         )
+        self._numbers.setdefault(enrolled.view.id, keyframe.number)
         self.keyframes.append(keyframe)
-        if seen is None:
-            self._row = []
-            return []
-        if self._row and abs(seen.earlier - self._row[-1].earlier) > self._reach:
-            self._row = []
-        self._row.append(seen)
-        if len(self._row) < self._consistent:
-            return []
-        fresh = self._row if len(self._row) == self._consistent else [seen]
+        self.seen.append(seen)
+        fresh = confirmed(self.seen, self._consistent, self._reach)
         self.loops += fresh
-        return list(fresh)
+        return fresh
+
+    def _refuse_another_walk(self) -> None:
+        try:
+            walked = any(KEYFRAME in (view.metadata or {}) for view in self._revisit.views(self._map, page=500))
+        except RevisitProblem as problem:
+            if problem.code != "not-found":
+                raise
+            return
+        if walked:
+            raise ClientError(
+                f"map {self._map} holds keyframes of another walk, which would hide this one's loops; "
+                "name another map, or delete this one"
+            )
 
     def _seen(self, image: Image, keyframe: Keyframe) -> Loop | None:
         try:
@@ -167,8 +236,8 @@ class LoopCloser:
             raise
         if answer.status != "matched":
             return None
-        earlier = (answer.matches[0].view.metadata or {}).get(KEYFRAME)
-        if not isinstance(earlier, int) or earlier >= keyframe.number:
+        earlier = self._numbers.get(answer.matches[0].view.id)
+        if earlier is None:
             return None
         radius = None if answer.estimate is None else answer.estimate.radius_m
         return Loop(keyframe.number, earlier, answer.confidence, radius or self._radius_m)
@@ -198,8 +267,9 @@ def g2o(
     """A pose graph in the plane, as g2o, GTSAM and Ceres' examples read it.
 
     Vertices are the poses of odometry (yaw in radians, counter-clockwise from x). Edges are the steps of odometry, and
-    the loops: at the same place, facing the same way, with the information 2 / radius² in x and y, since the radius is
-    the root mean square of both together, and that of 20° in yaw.
+    the loops: at the same place, facing the same way. Their information is 2 / radius² in x and y, since the radius is
+    the root mean square of both together; in yaw that of 20° where both headings were given, and next to none where one
+    is that of the way.
 
     Parameters
     ----------
@@ -222,9 +292,11 @@ def g2o(
         dx, dy, dyaw = _step(poses[one], poses[two])
         of_place = 1 / max(drift * math.hypot(dx, dy), 0.01) ** 2
         lines.append(_edge(one, two, (dx, dy, dyaw), of_place, 1 / math.radians(turn) ** 2))
+    known = {one.number for one in keyframes if one.heading is not None}
     for loop in loops:
         of_place = 2 / loop.radius_m**2
-        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, 1 / math.radians(HEADING_SD) ** 2))
+        sd = HEADING_SD if {loop.earlier, loop.keyframe} <= known else UNKNOWN_SD
+        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, 1 / math.radians(sd) ** 2))
     return "\n".join(lines) + "\n"
 
 

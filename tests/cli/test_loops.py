@@ -1,5 +1,7 @@
 """`./revisit loops`: a walk goes in, loops and a pose graph come out."""
 
+import _thread
+import itertools
 import json
 from pathlib import Path
 
@@ -19,9 +21,12 @@ def walk(tmp_path: Path, service: FakeService) -> list[str]:
     for number in range(3):
         (tmp_path / f"{number}.jpg").write_bytes(photo(number))
     (tmp_path / "odometry.csv").write_text("file,x,y,heading\n0.jpg,0,0,0\n1.jpg,0,2,0\n2.jpg,0,0.5,180\n")
-    service.replies["POST /query"] = 200, answers.query_answer(answers.match(metadata={"keyframe": 0}))
-    service.replies["POST /enroll"] = 201, answers.enrolled()
-    return ["loops", str(tmp_path / "*.jpg"), "--map", "walk", "--positions", str(tmp_path / "odometry.csv")]
+    service.replies["GET /views"] = 200, {"views": [], "next": None}
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match(view_id="0"))
+    numbers = itertools.count()
+    service.replies["POST /enroll"] = lambda _: (201, answers.enrolled(view_id=str(next(numbers))))
+    odometry = str(tmp_path / "odometry.csv")
+    return ["loops", str(tmp_path / "*.jpg"), "--map", "walk", "--positions", odometry, "--consistent", "1"]
 
 
 def test_loops_are_named_and_written(walk: list[str], service: FakeService, tmp_path: Path, capsys: Out) -> None:
@@ -38,7 +43,52 @@ def test_loops_are_named_and_written(walk: list[str], service: FakeService, tmp_
     assert "VERTEX_SE2 2 0.000000 0.500000 -1.570796" in graph.read_text()
     assert graph.read_text().count("EDGE_SE2") == 4
     assert table.read_text().splitlines()[1:] == ["1,0,0.93,3.0", "2,0,0.93,3.0"]
-    assert [line.split("?")[0] for line, _ in service.requests] == ["POST /query", "POST /enroll"] * 3
+    assert [line.split("?")[0] for line, _ in service.requests] == [
+        "GET /views",
+        *["POST /query", "POST /enroll"] * 3,
+    ]
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, None])
+def test_what_was_found_before_an_early_end_is_written(
+    walk: list[str], service: FakeService, tmp_path: Path, capsys: Out, ending: type[BaseException] | None
+) -> None:
+    table = tmp_path / "loops.csv"
+    refusals = iter([False, False, True])
+
+    def refused_at_last(_: bytes) -> tuple[int, object]:
+        if next(refusals):
+            if ending is not None:
+                _thread.interrupt_main()
+            return 507, answers.problem("storage-full", 507)
+        return 200, answers.query_answer(answers.match(view_id="0"))
+
+    service.replies["POST /query"] = refused_at_last
+
+    assert main([*walk, "--csv", str(table)]) == (1 if ending is None else 130)
+
+    assert table.read_text().splitlines()[1:] == ["1,0,0.93,5.0"]
+    assert "(2 keyframes)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--g2o", "--csv"])
+def test_a_file_that_cannot_be_written_is_named_before_the_walk(
+    walk: list[str], service: FakeService, tmp_path: Path, capsys: Out, option: str
+) -> None:
+    for file in (tmp_path, tmp_path / "missing" / "file"):
+        assert main([*walk, option, str(file)]) == 2
+        assert f"{file}: cannot be written" in capsys.readouterr().err
+    assert service.requests == []
+
+
+def test_a_map_with_another_walk_is_refused(walk: list[str], service: FakeService, tmp_path: Path, capsys: Out) -> None:
+    table = tmp_path / "loops.csv"
+    service.replies["GET /views"] = 200, {"views": [answers.view(metadata={"keyframe": 0})], "next": None}
+
+    assert main([*walk, "--csv", str(table)]) == 1
+
+    assert "holds keyframes of another walk" in capsys.readouterr().err
+    assert not table.exists()
 
 
 def test_for_machines(walk: list[str], capsys: Out) -> None:
@@ -67,6 +117,20 @@ def test_every_image_needs_odometry(
     assert service.requests == []
 
 
-def test_nobody_agrees_with_less_than_one(walk: list[str], capsys: Out) -> None:
-    assert main([*walk, "--consistent", "0"]) == 2
-    assert "--consistent" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "option", [("--consistent", "0"), ("--radius", "0"), ("--radius", "nan"), ("--within", "-5")], ids="=".join
+)
+def test_options_out_of_range(walk: list[str], service: FakeService, capsys: Out, option: tuple[str, str]) -> None:
+    assert main([*walk, *option]) == 2
+
+    assert "above 0" in (told := capsys.readouterr().err) or "1 or more" in told
+    assert service.requests == []
+
+
+def test_positions_are_finite(walk: list[str], service: FakeService, tmp_path: Path, capsys: Out) -> None:
+    (tmp_path / "odometry.csv").write_text("file,x,y\n0.jpg,0,0\n1.jpg,nan,0\n2.jpg,0,0\n")
+
+    assert main(walk) == 2
+
+    assert "nan" in capsys.readouterr().err.lower()
+    assert service.requests == []

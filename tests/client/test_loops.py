@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from revisit_client import Revisit, RevisitProblem
+from revisit_client import ClientError, Revisit, RevisitProblem
 from revisit_client.loops import Keyframe, Loop, LoopCloser, csv, g2o, with_headings
 
 from tests import answers
@@ -17,104 +17,163 @@ from tests import answers
 IMAGE = b"a picture"
 
 
+FIRST = 50
+"""Number of the first keyframe that may be recognised."""
+
+
 class Service:
-    """Answers the n-th query with the keyframe of its list: None is no match, a refusal is raised."""
+    """Recognises keyframe FIRST + n as the n-th keyframe of its list; None is no match, a refusal is raised.
+
+    The view of a keyframe has its number as its id.
+    """
 
     def __init__(self, seen: Sequence[int | dict[str, Any] | None], radius_m: float | None = 3.0) -> None:
-        self.seen, self.radius_m = list(seen), radius_m
+        self.seen, self.radius_m = [None] * FIRST + list(seen), radius_m
+        self.kept: list[dict[str, Any]] = []
         self.queries: list[bytes] = []
         self.enrolled: list[bytes] = []
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
+        if request.url.path == "/views":
+            return httpx.Response(200, json={"views": self.kept, "next": None})
         if request.url.path == "/enroll":
             self.enrolled.append(request.url.query + request.content)
-            return httpx.Response(201, json=answers.enrolled())
+            return httpx.Response(201, json=answers.enrolled(view_id=str(len(self.enrolled) - 1)))
         self.queries.append(request.content)
-        seen = self.seen.pop(0)
+        seen = self.seen[len(self.queries) - 1]
         if isinstance(seen, dict):
             return httpx.Response(seen["status"], json=seen)
         if seen is None:
             return httpx.Response(200, json=answers.query_answer(status="no_match"))
-        match = answers.match(metadata={"keyframe": seen})
+        match = answers.match(view_id=str(seen))
         estimate = {"position": match["view"]["position"], "radius_m": self.radius_m, "views": []}
         return httpx.Response(200, json=answers.query_answer(match) | {"estimate": estimate})
 
     def closer(self, **options: Any) -> LoopCloser:
         revisit = Revisit("http://test", transport=httpx.MockTransport(self), patience=0)
-        return LoopCloser(revisit, "walk", **options)
+        return LoopCloser(revisit, "walk", **{"consistent": 1, **options})
+
+
+def walked(service: Service, **options: Any) -> LoopCloser:
+    """A walk along x."""
+    closer = service.closer(**options)
+    at_once = [loop for number in range(len(service.seen)) for loop in closer.add(IMAGE, Keyframe(number, number, 0))]
+    assert at_once == closer.loops
+    return closer
 
 
 def found(service: Service, **options: Any) -> list[tuple[int, int]]:
-    """Loops of a walk along x."""
-    closer = service.closer(**options)
-    count = len(service.seen)
-    at_once = [loop for number in range(count) for loop in closer.add(IMAGE, Keyframe(100 + number, number, 0))]
-    assert at_once == closer.loops
-    return [(loop.keyframe, loop.earlier) for loop in at_once]
+    return [(loop.keyframe - FIRST, loop.earlier) for loop in walked(service, **options).loops]
 
 
 def test_a_matched_keyframe_is_a_loop_with_the_radius_of_the_service() -> None:
-    service = Service([None, None, 7])
-    closer = service.closer()
+    service = Service([None, 7])
 
-    for number in (100, 101):
-        assert closer.add(IMAGE, Keyframe(number, number, 0)) == []
-    (loop,) = closer.add(IMAGE, Keyframe(102, 3.5, 4, 90))
+    (loop,) = walked(service).loops
 
-    assert loop == Loop(102, 7, loop.confidence, 3.0)
-    assert len(service.enrolled) == 3
-    assert b"keyframe" in service.enrolled[-1]
+    assert loop == Loop(FIRST + 1, 7, loop.confidence, 3.0)
+    assert len(service.enrolled) == FIRST + 2
+    assert b'{"keyframe": 51}' in service.enrolled[-1]
     assert b'"exclude_last"\r\n\r\n20\r\n' in service.queries[0]
 
 
 def test_the_first_keyframe_makes_the_map() -> None:
-    service = Service([answers.problem("not-found", 404), None])
+    service = Service([None])
+    service.seen[0] = answers.problem("not-found", 404)
 
     assert found(service) == []
-    assert len(service.enrolled) == 2
+    assert len(service.enrolled) == FIRST + 1
 
 
 def test_another_refusal_is_raised_and_nothing_is_enrolled() -> None:
-    service = Service([answers.problem("unauthorized", 401)])
+    service = Service([])
+    service.seen[0] = answers.problem("unauthorized", 401)
 
     with pytest.raises(RevisitProblem):
-        found(service)
+        walked(service)
     assert service.enrolled == []
 
 
-def test_one_keyframe_that_stands_alone_is_no_loop_where_three_must_agree() -> None:
-    # 3 stands alone; 40, 41, 43 agree; 44 goes on; 90 is elsewhere.
-    service = Service([None, 3, None, 40, 41, 43, 44, 90, None])
+def test_a_map_with_another_walk_is_refused_before_anything_is_enrolled() -> None:
+    service = Service([None])
+    service.kept = [answers.view(), answers.view(metadata={"keyframe": 0})]
 
-    assert found(service, consistent=3) == [(103, 40), (104, 41), (105, 43), (106, 44)]
+    with pytest.raises(ClientError, match="map walk holds keyframes of another walk"):
+        walked(service)
+    assert service.enrolled == service.queries == []
+
+
+def test_views_that_are_no_keyframes_may_be_there_already_and_are_no_loops() -> None:
+    service = Service([900, None])
+    service.kept = [answers.view(metadata={"camera": "left"})]
+
+    assert found(service) == []
+
+
+def test_one_keyframe_that_stands_alone_is_no_loop_where_three_must_agree() -> None:
+    # 3 stands alone; 40, 41, 43 agree; 44 goes on; 9 is elsewhere.
+    service = Service([None, 3, None, 40, 41, 43, 44, 9, None])
+
+    assert found(service, consistent=3) == [(3, 40), (4, 41), (5, 43), (6, 44)]
 
 
 def test_a_walk_may_come_back_the_other_way() -> None:
-    assert found(Service([44, 42, 41]), consistent=3, reach=2) == [(100, 44), (101, 42), (102, 41)]
+    assert found(Service([44, 42, 41]), consistent=3, reach=2) == [(0, 44), (1, 42), (2, 41)]
     assert found(Service([44, 41, 40]), consistent=3, reach=2) == []
 
 
+def test_what_was_seen_is_kept_whether_it_counts_or_not() -> None:
+    closer = walked(Service([None, 3, 4]), consistent=3)
+
+    assert closer.loops == []
+    assert [loop and loop.earlier for loop in closer.seen[FIRST:]] == [None, 3, 4]
+
+
 def test_where_odometry_is_trusted_only_what_is_near_is_looked_for() -> None:
-    service = Service([None])
+    service = Service([])
 
     service.closer(within_m=30).add(IMAGE, Keyframe(0, 1.5, -2))
 
     assert b'"near"\r\n\r\n1.5,-2,30\r\n' in service.queries[0]
 
 
-def test_a_view_that_is_no_keyframe_or_a_later_one_is_no_loop() -> None:
-    assert found(Service([500, None])) == []
-
-
 def test_where_the_service_knows_no_radius_the_callers_is_taken() -> None:
-    (loop,) = Service([1], radius_m=None).closer(radius_m=9).add(IMAGE, Keyframe(2, 0, 0))
+    (loop,) = walked(Service([1], radius_m=None), radius_m=9).loops
 
     assert loop.radius_m == 9
 
 
-def test_less_than_one_keyframe_cannot_agree() -> None:
-    with pytest.raises(ValueError, match="consistent is 0"):
-        Service([]).closer(consistent=0)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"consistent": 0},
+        {"reach": -1},
+        {"radius_m": 0},
+        {"radius_m": math.nan},
+        {"within_m": -3},
+        {"within_m": math.inf},
+    ],
+    ids=str,
+)
+def test_options_out_of_range_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(options))} is"):
+        Service([]).closer(**options)
+
+
+@pytest.mark.parametrize("pose", [(math.nan, 0, None), (0, math.inf, None), (0, 0, math.nan)], ids=str)
+def test_poses_are_finite(pose: tuple[float, float, float | None]) -> None:
+    with pytest.raises(ValueError, match="keyframe 7"):
+        Keyframe(7, *pose)
+
+
+def test_numbers_of_keyframes_grow() -> None:
+    service = Service([])
+    closer = service.closer()
+    closer.add(IMAGE, Keyframe(4, 0, 0))
+
+    with pytest.raises(ValueError, match="keyframe 4 comes after 4"):
+        closer.add(IMAGE, Keyframe(4, 1, 0))
+    assert len(service.queries) == 1
 
 
 def test_headings_are_those_of_the_way() -> None:
@@ -152,6 +211,14 @@ def test_a_pose_graph_has_odometry_and_loops() -> None:
     # The radius is the root mean square of x and y together: 2 metres, of which each has the half, squared.
     assert loop[:2] == (3, 9)
     assert loop[2] == pytest.approx([0, 0, 0, 0.5, 0, 0, 0.5, 0, 1 / math.radians(20) ** 2], rel=1e-4)
+
+
+def test_a_guessed_heading_says_next_to_nothing_of_how_a_loop_is_turned() -> None:
+    walk = [Keyframe(0, 0, 0, 0), Keyframe(1, 0, 2), Keyframe(2, 0, 4), Keyframe(3, 0, 0)]
+
+    *_, with_one_known, with_none = edges(g2o(walk, [Loop(3, 0, 0.99, 2.0), Loop(3, 1, 0.99, 2.0)]))
+
+    assert with_one_known[2][-1] == with_none[2][-1] == pytest.approx(1 / math.pi**2, rel=1e-4)
 
 
 def test_yaw_and_heading_are_the_same_thing_the_other_way_round() -> None:
