@@ -31,7 +31,7 @@ EXCLUDED = 20
 REACH = 5
 
 
-Seen = list[Loop | None]
+Candidates = list[Loop | None]
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ def judged(dataset: Dataset, loops: Sequence[Loop]) -> Counts:
     return Counts(right, len(loops) - right)
 
 
-def certain(seen: Seen, consistent: int) -> list[Loop]:
+def certain(seen: Candidates, consistent: int) -> list[Loop]:
     """The loops of a whole walk where `consistent` keyframes must agree."""
     return [loop for end in range(len(seen)) for loop in confirmed(seen[: end + 1], consistent, REACH)]
 
 
-def run(dataset: Dataset, *, drive: bool) -> Seen:
+def run(dataset: Dataset, *, drive: bool) -> Candidates:
     """One walk through a service of its own: what each keyframe was recognised as."""
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
@@ -92,7 +92,7 @@ def run(dataset: Dataset, *, drive: bool) -> Seen:
     return closer.seen
 
 
-def cell(dataset: Dataset, walks: Sequence[Seen], consistent: int) -> str:
+def cell(dataset: Dataset, walks: Sequence[Candidates], consistent: int) -> str:
     """Median of the repeated walks and their range."""
     counts = [judged(dataset, certain(seen, consistent)) for seen in walks]
     known = sum(len(positives) > 0 for positives in dataset.positives)
