@@ -13,7 +13,11 @@ class ImportOptions:
         Take place and time from EXIF where the manifest says nothing of them.
     panorama : bool
         Every image is an equirectangular panorama, and is enrolled as eight views.
+    every_s, every_m : float or None
+        Least seconds, or metres, from one image to the next; None: all images, and of a video one a second.
     """
 
     exif: bool = False
     panorama: bool = False
+    every_s: float | None = None
+    every_m: float | None = None

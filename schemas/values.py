@@ -13,6 +13,9 @@ MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 METADATA_BYTES = 16 * 1024
 METADATA_DEPTH = 8
 
+LEAST_STEP = 0.01
+"""Seconds or metres from one image of an import to the next."""
+
 LONGEST_FILE_NAME = 255
 _LONGEST_ENDING = 10
 _DIRECTIONS = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
@@ -92,6 +95,15 @@ def exclude_last(text: object) -> int | timedelta:
         if seconds <= _LONGEST_S:
             return timedelta(seconds=seconds)
     raise ValueError(f"needs a number of views such as 10, or seconds such as 30s, at most {_LONGEST_S}")
+
+
+def every(text: object) -> tuple[float, str]:
+    """Parse a step as ``2s``, ``1min`` or ``0.5m``: seconds and ``s``, or metres and ``m``."""
+    if match := re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?)(s|min|m)", str(text), re.ASCII):
+        amount = float(match[1]) * (60 if match[2] == "min" else 1)
+        if LEAST_STEP <= amount <= _LONGEST_S:
+            return amount, "m" if match[2] == "m" else "s"
+    raise ValueError(f"needs seconds such as 2s, minutes such as 1min or metres such as 1m, at least {LEAST_STEP}")
 
 
 def identifiers(text: object) -> tuple[str, ...]:

@@ -17,16 +17,22 @@ def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
         "import",
-        help="import a recording: a zip archive or a folder of images, with a manifest",
-        description="Send a zip archive or a folder of images. A manifest (manifest.csv or manifest.ndjson inside) has "
-        "the columns file, place, x, y, z, lat, lon, alt, heading, captured_at; any other is kept as metadata. Images "
+        help="import a recording: a zip archive or a folder of images, with a manifest, or a video",
+        description="Send a zip archive or a folder of images, or a video (MP4, MOV, MKV, WebM, AVI). "
+        "A manifest (manifest.csv or manifest.ndjson inside) has the columns file, place, x, y, z, lat, lon, alt, "
+        "heading, captured_at; any other is kept as metadata. Images "
         "that are in the map already are skipped: repeat the command to continue.",
     )
-    parser.add_argument("source", type=Path, metavar="FILE|DIR", help="zip archive, or folder (with all inside)")
+    parser.add_argument("source", type=Path, metavar="FILE|DIR", help="zip archive, video, or folder (with all inside)")
     parser.add_argument("--map", default="default", help="map to import into (default: default)")
     parser.add_argument("--manifest", type=Path, metavar="FILE", help="manifest of a folder that holds none")
     parser.add_argument("--exif", action="store_true", help="take place and time from EXIF where no manifest has them")
     parser.add_argument("--panorama", action="store_true", help="each image is a panorama, and becomes eight views")
+    parser.add_argument(
+        "--every",
+        metavar="STEP",
+        help="least time (2s, 1min) or way (1m: metres) from one image to the next; else all, of a video one a second",
+    )
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -44,6 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
                 manifest=arguments.manifest,
                 exif=arguments.exif,
                 panorama=arguments.panorama,
+                every=arguments.every,
             )
         except ValueError as error:
             wrong_use(str(error))
@@ -63,6 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _show(job: "Job") -> None:
     report = job.result or {}
     show(f"{report['enrolled']} enrolled, {report['already_there']} already there, {report['failed']} failed")
+    if report["left_out"]:
+        say(f"{report['left_out']} left out by --every")
     for error in report["errors"][:MOST_SHOWN]:
         say(f"  {error['file']}: {error['detail']}")
     left = len(report["errors"]) - MOST_SHOWN + report["errors_left_off"]

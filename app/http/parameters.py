@@ -27,6 +27,12 @@ def _text(**schema: object) -> WithJsonSchema:
     return WithJsonSchema({"type": "string", **schema})
 
 
+def _step(text: str) -> str:
+    """Check a step of an import."""
+    values.every(text)
+    return text
+
+
 DriveName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of a drive.", examples=["robot-7"])]
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
@@ -218,10 +224,22 @@ class ImportParameters(Parameters):
     panorama: bool = Field(
         False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."
     )
+    every: Annotated[str, AfterValidator(_step)] | None = Field(
+        None,
+        examples=["2s", "1m"],
+        description="Least time (2s, 1min) or way (1m: metres) from one image to the next; the others are left out. "
+        "Default: all images, and of a video one a second.",
+    )
 
     def options(self) -> ImportOptions:
         """The same as a record."""
-        return ImportOptions(exif=self.exif, panorama=self.panorama)
+        amount, unit = (None, "") if self.every is None else values.every(self.every)
+        return ImportOptions(
+            exif=self.exif,
+            panorama=self.panorama,
+            every_s=amount if unit == "s" else None,
+            every_m=amount if unit == "m" else None,
+        )
 
 
 class LocalizeParameters(Parameters):

@@ -34,6 +34,7 @@ class JobCalls:
         manifest: str | os.PathLike[str] | None = None,
         exif: bool = False,
         panorama: bool = False,
+        every: str | None = None,
     ) -> wire.Job:
         """Send a recording, whose images are then enrolled by the job that is returned; see `wait_for_job`.
 
@@ -43,7 +44,7 @@ class JobCalls:
         ----------
         source : bytes or path
             A zip archive of images, or a folder, of which the images and manifests are sent. A file ``manifest.csv`` or
-            ``manifest.ndjson`` says what is known of the images.
+            ``manifest.ndjson`` says what is known of the images. Or a video: MP4, QuickTime, Matroska, WebM, AVI.
         map : str
             Made when there is none.
         manifest : path or None
@@ -52,9 +53,12 @@ class JobCalls:
             Take place and time from the images where the manifest says nothing of them.
         panorama : bool
             Every image is an equirectangular panorama, and is enrolled as eight views.
+        every : str or None
+            Least time (``2s``, ``1min``) or way (``1m``: metres) from one image to the next. None: all images, and of
+            a video one a second.
         """
         body: bytes | Iterator[bytes]
-        headers = {"content-type": "application/zip"}
+        headers = {"content-type": "application/octet-stream"}
         if not isinstance(source, bytes) and Path(source).is_dir():
             body = folder_as_zip(Path(source), None if manifest is None else Path(manifest))
         elif manifest is not None:
@@ -70,7 +74,7 @@ class JobCalls:
             wire.Job,
             "POST",
             f"/maps/{map}/imports",
-            params=texts({"exif": exif or None, "panorama": panorama or None}),
+            params=texts({"exif": exif or None, "panorama": panorama or None, "every": every}),
             content=body,
             headers=headers,
             repeat=False,

@@ -15,34 +15,8 @@ from PIL import Image as PilImage
 
 from lab.faults.heics import heics
 from tests.sample_images import drawn, encoded, photo
+from tests.stories.importing import ZIP, ended, photos, zipped
 from tests.stories.running import RunningService
-
-ZIP = {"content-type": "application/zip"}
-
-
-def zipped(files: Mapping[str, bytes | str]) -> bytes:
-    """An archive of these files."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return out.getvalue()
-
-
-def photos(count: int, size: int = 64) -> dict[str, bytes | str]:
-    """Images of different places, by name."""
-    return {f"walk/{i:04}.jpg": encoded(drawn(size, size, i)) for i in range(count)}
-
-
-def ended(client: httpx.Client, job_id: str, within_s: float = 60) -> dict[str, Any]:
-    """The job once it has ended."""
-    until = time.monotonic() + within_s
-    while time.monotonic() < until:
-        job: dict[str, Any] = client.get(f"/jobs/{job_id}").json()
-        if job["state"] not in ("waiting", "running"):
-            return job
-        time.sleep(0.02)
-    raise AssertionError(f"the job has not ended: {job}")
 
 
 @pytest.fixture(scope="module")
@@ -311,9 +285,9 @@ def of_many_files() -> bytes:
 @pytest.mark.parametrize(
     ("body", "status", "words"),
     [
-        (b"", 400, "not a zip archive"),
-        (b"hello", 400, "not a zip archive"),
-        (photo(1), 400, "not a zip archive"),
+        (b"", 400, "no zip archive"),
+        (b"hello", 400, "no zip archive"),
+        (photo(1), 400, "no zip archive"),
         (zipped(photos(2))[:-30], 400, "breaks off"),
         (zipped({"notes.txt": "none"}), 400, "holds no image"),
         (zipped({"../a.jpg": photo(1)}), 400, "leads out of the archive"),

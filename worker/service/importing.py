@@ -5,7 +5,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -25,12 +25,14 @@ from schemas.records import (
     ViewRecord,
 )
 from worker.images import panorama
+from worker.images.apart.video import Repeated
 from worker.images.codec import facts
 from worker.service import steady
 from worker.service.completing import completed, turned, wanted_of_exif
 from worker.service.import_ports import ImportEnrolment, ImportJobs, Upload, Uploads
+from worker.service.opening import open_recording
 from worker.service.panoramas import Panoramas
-from worker.service.recordings import Item, Limits, Note, open_recording
+from worker.service.recordings import Item, Limits, Note
 from worker.service.settlements import Settlements
 from worker.service.trouble import STORAGE_ERRORS
 
@@ -87,11 +89,11 @@ class ImportService:
 
         Raises
         ------
-        BadBody, BodyTooLarge
+        BadBody, BodyTooLarge, InvalidParameters
             Nothing of it can be imported; the text says why.
         """
         upload.end()
-        with open_recording(upload.path, self._limits) as recording:
+        with open_recording(upload.path, self._limits, options) as recording:
             views = panorama.DIRECTIONS if options.panorama else 1
             return views * len(recording.items) + recording.failed
 
@@ -125,6 +127,7 @@ class _Report:
     enrolled: int = 0
     already_there: int = 0
     failed: int = 0
+    left_out: int = 0
     rows_without_file: int = 0
     files_without_row: int = 0
     errors: list[dict[str, str]] = field(default_factory=list)
@@ -185,9 +188,9 @@ class Importer:
         try:
             path, wanted = self._uploads.find(claim.job_id)
             options = ImportOptions(**wanted)
-            with open_recording(path, self._limits) as recording:
+            with open_recording(path, self._limits, options) as recording:
                 items = Panoramas(self._decode).split(recording.items) if options.panorama else recording.items
-                report = _Report(images=len(items) + recording.failed, failed=recording.failed)
+                report = _Report(len(items) + recording.failed, failed=recording.failed, left_out=recording.left_out)
                 for note in recording.notes:
                     report.rows_without_file += note.problem == "no-file"
                     report.files_without_row += note.problem == "no-row"
@@ -307,6 +310,8 @@ class _Run:
 
     def _import(self, item: Item, reading: "Future[Any]") -> None:
         self._tell()
+        while not wait([reading], TOLD_EVERY_S).done:  # of a video, the next frame may be far
+            self._tell()
         try:
             read = reading.result()
             view = read.view
@@ -314,6 +319,9 @@ class _Run:
                 view = self._importer.submit(self._claim, read.data, read.attributes, read.image).view
         except (*STORAGE_ERRORS, LeaseLost):
             raise
+        except Repeated:
+            self._report.already_there += 1
+            return
         except RevisitError as error:
             self._fail(item.file, error.code, error.detail)
             return

@@ -10,6 +10,7 @@ from schemas.errors import BadBody
 from schemas.records import ViewAttributes
 from schemas.settings import MEGA, Settings
 from schemas.values import file_name
+from worker.images import codec
 from worker.service import trajectories
 from worker.service.archives import MOST_MANIFEST_BYTES, Archive, Entry
 from worker.service.manifests import Manifest, attributes, read_manifest
@@ -44,7 +45,7 @@ class Item:
         Path within the recording.
     attributes : ViewAttributes
     read : function
-        Returns its bytes; raises ValueError, RevisitError.
+        Returns its bytes; raises ValueError, RevisitError, Repeated.
     original : function or None
         Bytes of the image that it is made of, whose EXIF counts; None: it is made of none.
     turn : float
@@ -60,15 +61,26 @@ class Item:
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of recordings, in bytes: of one image, and of all files unpacked."""
+    """Bounds of recordings.
 
-    image_bytes: int
+    Parameters
+    ----------
+    image : codec.Limits
+        Of one image.
+    unpacked_bytes : int
+        Of all files.
+    frame_s : float
+        Seconds for decoding one frame of a video.
+    """
+
+    image: codec.Limits
     unpacked_bytes: int
+    frame_s: float
 
     @classmethod
     def of(cls, settings: Settings) -> "Limits":
         """Those that the settings ask for."""
-        return cls(round(settings.max_body_mb * MEGA), round(2 * settings.max_import_mb * MEGA))
+        return cls(codec.Limits.of(settings), round(2 * settings.max_import_mb * MEGA), settings.decode_s)
 
 
 @dataclass
@@ -82,12 +94,15 @@ class Recording:
         What is known to be wrong before anything is enrolled.
     failed : int
         Images among the notes, which are not in `items`.
+    left_out : int
+        Images that are not wanted, and not in `items`.
     """
 
     close: Callable[[], None]
     items: list[Item] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
     failed: int = 0
+    left_out: int = 0
 
     def __enter__(self) -> Self:
         return self
@@ -98,7 +113,7 @@ class Recording:
         self.close()
 
 
-def open_recording(path: Path, limits: Limits) -> Recording:
+def open_archive(path: Path, limits: Limits) -> Recording:
     """Open a zip archive of images, with or without a manifest.
 
     Raises
@@ -178,7 +193,7 @@ def _add_walked(
 
 def _keep(recording: Recording, archive: Archive, entry: Entry, known: ViewAttributes, limits: Limits) -> None:
     known = replace(known, filename=file_name(entry.name))
-    recording.items.append(Item(entry.name, known, lambda: archive.read(entry, limits.image_bytes)))
+    recording.items.append(Item(entry.name, known, lambda: archive.read(entry, limits.image.max_bytes)))
 
 
 def _add(recording: Recording, archive: Archive, entry: Entry, manifest: Manifest | None, limits: Limits) -> None:

@@ -16,27 +16,31 @@ from schemas.wire import Job
 
 router = APIRouter(tags=["maps"])
 
-TYPES = ("application/zip", "application/x-zip-compressed", "application/octet-stream")
+ARCHIVES = ("application/zip", "application/x-zip-compressed")
+VIDEOS = ("video/mp4", "video/quicktime", "video/webm", "video/x-matroska", "video/x-msvideo")
+TYPES = (*ARCHIVES, *VIDEOS, "application/octet-stream")
+"""Names of what is taken; what a body is, its content says."""
 
 _STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
-_ZIP = {"schema": {"type": "string", "format": "binary", "description": "A zip archive of images."}}
+_FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip archive of images, or a video."}}
 
 
 @router.post(
     "/maps/{map}/imports",
     status_code=202,
     response_model=Job,
-    openapi_extra={"requestBody": {"required": True, "content": dict.fromkeys(TYPES, _ZIP)}},
+    openapi_extra={"requestBody": {"required": True, "content": dict.fromkeys(TYPES, _FILE)}},
     responses={202: _STARTED, **refusals("malformed-body", "body-too-large", "disk-full")},
 )
 async def import_recording(
     name: MapName, params: Annotated[ImportParameters, Query()], request: Request, curator: Curates
 ) -> Response:
-    """Enrol the images of a zip archive, with a manifest of what is known of them or without, as a job."""
+    """Enrol the images of a zip archive, with or without a manifest, or frames of a video, as a job."""
     kind = parse_options_header(request.headers.get("content-type", ""))[0].decode("latin-1")
     if kind not in TYPES:
         sent = f"of the type {kind}" if kind else "without a content type"
-        raise BadBody("malformed-body", f"the body is {sent}; send a zip archive as the body, as {TYPES[0]}")
+        wanted = f"send a zip archive ({ARCHIVES[0]}) or a video ({VIDEOS[0]})"
+        raise BadBody("malformed-body", f"the body is {sent}; {wanted}")
     announced = request.headers.get("content-length", "")
     job = await curator.import_recording(
         name,

@@ -7,7 +7,6 @@ that no codec can hold up.
 
 import io
 import math
-import resource
 import signal
 import socket
 import sys
@@ -21,14 +20,9 @@ from PIL import Image as PilImage
 from schemas.errors import RevisitError
 from worker.images import codec
 from worker.images.apart.protocol import READY, TAKEN, THUMBNAIL, Request, mapped, send_reply
+from worker.images.apart.restraints import restrict
 from worker.images.exif import taken
 from worker.images.heic import SMALLEST
-
-FIXED_MEMORY = 512 * codec.MEGA
-"""Memory that decoding may take beyond `PIXEL_MEMORY` for each pixel, in bytes."""
-
-PIXEL_MEMORY = 24
-"""Bytes for each pixel: the largest images, with alpha and turned, take about sixteen."""
 
 _FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
 
@@ -45,7 +39,7 @@ def main(arguments: list[str]) -> None:
     source, target = mapped(given), mapped(made)
     cv2.setNumThreads(1)
     _warm_up(limits)
-    _restrict(max_pixels)
+    restrict(max_pixels)
     with socket.socket(fileno=number) as connection:
         connection.sendall(READY)
         while True:
@@ -96,17 +90,6 @@ def _warm_up(limits: codec.Limits) -> None:
             codec.thumbnail(out.getvalue(), 16)
     codec.decode(SMALLEST, limits)
     taken(io.BytesIO(SMALLEST))
-
-
-def _restrict(max_pixels: int) -> None:
-    """Give up what decoding does not need: memory without bound, growing files, core dumps, new processes."""
-    wanted = {resource.RLIMIT_FSIZE: 0, resource.RLIMIT_CORE: 0, resource.RLIMIT_NPROC: 0, resource.RLIMIT_NOFILE: 16}
-    with suppress(OSError), open("/proc/self/statm") as file:
-        held = int(file.read().split()[0]) * resource.getpagesize()
-        wanted[resource.RLIMIT_AS] = held + FIXED_MEMORY + PIXEL_MEMORY * max_pixels
-    for limit, value in wanted.items():
-        with suppress(ValueError, OSError):  # a limit that the system does not have, or a stricter one is set
-            resource.setrlimit(limit, (value, value))
 
 
 if __name__ == "__main__":

@@ -5,16 +5,14 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from schemas.errors import Unavailable
+from worker.images.apart.launching import launched
 from worker.images.apart.protocol import READY, Request, mapped, receive_reply, shared_memory
 from worker.images.codec import Limits
 
-ROOT = Path(__file__).resolve().parents[3]
 START_S = 60
 """Seconds within which a process must be ready; it takes a third of one."""
 
@@ -23,7 +21,6 @@ STARTS = 3
 
 THUMBNAIL_ROOM = 64 * 1024 * 1024
 _KEPT = 64 * 1024 * 1024  # more memory than this is given back after an image that needed it
-_INHERITED = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "LANG", "VIRTUAL_ENV", "PYTHONHOME", "TMPDIR")
 
 
 class Died(Exception):
@@ -70,14 +67,8 @@ class DecoderProcess:
             numbers.append(shared_memory(max(3 * self._limits.max_pixels, THUMBNAIL_ROOM)))
             self._source, self._target = map(mapped, numbers)
             told = (theirs.fileno(), *numbers, self._limits.max_bytes, self._limits.max_pixels, self._deadline_s)
-            # Not `multiprocessing`: its children import the main module, and so all of the service.
-            self._process = subprocess.Popen(
-                [sys.executable, "-W", "ignore", "-m", "worker.images.apart.child", *map(str, told)],
-                env={name: os.environ[name] for name in _INHERITED if name in os.environ} | {"PYTHONPATH": str(ROOT)},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(), *numbers),
+            self._process = launched(
+                "worker.images.apart.child", told, stdout=subprocess.DEVNULL, passed=(theirs.fileno(), *numbers)
             )
         except OSError as error:
             ours.close()

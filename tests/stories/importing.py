@@ -1,0 +1,38 @@
+"""Recordings, and the jobs that import them."""
+
+import io
+import time
+import zipfile
+from collections.abc import Mapping
+from typing import Any
+
+import httpx
+
+from tests.sample_images import drawn, encoded
+
+ZIP = {"content-type": "application/zip"}
+
+
+def zipped(files: Mapping[str, bytes | str]) -> bytes:
+    """An archive of these files."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+def photos(count: int, size: int = 64) -> dict[str, bytes | str]:
+    """Images of different places, by name."""
+    return {f"walk/{i:04}.jpg": encoded(drawn(size, size, i)) for i in range(count)}
+
+
+def ended(client: httpx.Client, job_id: str, within_s: float = 60) -> dict[str, Any]:
+    """The job once it has ended."""
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        job: dict[str, Any] = client.get(f"/jobs/{job_id}").json()
+        if job["state"] not in ("waiting", "running"):
+            return job
+        time.sleep(0.02)
+    raise AssertionError(f"the job has not ended: {job}")

@@ -1,0 +1,129 @@
+"""The process that reads a video: ``python -m worker.images.apart.video_child WHAT PATH EVERY_S MAX_PIXELS SECONDS``.
+
+WHAT is ``times``: when the chosen frames are shown, and what is known of all, as JSON; or ``frames``: each chosen
+frame as `HEADER` and a JPEG, in order, as fast as they are taken. FFmpeg may open nothing but this one file.
+"""
+
+import json
+import math
+import os
+import signal
+import struct
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+HEADER = struct.Struct("<dI")
+"""When a frame is shown, in seconds, and the length of its JPEG in bytes."""
+
+QUALITY = 95
+"""Of the JPEGs."""
+
+MILLI = 1e-3
+TOLERANCE_MS = 0.5
+"""By which the times of two readings of a frame may differ."""
+
+MOST_FRAMES = 10_000_000
+
+FIRST = 100
+"""Frames of which one must be decoded."""
+
+SCAN_S = 120
+"""Seconds for reading when all frames are shown."""
+
+CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi"
+"""Names of the formats that FFmpeg may use; none of them names other files."""
+
+
+def chosen(times_ms: list[float], every_s: float) -> list[float]:
+    """Of frames at sorted times, the first at or after each multiple of `every_s` from the first frame on."""
+    frames: list[float] = []
+    due = times_ms[0] if times_ms else 0.0
+    for time in times_ms:
+        if time >= due - TOLERANCE_MS:
+            frames.append(time)
+            steps = int((time + TOLERANCE_MS - times_ms[0]) / (every_s / MILLI)) + 1
+            due = times_ms[0] + steps * every_s / MILLI
+    return frames
+
+
+def main(arguments: list[str]) -> None:
+    """Answer on standard output."""
+    what, path = arguments[:2]
+    every_s, max_pixels, seconds = float(arguments[2]), int(arguments[3]), float(arguments[4])
+    # Standard output may be written to by libraries; what is answered goes where they do not know of.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = f"protocol_whitelist;file|format_whitelist;{CONTAINERS}"
+    import cv2
+
+    from worker.images.apart.restraints import restrict
+
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    restrict(max_pixels)
+    signal.alarm(SCAN_S)
+    times = _times(cv2, path)
+    if what == "times":
+        signal.alarm(math.ceil(seconds) + 1)
+        answers.write(json.dumps(_described(cv2, path, times, every_s, max_pixels)).encode())
+    else:
+        for time, frame in _frames(cv2, path, times, every_s, math.ceil(seconds) + 1):
+            made, jpeg = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+            assert made
+            signal.alarm(0)  # the reader may take its time
+            answers.write(HEADER.pack(time * MILLI, jpeg.size) + jpeg.tobytes())
+            answers.flush()
+    answers.flush()
+
+
+def _opened(cv2: Any, path: str, options: list[int]) -> Any:
+    return cv2.VideoCapture(path, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1, *options])
+
+
+def _times(cv2: Any, path: str) -> list[float]:
+    """Times of all frames in ms, sorted, from their packets, without decoding."""
+    video = _opened(cv2, path, [cv2.CAP_PROP_FORMAT, -1])
+    times: list[float] = []
+    while len(times) < MOST_FRAMES and video.grab():
+        times.append(video.get(cv2.CAP_PROP_POS_MSEC))
+    return sorted(times)
+
+
+def _described(cv2: Any, path: str, times: list[float], every_s: float, max_pixels: int) -> dict[str, Any]:
+    """When the chosen frames are shown, and how large all are; whether the first can be decoded."""
+    video = _opened(cv2, path, [])
+    width, height = (int(video.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    code = int(video.get(cv2.CAP_PROP_FOURCC))
+    return {
+        "times_s": [time * MILLI for time in chosen(times, every_s)],
+        "width": width,
+        "height": height,
+        "codec": "".join(chr(code >> 8 * i & 0xFF) for i in range(4)) if code > 0 else "unknown",
+        "decodes": 0 < width * height <= max_pixels and any(video.grab() for _ in times[:FIRST]),
+    }
+
+
+def _frames(cv2: Any, path: str, times: list[float], every_s: float, seconds: int) -> Iterator[tuple[float, Any]]:
+    """The chosen of all frames and their times in ms; those that cannot be decoded are left out."""
+    video = _opened(cv2, path, [])
+    wanted = iter(chosen(times, every_s))
+    due = next(wanted, None)
+    for _ in times:  # a frame that is damaged does not end the video
+        if due is None:
+            return
+        signal.alarm(seconds)
+        if not video.grab():
+            continue
+        time = video.get(cv2.CAP_PROP_POS_MSEC)
+        while due is not None and due < time - TOLERANCE_MS:
+            due = next(wanted, None)
+        if due is not None and due <= time + TOLERANCE_MS:
+            good, frame = video.retrieve()
+            if good:
+                yield due, frame
+            due = next(wanted, None)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,58 @@
+"""Open an upload as what it is: an archive of images, or a video."""
+
+from functools import partial
+from pathlib import Path
+
+from schemas.errors import BodyTooLarge, InvalidParameters
+from schemas.imports import ImportOptions
+from schemas.records import ViewAttributes
+from worker.images.apart.video import Video, is_video
+from worker.service.archives import MOST_FILES
+from worker.service.recordings import Item, Limits, Recording, open_archive
+from worker.service.thinning import thinned
+
+VIDEO_EVERY_S = 1.0
+"""Seconds from one frame of a video to the next, unless a caller says otherwise."""
+
+
+def open_recording(path: Path, limits: Limits, options: ImportOptions) -> Recording:
+    """Open an upload, by its content; what of it is not wanted is left out.
+
+    Raises
+    ------
+    BadBody, BodyTooLarge, InvalidParameters
+        Nothing of it can be imported.
+    """
+    with path.open("rb") as file:
+        if is_video(file.read(16)):
+            return _video(path, limits, options)
+    recording = open_archive(path, limits)
+    try:
+        items, notes = thinned(recording.items, options)
+    except BaseException:
+        recording.close()
+        raise
+    recording.left_out = len(recording.items) - len(items)
+    recording.items = items
+    recording.notes += notes
+    return recording
+
+
+def _video(path: Path, limits: Limits, options: ImportOptions) -> Recording:
+    if options.every_m is not None:
+        raise InvalidParameters.of(
+            "every",
+            "a video does not say where it was taken: choose by time, such as every=2s, or send its frames as images "
+            "with a trajectory",
+        )
+    every_s = options.every_s or VIDEO_EVERY_S
+    video = Video(path, every_s, limits.image, limits.frame_s)
+    if len(video.times_s) > MOST_FILES:
+        raise BodyTooLarge(
+            f"with a frame every {every_s:g} s the video has {len(video.times_s):,}; at most {MOST_FILES:,} are taken"
+        )
+    items = [
+        Item(f"{time:.3f} s", ViewAttributes(metadata={"video_s": round(time, 3)}), partial(video.read, number))
+        for number, time in enumerate(video.times_s)
+    ]
+    return Recording(video.close, items)
