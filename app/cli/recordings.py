@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _show(job: "Job") -> None:
     report = job.result or {}
     show(f"{report['enrolled']} enrolled, {report['already_there']} already there, {report['failed']} failed")
-    if report["left_out"]:
+    if report.get("left_out"):
         say(f"{report['left_out']} left out by --every")
     for error in report["errors"][:MOST_SHOWN]:
         say(f"  {error['file']}: {error['detail']}")

@@ -12,6 +12,7 @@ import pytest
 from app.http.examples import MAP_HEALTH, VIEW
 from scenes import scene
 from tests.browser.conftest import LAPTOP, PHONE, Open, Tab
+from tests.drawn_videos import frames, video
 from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
 
@@ -215,7 +216,10 @@ def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: R
     tab = opened("enrol", bypass_csp=True, refusals=True)
     tab.page.get_by_label("or a new map").fill("walk")
     panel = tab.page.get_by_label("A recording", exact=True)
-    choose, start = panel.get_by_label("Choose a zip archive"), panel.get_by_role("button", name="Import the recording")
+    choose, start = (
+        panel.get_by_label("Choose a zip archive or a video"),
+        panel.get_by_role("button", name="Import the recording"),
+    )
     choose.set_input_files(tmp_path / "bad.zip")
     start.press("Enter")
     assert "zip" in panel.get_by_role("alert").inner_text()
@@ -230,3 +234,22 @@ def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: R
     assert "x is 'far', which is no number" in panel.inner_text()
     assert panel.get_by_text("notes.txt").is_visible()
     check(tab, "a recording")
+
+
+def test_a_video_is_imported_with_a_frame_every_two_seconds(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    video(tmp_path / "walk.mp4", frames(6), 1, "mp4v")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.get_by_label("or a new map").fill("filmed")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    panel.get_by_label("Choose a zip archive or a video").set_input_files(tmp_path / "walk.mp4")
+    panel.get_by_label("Every").fill("1m")
+    panel.get_by_label("Every").press("Enter")
+    assert "does not say where" in panel.get_by_role("alert").inner_text()
+
+    panel.get_by_label("Every").fill("2s")
+    panel.get_by_label("Every").press("Enter")
+    panel.get_by_text("Done: filmed.").wait_for()
+    views = httpx.get(f"{service.url}/views?map=filmed").json()["views"]
+    assert [view["metadata"]["video_s"] for view in views] == [0, 2, 4]

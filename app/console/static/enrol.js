@@ -6,7 +6,7 @@ import { attributesOf, positionsOf } from "./csv.js";
 import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
 import { FRAMES, typedPosition } from "./positions.js";
-import { recording } from "./recording.js";
+import { RECORDINGS, recording } from "./recording.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
@@ -88,7 +88,7 @@ export function enrolScreen() {
 
   async function add(files) {
     told.replaceChildren();
-    const archive = files.find((file) => /\.zip$/i.test(file.name));
+    const archive = files.find((file) => RECORDINGS.test(file.name));
     if (archive) archives.take(archive);
     files = files.filter((file) => file !== archive);
     const tables = files.filter((file) => /\.csv$/i.test(file.name));

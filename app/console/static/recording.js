@@ -1,10 +1,11 @@
-// A recording: a zip archive of images, enrolled as one job; its progress, and what was wrong with each file.
+// A recording: a zip archive of images, or a video, enrolled as one job; its progress, and what was wrong with it.
 
 import { call, upload } from "./api.js";
-import { announce, confirmed, count, facts, h, picker, problemBox, size, table } from "./dom.js";
+import { announce, confirmed, count, facts, field, h, picker, problemBox, size, table } from "./dom.js";
 import { followed } from "./jobs.js";
 
 const UNFOLDED = 20; // errors of a kind that are shown at once
+export const RECORDINGS = /\.(zip|mp4|m4v|mov|mkv|webm|avi)$/i;
 const KINDS = {
   "bad-row": "The row of the manifest cannot be used",
   "no-row": "Without a row in the manifest; enrolled without attributes",
@@ -19,8 +20,9 @@ export function recording(map, changed) {
   let job = null;
   let busy = false;
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Progress of the recording", hidden: true });
-  const said = h("p", { class: "quiet told" }, "No archive is chosen.");
+  const said = h("p", { class: "quiet told" }, "None is chosen.");
   const result = h("div");
+  const every = h("input", { size: 6, placeholder: "all", spellcheck: "false", autocomplete: "off" });
   const start = h("button", { type: "submit", class: "first", disabled: true }, "Import the recording");
   const stop = h("button", { type: "button", class: "danger", hidden: true, onclick: cancel }, "Cancel …");
 
@@ -39,7 +41,9 @@ export function recording(map, changed) {
     bar.hidden = false;
     result.replaceChildren();
     try {
-      job = await upload(`/maps/${encodeURIComponent(name)}/imports`, file, "application/zip", (share) => {
+      const step = every.value.trim() && `?every=${encodeURIComponent(every.value.trim())}`;
+      const path = `/maps/${encodeURIComponent(name)}/imports${step}`;
+      job = await upload(path, file, "application/octet-stream", (share) => {
         bar.max = 1;
         bar.value = share;
         said.textContent = share < 1 ? `${size(share * file.size)} of ${size(file.size)} sent` : "Reading it …";
@@ -80,7 +84,7 @@ export function recording(map, changed) {
     }
   }
 
-  const pick = picker("Choose a zip archive", { accept: ".zip,application/zip" }, ([one]) => take(one));
+  const pick = picker("Choose a zip archive or a video", { accept: ".zip,.mkv,video/*" }, ([one]) => take(one));
   const element = h(
     "section",
     { class: "panel", "aria-label": "A recording" },
@@ -89,12 +93,13 @@ export function recording(map, changed) {
       "p",
       {},
       "A zip archive of images, into the map chosen above, with a manifest.csv or without: file, place, x, y ",
-      "or lat, lon, heading, captured_at; any other column is kept as metadata.",
+      "or lat, lon, heading, captured_at; any other column is kept as metadata. Or a video. Every 2s, 1min or 1m ",
+      "(metres) leaves out what was taken sooner or nearer; of a video, one frame a second is taken otherwise.",
     ),
     h(
       "form",
       { onsubmit: run },
-      h("div", { class: "row" }, pick, start, stop),
+      h("div", { class: "row" }, pick, field("Every", every), start, stop),
     ),
     said,
     bar,
@@ -115,6 +120,7 @@ function came(report) {
       ["Enrolled", report.enrolled],
       ["There already", report.already_there],
       ["Failed", report.failed],
+      ...(report.left_out ? [["Left out", report.left_out]] : []),
     ]),
     [...kinds].map(([problem, errors]) => {
       const title = KINDS[problem] ?? problem[0].toUpperCase() + problem.slice(1).replaceAll("-", " ");
