@@ -57,7 +57,7 @@ def test_the_frames_are_those_of_their_times(tmp_path: Path, ending: str, codec:
         assert again.read(2) == fewer.read(1)  # the same bytes each time, whatever is left out
 
 
-def test_frames_that_are_asked_for_out_of_turn_are_kept_a_while(tmp_path: Path) -> None:
+def test_frames_are_read_a_little_out_of_turn(tmp_path: Path) -> None:
     video(path := tmp_path / "a.avi", frames(12), 1)
     with closing(opened(path)) as one:
         ahead = one.read(3)
