@@ -54,10 +54,10 @@ def test_a_frame_every_two_seconds_is_enrolled_and_found_again(client: httpx.Cli
 
     assert counts(sent(client, "walk", body, every="2s")) == (5, 5, 0, 0)
     assert [view["metadata"] for view in views_of(client, "walk")] == [{"video_s": 2.0 * i} for i in range(5)]
-    asked = client.post(
+    answer = client.post(
         "/query?map=walk", content=encoded(images[12][..., ::-1]), headers={"content-type": "image/jpeg"}
     )
-    assert asked.json()["matches"][0]["view"]["metadata"] == {"video_s": 6.0}
+    assert answer.json()["matches"][0]["view"]["metadata"] == {"video_s": 6.0}
 
     assert counts(sent(client, "walk", body, every="2s")) == (5, 0, 5, 0)
     assert counts(sent(client, "walk", body)) == (10, 5, 5, 0)  # one a second
