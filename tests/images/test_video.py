@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from schemas.errors import BadBody, BodyTooLarge
 from tests.drawn_videos import frames, video
-from worker.images.apart.video import Repeated, Video, is_video
+from worker.images.apart.stream import Repeated
+from worker.images.apart.video import Video, is_video
 from worker.images.apart.video_child import chosen
 from worker.images.codec import Limits
 

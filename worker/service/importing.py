@@ -25,7 +25,7 @@ from schemas.records import (
     ViewRecord,
 )
 from worker.images import panorama
-from worker.images.apart.video import Repeated
+from worker.images.apart.stream import Repeated
 from worker.images.codec import facts
 from worker.service import steady
 from worker.service.completing import completed, turned, wanted_of_exif

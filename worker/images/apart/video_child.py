@@ -1,20 +1,19 @@
 """The process that reads a video: ``python -m worker.images.apart.video_child WHAT PATH EVERY_S MAX_PIXELS SECONDS``.
 
-WHAT is ``times``: when the chosen frames are shown, and what is known of all, as JSON; or ``frames``: each chosen
-frame as `HEADER` and a JPEG, in order, as fast as they are taken. FFmpeg may open nothing but this one file.
+``list``: when the chosen frames are shown, and what is known of all; ``send``: each of them as a JPEG, as `ImageStream`
+wants them. FFmpeg may open nothing but this one file.
 """
 
 import json
 import math
 import os
 import signal
-import struct
 import sys
 from collections.abc import Iterator
 from typing import Any
 
-HEADER = struct.Struct("<dI")
-"""When a frame is shown, in seconds, and the length of its JPEG in bytes."""
+from worker.images.apart.restraints import answering, restrict
+from worker.images.apart.stream import HEADER
 
 QUALITY = 95
 """Of the JPEGs."""
@@ -51,29 +50,25 @@ def main(arguments: list[str]) -> None:
     """Answer on standard output."""
     what, path = arguments[:2]
     every_s, max_pixels, seconds = float(arguments[2]), int(arguments[3]), float(arguments[4])
-    # Standard output may be written to by libraries; what is answered goes where they do not know of.
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
+    answers = answering()
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = f"protocol_whitelist;file|format_whitelist;{CONTAINERS}"
     import cv2
-
-    from worker.images.apart.restraints import restrict
 
     cv2.setNumThreads(1)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     restrict(max_pixels)
     signal.alarm(SCAN_S)
     times = _times(cv2, path)
-    if what == "times":
+    if what == "list":
         signal.alarm(math.ceil(seconds) + 1)
         answers.write(json.dumps(_described(cv2, path, times, every_s, max_pixels)).encode())
     else:
-        for time, frame in _frames(cv2, path, times, every_s, math.ceil(seconds) + 1):
+        for number, frame in _frames(cv2, path, times, every_s, math.ceil(seconds) + 1):
             made, jpeg = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-            assert made
             signal.alarm(0)  # the reader may take its time
-            answers.write(HEADER.pack(time * MILLI, jpeg.size) + jpeg.tobytes())
-            answers.flush()
+            if made:
+                answers.write(HEADER.pack(number, jpeg.size) + jpeg.tobytes())
+                answers.flush()
     answers.flush()
 
 
@@ -104,25 +99,25 @@ def _described(cv2: Any, path: str, times: list[float], every_s: float, max_pixe
     }
 
 
-def _frames(cv2: Any, path: str, times: list[float], every_s: float, seconds: int) -> Iterator[tuple[float, Any]]:
-    """The chosen of all frames and their times in ms; those that cannot be decoded are left out."""
+def _frames(cv2: Any, path: str, times: list[float], every_s: float, seconds: int) -> Iterator[tuple[int, Any]]:
+    """The chosen of all frames, numbered; those that cannot be decoded are left out."""
     video = _opened(cv2, path, [])
-    wanted = iter(chosen(times, every_s))
-    due = next(wanted, None)
+    wanted = chosen(times, every_s)
+    number = 0
     for _ in times:  # a frame that is damaged does not end the video
-        if due is None:
+        if number == len(wanted):
             return
         signal.alarm(seconds)
         if not video.grab():
             continue
         time = video.get(cv2.CAP_PROP_POS_MSEC)
-        while due is not None and due < time - TOLERANCE_MS:
-            due = next(wanted, None)
-        if due is not None and due <= time + TOLERANCE_MS:
+        while number < len(wanted) and wanted[number] < time - TOLERANCE_MS:
+            number += 1
+        if number < len(wanted) and wanted[number] <= time + TOLERANCE_MS:
             good, frame = video.retrieve()
             if good:
-                yield due, frame
-            due = next(wanted, None)
+                yield number, frame
+            number += 1
 
 
 if __name__ == "__main__":

@@ -1,0 +1,113 @@
+"""Images that a process of its own takes out of a file, one after another."""
+
+import hashlib
+import json
+import signal
+import struct
+import subprocess
+import threading
+from collections import OrderedDict
+from typing import Any
+
+from worker.images.apart.launching import launched
+
+HEADER = struct.Struct("<IQ")
+"""What goes before each image: its number, and its length in bytes."""
+
+KEPT = 16
+"""Images kept after they were read: some are read twice, and a few at once."""
+
+
+class Repeated(Exception):
+    """An image that is the same as an earlier one of its file."""
+
+
+class Ended(Exception):
+    """The process ended instead of answering; the text says how."""
+
+
+class ImageStream:
+    """A process that lists the images of a file, and another that sends them in order.
+
+    Parameters
+    ----------
+    child : str
+        A module that is run with ``list`` or ``send`` and the arguments. It writes one JSON object, or images after a
+        `HEADER` each, numbered upwards; those it cannot give are left out.
+    arguments : object
+        As text.
+    """
+
+    def __init__(self, child: str, *arguments: object) -> None:
+        self._child, self._arguments = child, arguments
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ended: str | None = None  # why no more images come
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._first: dict[bytes, int] = {}
+
+    def listed(self) -> dict[str, Any]:
+        """What the process says of the file; raises Ended."""
+        with launched(self._child, ("list", *self._arguments), stdout=subprocess.PIPE) as process:
+            answer, _ = process.communicate()
+        if process.returncode:
+            raise Ended(_how(process.returncode))
+        known: dict[str, Any] = json.loads(answer)
+        return known
+
+    def read(self, number: int) -> bytes:
+        """An image, the same bytes each time. Each is to be read soon after the one before.
+
+        Raises
+        ------
+        Repeated
+        ValueError
+            It cannot be decoded.
+        """
+        with self._lock:
+            while number not in self._kept and self._ended is None and number > max(self._kept, default=-1):
+                self._receive()
+            if number not in self._kept:
+                raise ValueError(self._ended or "is damaged")
+            image = self._kept[number]
+            if self._first.setdefault(hashlib.sha256(image).digest(), number) != number:
+                raise Repeated
+            return image
+
+    def close(self) -> None:
+        """End its process; who reads meanwhile is told that no more images come."""
+        if self._process is not None:
+            self._process.kill()
+        with self._lock:
+            self._end()
+            self._ended = "is not read any more"
+
+    def _end(self) -> int:
+        """Wait for the process to end; returns its code."""
+        if self._process is None or self._process.stdout is None:
+            return 0
+        self._process.stdout.close()
+        return self._process.wait()
+
+    def _receive(self) -> None:
+        """Keep the next image that is sent, or learn that there is none."""
+        if self._process is None:
+            self._process = launched(self._child, ("send", *self._arguments), stdout=subprocess.PIPE)
+        assert self._process.stdout is not None
+        header = self._process.stdout.read(HEADER.size)
+        if len(header) == HEADER.size:
+            number, length = HEADER.unpack(header)
+            image = self._process.stdout.read(length)
+            if len(image) == length:
+                self._kept[number] = image
+                while len(self._kept) > KEPT:
+                    self._kept.popitem(last=False)
+                return
+        code = self._end()
+        self._ended = f"cannot be read: {_how(code)}" if code else "is damaged, or the file breaks off before"
+
+
+def _how(code: int) -> str:
+    if code == -signal.SIGALRM:
+        return "reading it took too long"
+    return f"reading it ended its process ({signal.Signals(-code).name if code < 0 else f'code {code}'})"
