@@ -13,11 +13,15 @@ class ImportOptions:
         Take place and time from EXIF where the manifest says nothing of them.
     panorama : bool
         Every image is an equirectangular panorama, and is enrolled as eight views.
+    image_topic, pose_topic : str or None
+        Of a ROS 2 recording; None: the only ones.
     every_s, every_m : float or None
         Least seconds, or metres, from one image to the next; None: all images, and of a video one a second.
     """
 
     exif: bool = False
     panorama: bool = False
+    image_topic: str | None = None
+    pose_topic: str | None = None
     every_s: float | None = None
     every_m: float | None = None

@@ -18,12 +18,15 @@ def add(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "import",
         help="import a recording: a zip archive or a folder of images, with a manifest, or a video",
-        description="Send a zip archive or a folder of images, or a video (MP4, MOV, MKV, WebM, AVI). "
+        description="Send a zip archive or a folder of images, a video (MP4, MOV, MKV, WebM, AVI), or a recording "
+        "of ROS 2 (MCAP, with its images' topic and one of poses). "
         "A manifest (manifest.csv or manifest.ndjson inside) has the columns file, place, x, y, z, lat, lon, alt, "
         "heading, captured_at; any other is kept as metadata. Images "
         "that are in the map already are skipped: repeat the command to continue.",
     )
-    parser.add_argument("source", type=Path, metavar="FILE|DIR", help="zip archive, video, or folder (with all inside)")
+    parser.add_argument(
+        "source", type=Path, metavar="FILE|DIR", help="zip archive, video, MCAP file, or folder (with all inside)"
+    )
     parser.add_argument("--map", default="default", help="map to import into (default: default)")
     parser.add_argument("--manifest", type=Path, metavar="FILE", help="manifest of a folder that holds none")
     parser.add_argument("--exif", action="store_true", help="take place and time from EXIF where no manifest has them")
@@ -33,6 +36,8 @@ def add(verbs: Verbs) -> None:
         metavar="STEP",
         help="least time (2s, 1min) or way (1m: metres) from one image to the next; else all, of a video one a second",
     )
+    parser.add_argument("--image-topic", metavar="TOPIC", help="topic of the images, of a ROS 2 recording with several")
+    parser.add_argument("--pose-topic", metavar="TOPIC", help="topic of the poses, of a ROS 2 recording with several")
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -51,6 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
                 exif=arguments.exif,
                 panorama=arguments.panorama,
                 every=arguments.every,
+                image_topic=arguments.image_topic,
+                pose_topic=arguments.pose_topic,
             )
         except ValueError as error:
             wrong_use(str(error))

@@ -35,6 +35,7 @@ def _step(text: str) -> str:
 
 DriveName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of a drive.", examples=["robot-7"])]
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
+Topic = Annotated[str, Field(min_length=1, max_length=255)] | None
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Time = Annotated[datetime, BeforeValidator(values.moment), _text(format="date-time", examples=["2026-03-01T09:30:00Z"])]
@@ -224,6 +225,8 @@ class ImportParameters(Parameters):
     panorama: bool = Field(
         False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."
     )
+    image_topic: Topic = Field(None, description="Topic of the images, of a ROS 2 recording (MCAP) with several.")
+    pose_topic: Topic = Field(None, description="Topic of the poses, of a ROS 2 recording (MCAP) with several.")
     every: Annotated[str, AfterValidator(_step)] | None = Field(
         None,
         examples=["2s", "1m"],
@@ -237,6 +240,8 @@ class ImportParameters(Parameters):
         return ImportOptions(
             exif=self.exif,
             panorama=self.panorama,
+            image_topic=self.image_topic,
+            pose_topic=self.pose_topic,
             every_s=amount if unit == "s" else None,
             every_m=amount if unit == "m" else None,
         )

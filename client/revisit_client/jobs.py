@@ -35,6 +35,8 @@ class JobCalls:
         exif: bool = False,
         panorama: bool = False,
         every: str | None = None,
+        image_topic: str | None = None,
+        pose_topic: str | None = None,
     ) -> wire.Job:
         """Send a recording, whose images are then enrolled by the job that is returned; see `wait_for_job`.
 
@@ -44,7 +46,8 @@ class JobCalls:
         ----------
         source : bytes or path
             A zip archive of images, or a folder, of which the images and manifests are sent. A file ``manifest.csv`` or
-            ``manifest.ndjson`` says what is known of the images. Or a video: MP4, QuickTime, Matroska, WebM, AVI.
+            ``manifest.ndjson`` says what is known of the images. Or a video: MP4, QuickTime, Matroska, WebM, AVI. Or a
+            recording of ROS 2 (MCAP), if the service reads them.
         map : str
             Made when there is none.
         manifest : path or None
@@ -56,6 +59,8 @@ class JobCalls:
         every : str or None
             Least time (``2s``, ``1min``) or way (``1m``: metres) from one image to the next. None: all images, and of
             a video one a second.
+        image_topic, pose_topic : str or None
+            Of a ROS 2 recording with several.
         """
         body: bytes | Iterator[bytes]
         headers = {"content-type": "application/octet-stream"}
@@ -74,7 +79,15 @@ class JobCalls:
             wire.Job,
             "POST",
             f"/maps/{map}/imports",
-            params=texts({"exif": exif or None, "panorama": panorama or None, "every": every}),
+            params=texts(
+                {
+                    "exif": exif or None,
+                    "panorama": panorama or None,
+                    "every": every,
+                    "image_topic": image_topic,
+                    "pose_topic": pose_topic,
+                }
+            ),
             content=body,
             headers=headers,
             repeat=False,

@@ -168,7 +168,7 @@ def _check_directory(file: BinaryIO) -> None:
     data = file.read(tail)
     at = data.rfind(b"PK\x05\x06")
     if at < 0 or len(data) - at < _END.size:
-        raise _refused("it is no zip archive or breaks off before its end, and no video (MP4, MOV, MKV, WebM, AVI)")
+        raise _refused("it is no zip archive or breaks off before its end, neither a video nor MCAP")
     _, _, _, _, count, length, _, _ = _END.unpack_from(data, at)
     if at >= _LOCATOR.size and data[at - _LOCATOR.size : at].startswith(b"PK\x06\x07"):
         _, _, where, _ = _LOCATOR.unpack_from(data, at - _LOCATOR.size)

@@ -1,4 +1,4 @@
-"""Open an upload as what it is: an archive of images, or a video."""
+"""Open an upload as what it is: an archive of images, a video, or a ROS 2 recording."""
 
 from functools import partial
 from pathlib import Path
@@ -6,8 +6,10 @@ from pathlib import Path
 from schemas.errors import BodyTooLarge, InvalidParameters
 from schemas.imports import ImportOptions
 from schemas.records import ViewAttributes
+from worker.images.apart.bag import MAGIC
 from worker.images.apart.video import Video, is_video
 from worker.service.archives import MOST_FILES
+from worker.service.bags import open_bag
 from worker.service.recordings import Item, Limits, Recording, open_archive
 from worker.service.thinning import thinned
 
@@ -24,10 +26,13 @@ def open_recording(path: Path, limits: Limits, options: ImportOptions) -> Record
         Nothing of it can be imported.
     """
     with path.open("rb") as file:
-        if is_video(file.read(16)):
-            return _video(path, limits, options)
-    recording = open_archive(path, limits)
+        head = file.read(16)
+    if is_video(head):
+        return _video(path, limits, options)
+    recording = open_bag(path, limits, options) if head.startswith(MAGIC) else open_archive(path, limits)
     try:
+        if len(recording.items) > MOST_FILES:
+            raise BodyTooLarge(f"it holds {len(recording.items):,} images; at most {MOST_FILES:,} are taken")
         items, notes = thinned(recording.items, options)
     except BaseException:
         recording.close()

@@ -5,7 +5,7 @@ import { announce, confirmed, count, facts, field, h, picker, problemBox, size, 
 import { followed } from "./jobs.js";
 
 const UNFOLDED = 20; // errors of a kind that are shown at once
-export const RECORDINGS = /\.(zip|mp4|m4v|mov|mkv|webm|avi)$/i;
+export const RECORDINGS = /\.(zip|mp4|m4v|mov|mkv|webm|avi|mcap)$/i;
 const KINDS = {
   "bad-row": "The row of the manifest cannot be used",
   "no-row": "Without a row in the manifest; enrolled without attributes",
@@ -84,7 +84,7 @@ export function recording(map, changed) {
     }
   }
 
-  const pick = picker("Choose a zip archive or a video", { accept: ".zip,.mkv,video/*" }, ([one]) => take(one));
+  const pick = picker("Choose a zip archive or a video", { accept: ".zip,.mkv,.mcap,video/*" }, ([one]) => take(one));
   const element = h(
     "section",
     { class: "panel", "aria-label": "A recording" },
@@ -93,8 +93,9 @@ export function recording(map, changed) {
       "p",
       {},
       "A zip archive of images, into the map chosen above, with a manifest.csv or without: file, place, x, y ",
-      "or lat, lon, heading, captured_at; any other column is kept as metadata. Or a video. Every 2s, 1min or 1m ",
-      "(metres) leaves out what was taken sooner or nearer; of a video, one frame a second is taken otherwise.",
+      "or lat, lon, heading, captured_at; any other column is kept as metadata. Or a video, or MCAP of ROS 2. ",
+      "Every 2s, 1min or 1m (metres) leaves out what was taken sooner or nearer; of a video, one frame a second is ",
+      "taken otherwise.",
     ),
     h(
       "form",

@@ -17,12 +17,13 @@ from schemas.wire import Job
 router = APIRouter(tags=["maps"])
 
 ARCHIVES = ("application/zip", "application/x-zip-compressed")
+BAG = "application/x-mcap"
 VIDEOS = ("video/mp4", "video/quicktime", "video/webm", "video/x-matroska", "video/x-msvideo")
-TYPES = (*ARCHIVES, *VIDEOS, "application/octet-stream")
+TYPES = (*ARCHIVES, *VIDEOS, BAG, "application/octet-stream")
 """Names of what is taken; what a body is, its content says."""
 
 _STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
-_FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip archive of images, or a video."}}
+_FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip archive of images, a video, or MCAP."}}
 
 
 @router.post(
@@ -35,11 +36,11 @@ _FILE = {"schema": {"type": "string", "format": "binary", "description": "A zip 
 async def import_recording(
     name: MapName, params: Annotated[ImportParameters, Query()], request: Request, curator: Curates
 ) -> Response:
-    """Enrol the images of a zip archive, with or without a manifest, or frames of a video, as a job."""
+    """Enrol the images of a zip archive, a video or a ROS 2 recording, as a job."""
     kind = parse_options_header(request.headers.get("content-type", ""))[0].decode("latin-1")
     if kind not in TYPES:
         sent = f"of the type {kind}" if kind else "without a content type"
-        wanted = f"send a zip archive ({ARCHIVES[0]}) or a video ({VIDEOS[0]})"
+        wanted = f"send a zip archive ({ARCHIVES[0]}), a video ({VIDEOS[0]}) or MCAP ({BAG})"
         raise BadBody("malformed-body", f"the body is {sent}; {wanted}")
     announced = request.headers.get("content-length", "")
     job = await curator.import_recording(

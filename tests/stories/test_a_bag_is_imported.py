@@ -1,0 +1,150 @@
+"""A recording of ROS 2 is sent as it is: its images are enrolled with where they were taken, by its poses."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from schemas.records import Position
+from tests.recorded_bags import START, bag, fix, image, odometry, pose
+from tests.sample_images import drawn, photo
+from tests.stories.importing import ended
+from tests.stories.running import RunningService
+from worker.service.bags import position_at
+
+MCAP = {"content-type": "application/x-mcap"}
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    with RunningService(tmp_path_factory.mktemp("bags"), REVISIT_COMPARE="false") as one:
+        yield one
+
+
+@pytest.fixture
+def client(service: RunningService) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=service.url, timeout=60) as one:
+        yield one
+
+
+def sent(client: httpx.Client, name: str, body: bytes, **params: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The result of an import, and the views of its map."""
+    answer = client.post(f"/maps/{name}/imports", params=params, content=body, headers=MCAP)
+    assert answer.status_code == 202, answer.text
+    job = ended(client, answer.json()["id"])
+    assert job["state"] == "done", job
+    return job["result"], client.get("/views", params={"map": name}).json()["views"]
+
+
+def refusal(client: httpx.Client, body: bytes, **params: str) -> str:
+    """Why an import is refused."""
+    answer = client.post("/maps/none/imports", params=params, content=body, headers=MCAP)
+    assert answer.status_code == 400, answer.text
+    assert client.get("/maps/none").status_code == 404
+    return str(answer.json()["detail"])
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4", "NONE"])
+def test_images_are_enrolled_between_the_poses_before_and_after(client: httpx.Client, compression: str) -> None:
+    walk = [odometry(0.5 * n, n, 2 * n) for n in range(9)]
+    body = bag([*walk, *(image(n + 0.25, photo(n)) for n in range(4)), image(60, photo(9))], compression)
+
+    result, views = sent(client, f"walk-{compression}", body)
+
+    assert (result["enrolled"], result["failed"]) == (5, 0)
+    assert [error["file"] for error in result["errors"]] == [f"/camera/compressed {START + 60:.3f}"]
+    assert [view["position"]["x"] for view in views[:4]] == pytest.approx([0.5, 2.5, 4.5, 6.5])
+    assert [view["position"]["y"] for view in views[:4]] == pytest.approx([1, 5, 9, 13])
+    assert {view["position"]["heading"] for view in views[:4]} == {90}  # x ahead is east
+    assert views[4]["position"] is None
+    assert views[0]["captured_at"] == "2026-01-01T00:00:00.250000Z"
+    assert client.get(f"/views/{views[2]['id']}/image").content == photo(2)  # as it was recorded
+
+
+def test_a_view_a_metre_of_what_the_robot_drove(client: httpx.Client) -> None:
+    messages = [odometry(0.1 * n, 0.1 * n, 0) for n in range(31)] + [image(0.1 * n, photo(n)) for n in range(31)]
+    result, views = sent(client, "metres", bag(messages), every="1m")
+    assert [view["position"]["x"] for view in views] == pytest.approx([0, 1, 2, 3])
+    assert (result["images"], result["left_out"]) == (4, 27)
+
+
+def test_of_several_topics_the_caller_chooses(client: httpx.Client) -> None:
+    messages = [image(n, photo(n), "/front") for n in range(3)] + [image(n, photo(n + 3), "/rear") for n in range(3)]
+    messages += [pose(n, n, 0, "/amcl") for n in range(3)] + [pose(n, 100 + n, 0, "/slam") for n in range(3)]
+    messages += [odometry(n, 50 + n, 0) for n in range(3)]
+    body = bag(messages)
+    assert "say image_topic= one of /front, /rear" in refusal(client, body)
+    assert "no such topic as '/left'" in refusal(client, body, image_topic="/left")
+    assert "say pose_topic= one of /amcl, /slam" in refusal(client, body, image_topic="/rear")
+    assert "no such topic as '/map'" in refusal(client, body, image_topic="/rear", pose_topic="/map")
+
+    _, views = sent(client, "chosen", body, image_topic="/rear", pose_topic="/slam")
+    assert [view["position"]["x"] for view in views] == [100, 101, 102]
+    _, views = sent(client, "driven", body, image_topic="/front", pose_topic="/odom")
+    assert [view["position"]["x"] for view in views] == [50, 51, 52]
+
+
+def test_a_receiver_of_satellites_says_where(client: httpx.Client) -> None:
+    messages = [fix(0, 52.0, 13.0), fix(1, 52.0002, 13.0004), fix(2, 0, 0, status=-1), image(0.5, photo(1))]
+    _, [view] = sent(client, "outside", bag(messages))
+    assert (view["position"]["lat"], view["position"]["lon"]) == pytest.approx((52.0001, 13.0002))
+
+
+def test_images_without_compression_are_kept_as_jpeg(client: httpx.Client) -> None:
+    pixels = drawn(64, 48, 3)
+    padded = np.zeros((48, 200), np.uint8)
+    padded[:, :192] = pixels.reshape(48, 192)
+    raw = {"height": 48, "width": 64, "encoding": "rgb8", "is_bigendian": 0, "step": 200, "data": padded.tobytes()}
+    kind = "sensor_msgs/msg/Image"
+    messages = [("/raw", kind, 0.0, raw), ("/raw", kind, 1.0, {**raw, "encoding": "bayer_rggb8"})]
+    messages += [("/raw", kind, 2.0, {**raw, "height": 4_000_000_000})]
+
+    result, [view] = sent(client, "raw", bag(messages))
+
+    assert (result["enrolled"], result["failed"]) == (1, 2)
+    found = client.post("/query?map=raw", content=photo(3, "png"), headers={"content-type": "image/png"}).json()
+    assert found["matches"][0]["view"]["id"] == view["id"]
+    assert (view["image"]["width"], view["image"]["height"]) == (64, 48)
+
+
+def test_of_a_recorder_that_was_killed_what_it_wrote_is_read(client: httpx.Client) -> None:
+    whole = bag([image(n, photo(n)) for n in range(40)])
+    result, views = sent(client, "cut", whole[: len(whole) * 6 // 10])
+    assert 10 < result["enrolled"] == len(views) < 40
+    [broken] = result["errors"]
+    assert "breaks off after" in broken["detail"]
+
+
+def test_what_holds_no_image_says_what_it_holds(client: httpx.Client) -> None:
+    text = ("/chatter", "std_msgs/msg/String", 0.0, {"data": "hello"})
+    assert "/chatter (std_msgs/msg/String)" in refusal(client, bag([text]))
+    assert "it holds no images" in refusal(client, b"\x89MCAP0\r\n" + bytes(1000))
+
+
+def test_a_damaged_file_costs_no_more_than_itself(client: httpx.Client, service: RunningService) -> None:
+    whole = bag([image(n, photo(n)) for n in range(12)])
+    random = np.random.default_rng(1)
+    for _ in range(12):
+        damaged = bytearray(whole)
+        for at in random.integers(8, len(whole), 20):
+            damaged[at] ^= 0xFF
+        answer = client.post("/maps/damaged/imports", content=bytes(damaged), headers=MCAP)
+        assert answer.status_code in (202, 400), answer.text
+        if answer.status_code == 202:
+            assert ended(client, answer.json()["id"])["state"] == "done"
+    assert client.get("/readyz").status_code == 200
+    assert not any((service.data / "imports").iterdir())
+
+
+def test_positions_are_not_made_up() -> None:
+    poses: list[list[float | None]] = [[0, 0, 0, None, 10], [1, 2, 4, 5, 20], [10, 9, 9, 9, 30]]
+    assert position_at(poses, 0.4, geographic=False) == Position(x=0.8, y=1.6, z=None, heading=10)
+    assert position_at(poses, 0.6, geographic=False) == Position(x=1.2, y=2.4, z=None, heading=20)
+    assert position_at(poses, 1.1, geographic=False) == Position(x=2, y=4, z=5, heading=20)
+    assert position_at(poses, 5, geographic=False) is None
+    assert position_at(poses, 11, geographic=False) is None
+    assert position_at([], 0, geographic=False) is None
+    across: list[list[float | None]] = [[0, 10, 179.9, None, None], [1, 10, -179.9, None, None]]
+    assert position_at(across, 0.1, geographic=True) == Position(lat=10, lon=179.9)

@@ -1,0 +1,85 @@
+"""Recordings of ROS 2 in MCAP files: images and poses by topic, read in a process of its own."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from schemas.errors import BadBody
+from worker.images.apart.bag_child import POSES
+from worker.images.apart.stream import Ended, ImageStream
+from worker.images.codec import Limits
+
+MAGIC = b"\x89MCAP0\r\n"
+
+PoseRow = list[float | None]
+"""Time in seconds, then x, y, z and heading, or latitude, longitude, altitude and None."""
+
+
+class Bag(ImageStream):
+    """The images of one topic, as they were recorded, and poses.
+
+    Parameters
+    ----------
+    path : Path
+    limits : Limits
+        Of the size of an image.
+    image_topic, pose_topic : str or None
+        None: the only one; of several topics with poses, the one of the best type by the order of `bag_child.POSES`.
+
+    Attributes
+    ----------
+    topic : str
+    times_s : list of float
+        When the images were taken, Unix time, in the order of the file.
+    poses : list of PoseRow
+    geographic : bool
+        Whether the poses are latitudes and longitudes.
+    broken : str or None
+        Why the file cannot be read to its end.
+
+    Raises
+    ------
+    BadBody
+    """
+
+    def __init__(self, path: Path, limits: Limits, image_topic: str | None, pose_topic: str | None) -> None:
+        if find_spec("mcap_ros2") is None:
+            raise BadBody(
+                "malformed-body",
+                "this service reads no MCAP files: whoever runs it can add that with pip install 'revisit[mcap]'",
+            )
+        child = "worker.images.apart.bag_child"
+        listing = ImageStream(child, path, "", limits.max_bytes, limits.max_pixels)
+        try:
+            known = listing.listed()
+        except Ended as error:
+            raise _refused(str(error)) from None
+        images, poses, types = known["images"], known["poses"], known["types"]
+        if not images:
+            there = ", ".join(f"{topic} ({kind or 'no schema'})" for topic, kind in sorted(types.items())[:20])
+            broken = f"; it breaks off: {known['broken']}" if known["broken"] else ""
+            raise _refused(
+                f"it holds no images of ROS 2 (sensor_msgs/msg/CompressedImage, Image){broken}; topics: {there}"
+            )
+        self.topic = _chosen("image_topic", image_topic, list(images))
+        super().__init__(child, path, self.topic, limits.max_bytes, limits.max_pixels)
+        self.times_s: list[float] = images[self.topic]
+        self.broken: str | None = known["broken"]
+        best = min((POSES.index(types[topic]) for topic in poses), default=0)
+        walked = pose_topic or (poses and _chosen("pose_topic", None, [t for t in poses if types[t] == POSES[best]]))
+        if walked and walked not in poses:
+            _chosen("pose_topic", walked, list(poses))
+        self.poses: list[PoseRow] = poses[walked] if walked else []
+        self.geographic = bool(walked) and types[walked] == "sensor_msgs/msg/NavSatFix"
+
+
+def _chosen(parameter: str, wanted: str | None, topics: list[str]) -> str:
+    if wanted is None and len(topics) == 1:
+        return topics[0]
+    if wanted in topics:
+        return wanted
+    why = f"it has no such topic as {wanted!r}" if wanted else "several of its topics will do"
+    raise _refused(f"{why}: say {parameter}= one of {', '.join(sorted(topics)) or 'none'}")
+
+
+def _refused(why: str) -> BadBody:
+    return BadBody("malformed-body", f"the MCAP file is refused: {why}")

@@ -1,0 +1,172 @@
+"""The process that reads MCAP: ``python -m worker.images.apart.bag_child WHAT PATH TOPIC MAX_BYTES MAX_PIXELS``.
+
+``list``: when each image was taken, and all poses, by topic; ``send``: the images of TOPIC, as `ImageStream` wants
+them. The file is read from its beginning, without its index: of one whose recorder was killed, as far as it goes.
+"""
+
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from math import atan2, degrees, isfinite
+from pathlib import Path
+from typing import Any
+
+from worker.images.apart.restraints import answering, restrict
+from worker.images.apart.stream import HEADER
+
+IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+POSES = (
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/NavSatFix",
+)
+
+LIST_S, SEND_S = 300, 120
+"""Seconds for reading all of a file, and for finding the next image."""
+
+CLOSEST_S = 0.02
+"""Seconds between poses that are listed."""
+
+LEAST_UNIX_S = 1e8
+"""Smallest time that counts as Unix time: a simulation counts from its start."""
+
+QUALITY = 95
+"""Of the JPEGs that are made of images without compression."""
+
+CODES = {
+    "rgb8": ("RGB2BGR", 3),
+    "bgr8": (None, 3),
+    "mono8": (None, 1),
+    "rgba8": ("RGBA2BGR", 4),
+    "bgra8": ("BGRA2BGR", 4),
+}
+"""By encoding: the conversion of OpenCV, and bytes for each pixel."""
+
+
+def main(arguments: list[str]) -> None:
+    """Answer on standard output."""
+    what, path, topic = arguments[:3]
+    max_bytes, max_pixels = map(int, arguments[3:5])
+    answers = answering()
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    import cv2
+    import lz4.frame  # noqa: F401 - before opening files is restricted
+    import zstandard  # noqa: F401
+    from mcap_ros2.decoder import DecoderFactory
+
+    cv2.setNumThreads(1)
+    restrict(max_pixels)
+    decoders = DecoderFactory()
+    if what == "list":
+        signal.alarm(LIST_S)
+        answers.write(json.dumps(_listed(Path(path), decoders)).encode())
+    else:
+        signal.alarm(SEND_S)
+        for number, image in enumerate(_decoded(Path(path), decoders, topic)):
+            data = _encoded(cv2, image, max_bytes, max_pixels)
+            signal.alarm(0)  # the reader may take its time
+            if data is not None:
+                answers.write(HEADER.pack(number, len(data)) + data)
+                answers.flush()
+            signal.alarm(SEND_S)
+    answers.flush()
+
+
+def _messages(path: Path, broken: list[str]) -> Iterator[tuple[Any, Any, Any]]:
+    """Schema, channel and message of all that is in the file; why it cannot be read further is added to `broken`."""
+    from mcap.exceptions import McapError
+    from mcap.reader import NonSeekingReader
+
+    with path.open("rb") as file:
+        try:
+            yield from NonSeekingReader(file).iter_messages(log_time_order=False)
+        except (McapError, ValueError, KeyError, EOFError, RuntimeError) as error:
+            broken.append(f"{type(error).__name__}: {error}")
+
+
+def _decoded(path: Path, decoders: Any, topic: str) -> Iterator[Any]:
+    for schema, channel, message in _messages(path, []):
+        if channel.topic == topic and schema is not None and schema.name in IMAGES:
+            yield _message(decoders, schema, channel, message)
+
+
+def _message(decoders: Any, schema: Any, channel: Any, message: Any) -> Any:
+    """The decoded message; None where it cannot be."""
+    try:
+        decoder = decoders.decoder_for(channel.message_encoding, schema)
+        return None if decoder is None else decoder(message.data)
+    except Exception:  # whatever a crafted schema or message leads to
+        return None
+
+
+def _listed(path: Path, decoders: Any) -> dict[str, Any]:
+    """Types by topic, times of images and poses by topic, and why the file ends, if it breaks off."""
+    types: dict[str, str] = {}
+    images: dict[str, list[float]] = {}
+    poses: dict[str, list[list[float | None]]] = {}
+    broken: list[str] = []
+    for schema, channel, message in _messages(path, broken):
+        name = "" if schema is None else schema.name
+        types[channel.topic] = name
+        if name not in IMAGES and name not in POSES:
+            continue
+        decoded = _message(decoders, schema, channel, message)
+        time = _time(decoded, message)
+        if name in IMAGES:
+            images.setdefault(channel.topic, []).append(time)
+        elif decoded is not None:
+            rows = poses.setdefault(channel.topic, [])
+            pose = _pose(name, decoded)
+            if pose is not None and (not rows or abs(time - rows[-1][0]) >= CLOSEST_S):  # type: ignore[operator]
+                rows.append([time, *pose])
+    return {"types": types, "images": images, "poses": poses, "broken": broken[0] if broken else None}
+
+
+def _time(decoded: Any, message: Any) -> float:
+    """Seconds: of the header where that is Unix time, else when the message was logged."""
+    stamp = getattr(getattr(decoded, "header", None), "stamp", None)
+    seconds = 0.0 if stamp is None else stamp.sec + stamp.nanosec * 1e-9
+    return seconds if seconds >= LEAST_UNIX_S else message.log_time * 1e-9
+
+
+def _pose(name: str, decoded: Any) -> list[float | None] | None:
+    """x, y, z and heading, or latitude, longitude, altitude and None; None where there is none.
+
+    The heading is that of the body's x axis, in degrees clockwise from +y (REP 103: x ahead, z up).
+    """
+    if name == "sensor_msgs/msg/NavSatFix":
+        place = (decoded.latitude, decoded.longitude, decoded.altitude)
+        known = decoded.status.status >= 0 and all(map(isfinite, place[:2]))
+        return [place[0], place[1], place[2] if isfinite(place[2]) else None, None] if known else None
+    pose = decoded.pose if name == "geometry_msgs/msg/PoseStamped" else decoded.pose.pose
+    point, turn = pose.position, pose.orientation
+    if not all(map(isfinite, (point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w))):
+        return None
+    ahead = (1 - 2 * (turn.y**2 + turn.z**2), 2 * (turn.x * turn.y + turn.w * turn.z))
+    heading = degrees(atan2(ahead[0], ahead[1])) % 360 if max(map(abs, ahead)) > 1e-6 else None
+    return [point.x, point.y, point.z, heading]
+
+
+def _encoded(cv2: Any, image: Any, max_bytes: int, max_pixels: int) -> bytes | None:
+    """The bytes of an image, as they were recorded or as a JPEG; None where it cannot be used."""
+    import numpy as np
+
+    if image is None or len(image.data) > max(max_bytes, 4 * max_pixels):
+        return None
+    if not hasattr(image, "encoding"):
+        return bytes(image.data)
+    conversion, channels = CODES.get(image.encoding, (None, 0))
+    if not channels or image.step < image.width * channels or len(image.data) < image.step * image.height:
+        return None
+    rows = np.frombuffer(bytes(image.data), np.uint8)[: image.step * image.height].reshape(image.height, image.step)
+    pixels = rows[:, : image.width * channels].reshape(image.height, image.width, channels)
+    if conversion is not None:
+        pixels = cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{conversion}"))
+    made, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return jpeg.tobytes() if made else None
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
