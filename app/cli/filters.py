@@ -22,6 +22,9 @@ def chooses(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metadata", metavar="KEY=VALUE", action="append", default=[], help="views with this value; may be repeated"
     )
+    parser.add_argument(
+        "--where", metavar="JSON", help='views of which this holds, such as {"metadata.floor": {"$gte": 2}}'
+    )
     parser.add_argument("--exclude-last", metavar="N|30s", help="leave out the newest N views, or seconds")
     parser.add_argument("--exclude", metavar="ID,...", help="leave out these views")
 
@@ -37,6 +40,7 @@ def chosen(arguments: argparse.Namespace) -> dict[str, Any]:
         "after": arguments.after,
         "before": arguments.before,
         "metadata": dict(map(_pair, arguments.metadata)),
+        "where": arguments.where,
         "exclude_last": arguments.exclude_last,
         "exclude": [one.strip() for one in (arguments.exclude or "").split(",") if one.strip()],
     }

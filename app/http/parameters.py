@@ -9,8 +9,8 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WithJso
 from app.http.validation import Parameters
 from schemas import values
 from schemas.errors import ParameterError
-from schemas.imports import ImportOptions
 from schemas.records import Filters, Position, ViewAttributes
+from schemas.where import condition
 from schemas.wire import HealthCode
 
 METADATA_FILTER = "metadata.KEY"
@@ -27,15 +27,14 @@ def _text(**schema: object) -> WithJsonSchema:
     return WithJsonSchema({"type": "string", **schema})
 
 
-def _step(text: str) -> str:
-    """Check a step of an import."""
-    values.every(text)
+def _condition(text: str) -> str:
+    """Check a condition on views."""
+    condition(text)
     return text
 
 
 DriveName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of a drive.", examples=["robot-7"])]
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
-Topic = Annotated[str, Field(min_length=1, max_length=255)] | None
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Time = Annotated[datetime, BeforeValidator(values.moment), _text(format="date-time", examples=["2026-03-01T09:30:00Z"])]
@@ -125,6 +124,11 @@ class FilterParameters(Parameters):
     after: Time | None = Field(None, description="Views captured at this time or later.")
     before: Time | None = Field(None, description="Views captured at this time or earlier.")
     place: PlaceName | None = Field(None, description="Views of this place.")
+    where: Annotated[str, AfterValidator(_condition)] | None = Field(
+        None,
+        description="Views of which this condition holds, as JSON: fields, operators, $and, $or, $not.",
+        examples=['{"place": {"$prefix": "hall/"}, "metadata.floor": {"$gte": 2}}'],
+    )
     exclude_last: Annotated[
         int | timedelta, BeforeValidator(values.exclude_last), _text(examples=["10", "30s"])
     ] | None = Field(
@@ -177,6 +181,7 @@ class FilterParameters(Parameters):
             before=self.before,
             place=self.place,
             metadata=self.metadata,
+            where=None if self.where is None else condition(self.where),
             exclude_last=self.exclude_last,
             exclude=self.exclude,
         )
@@ -214,37 +219,6 @@ class QueryParameters(FilterParameters):
         False,
         description="List the regions and local features that matched, and keep what the explanation is drawn from.",
     )
-
-
-class ImportParameters(Parameters):
-    """Parameters of `POST /maps/{map}/imports`."""
-
-    exif: bool = Field(
-        False, description="Take place and time of an image from its EXIF where the manifest says nothing of them."
-    )
-    panorama: bool = Field(
-        False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."
-    )
-    image_topic: Topic = Field(None, description="Topic of the images, of a ROS 2 recording (MCAP) with several.")
-    pose_topic: Topic = Field(None, description="Topic of the poses, of a ROS 2 recording (MCAP) with several.")
-    every: Annotated[str, AfterValidator(_step)] | None = Field(
-        None,
-        examples=["2s", "1m"],
-        description="Least time (2s, 1min) or way (1m: metres) from one image to the next; the others are left out. "
-        "Default: all images, and of a video one a second.",
-    )
-
-    def options(self) -> ImportOptions:
-        """The same as a record."""
-        amount, unit = (None, "") if self.every is None else values.every(self.every)
-        return ImportOptions(
-            exif=self.exif,
-            panorama=self.panorama,
-            image_topic=self.image_topic,
-            pose_topic=self.pose_topic,
-            every_s=amount if unit == "s" else None,
-            every_m=amount if unit == "m" else None,
-        )
 
 
 class LocalizeParameters(Parameters):

@@ -157,6 +157,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         before: Time | None = None,
         place: str | None = None,
         metadata: Mapping[str, str] | None = None,
+        where: Mapping[str, Any] | str | None = None,
         exclude_last: int | str | timedelta | None = None,
         exclude: Sequence[str] = (),
     ) -> wire.QueryAnswer:
@@ -189,12 +190,14 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
             Only views of this place.
         metadata : mapping or None
             Only views whose metadata has these values, compared as text.
+        where : mapping or str or None
+            Only views of which this condition holds, such as ``{"metadata.floor": {"$gte": 2}}``.
         exclude_last : int or str or timedelta or None
             Leave out the newest N views, or those of the last seconds (``"30s"``): for loop closure.
         exclude : sequence of str
             Ids of views to leave out.
         """
-        chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
+        chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
         options |= {"drive": drive, "drive_timeout": drive_timeout}
         name, data = named(image)
@@ -217,6 +220,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         before: Time | None = None,
         place: str | None = None,
         metadata: Mapping[str, str] | None = None,
+        where: Mapping[str, Any] | str | None = None,
         exclude_last: int | str | timedelta | None = None,
         exclude: Sequence[str] = (),
         limit: int | None = None,
@@ -224,7 +228,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
     ) -> Iterator[wire.View]:
         """Iterate over the views that pass the filters, at most `limit`; fetched in pages of `page` as needed. With
         `words`, labels such as ``"fence,pole+sign"``, by how much of them these are."""
-        chosen = filters(near, geographic, after, before, place, metadata, exclude_last, exclude)
+        chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         sort = "-enrolled_at" if newest_first else None
         page = page if limit is None else max(1, min(page, limit))
         params = texts({"map": map, "state": state, "sort": sort, "words": words, "limit": page, **chosen})

@@ -52,6 +52,7 @@ def filters(
     before: Time | None,
     place: str | None,
     metadata: Mapping[str, str] | None,
+    where: Mapping[str, Any] | str | None,
     exclude_last: int | str | timedelta | None,
     exclude: Sequence[str],
 ) -> dict[str, Any]:
@@ -64,6 +65,7 @@ def filters(
         "after": after,
         "before": before,
         "place": place,
+        "where": where,
         "exclude_last": exclude_last,
         "exclude": ",".join(exclude) or None,
     }

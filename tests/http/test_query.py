@@ -132,7 +132,7 @@ def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedCli
     assert answer.json()["detail"] == (
         "journey: is unknown; known are after, before, candidates, drive, drive_timeout, exclude, exclude_last, "
         "explain, frame, map, "
-        "metadata.KEY, near, place, precision, top"
+        "metadata.KEY, near, place, precision, top, where"
     )
 
 

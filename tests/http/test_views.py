@@ -8,6 +8,7 @@ import pytest
 from PIL import Image as PilImage
 
 from schemas.records import Filters, Position, ViewAttributes
+from schemas.where import condition
 from schemas.wire import rfc3339
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
@@ -66,8 +67,8 @@ def test_all_mistakes_of_a_url_are_listed_at_once(client: CheckedClient, method:
     told = [f"{e['parameter']} {e['detail']}".partition(" (got")[0] for e in answer.json()["errors"]]
     known = {
         "GET": "after, before, cursor, exclude, exclude_last, frame, limit, map, metadata.KEY, near, place, sort, "
-        "state, words",
-        "DELETE": "after, all, before, exclude, exclude_last, frame, map, metadata.KEY, near, place",
+        "state, where, words",
+        "DELETE": "after, all, before, exclude, exclude_last, frame, map, metadata.KEY, near, place, where",
     }
     assert sorted(told) == [
         "after is later than before: no view can fit",
@@ -85,6 +86,17 @@ def test_filters_that_are_lists_of_numbers_or_ids_arrive(client: CheckedClient, 
     assert recogniser.given["filters"] == Filters(
         near=(1, 2.5, 30), exclude=("a", "b"), exclude_last=10, metadata={"KEY": "x"}
     )
+
+
+def test_a_condition_arrives_and_one_that_cannot_be_is_told(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    where = '{"place": {"$prefix": "hall/"}, "$not": {"metadata.floor": {"$lt": 2}}}'
+    assert client.get("/views", params={"where": where}).status_code == 200
+    assert recogniser.given["filters"] == Filters(where=condition(where))
+    assert client.post("/query", data={"where": where}, files={"image": photo()}).status_code == 404  # there is no map
+
+    refused = client.get("/views", params={"where": '{"place": {"$like": "hall%"}}'})
+    assert refused.status_code == 422
+    assert "where: place: $like is no operator: $eq, $ne" in refused.json()["detail"]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from schemas.errors import InvalidParameters
 from schemas.records import Filters
 from worker.storage.rows import as_json, unit_vector
 from worker.storage.tables import METADATA_PAIRS, VIEWS
+from worker.storage.where import fulfilling
 
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of WGS 84, (2a + b) / 3."""
@@ -75,6 +76,8 @@ def allowing(connection: sa.Connection, filters: Filters, scope: Sequence[Clause
     for key, text in filters.metadata.items():
         pair = METADATA_PAIRS.c.pair == metadata_pair(key, text)
         conditions.append(VIEWS.c.seq.in_(sa.select(METADATA_PAIRS.c.seq).where(pair)))
+    if filters.where is not None:
+        conditions.append(fulfilling(filters.where, connection.dialect.name))
     return conditions
 
 

@@ -7,9 +7,9 @@ from fastapi.responses import JSONResponse, Response
 from python_multipart.multipart import parse_options_header
 
 from app.http.dependencies import Curates, MapName
+from app.http.import_parameters import ImportParameters
 from app.http.notes import note
 from app.http.openapi import refusals
-from app.http.parameters import ImportParameters
 from app.http.rate_limits import charge_images
 from schemas.errors import BadBody
 from schemas.wire import Job
