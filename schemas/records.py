@@ -11,7 +11,7 @@ import numpy.typing as npt
 from schemas.description import Floats
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
-from schemas.where import Where
+from schemas.where import Predicate
 
 Sequence64 = npt.NDArray[np.int64]
 
@@ -327,7 +327,7 @@ class Filters:
         Whether `near` is in degrees; None: in the frame of the positions that the map has.
     after, before : datetime or None
         Bounds of `captured_at`, both inclusive.
-    where : Where or None
+    where : Predicate or None
     exclude_last : int or timedelta or None
         Leave out the newest N views, or those enrolled within this time of the newest one.
     exclude : tuple of str
@@ -340,7 +340,7 @@ class Filters:
     before: datetime | None = None
     place: str | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
-    where: Where | None = None
+    where: Predicate | None = None
     exclude_last: int | timedelta | None = None
     exclude: tuple[str, ...] = ()
 

@@ -70,28 +70,28 @@ class Exists:
 class Not:
     """A condition does not hold."""
 
-    condition: "Where"
+    condition: "Predicate"
 
 
 @dataclass(frozen=True)
 class AllOf:
     """Every condition holds."""
 
-    conditions: tuple["Where", ...]
+    conditions: tuple["Predicate", ...]
 
 
 @dataclass(frozen=True)
 class AnyOf:
     """At least one condition holds."""
 
-    conditions: tuple["Where", ...]
+    conditions: tuple["Predicate", ...]
 
 
-Where = Is | Compared | Begins | Exists | Not | AllOf | AnyOf
+Predicate = Is | Compared | Begins | Exists | Not | AllOf | AnyOf
 """Of a view without the field nothing but `Not` holds. `path`: a field's name, or ``metadata`` and keys in it."""
 
 
-def condition(text: object) -> Where:
+def condition(text: object) -> Predicate:
     """Parse a condition, as text or parsed JSON; raises ValueError with what is wrong in it."""
     if isinstance(text, str):
         if len(text) > LONGEST:
@@ -103,7 +103,7 @@ def condition(text: object) -> Where:
     return found
 
 
-def _all(value: object, depth: int) -> Where:
+def _all(value: object, depth: int) -> Predicate:
     if depth > DEEPEST:
         raise ValueError(f"must not be nested deeper than {DEEPEST} levels")
     if not isinstance(value, dict) or not value:
@@ -112,7 +112,7 @@ def _all(value: object, depth: int) -> Where:
     return parts[0] if len(parts) == 1 else AllOf(tuple(parts))
 
 
-def _logic(word: str, value: object, depth: int) -> Where:
+def _logic(word: str, value: object, depth: int) -> Predicate:
     if word == "$not":
         return Not(_all(value, depth + 1))
     if word not in ("$and", "$or"):
@@ -123,7 +123,7 @@ def _logic(word: str, value: object, depth: int) -> Where:
     return AllOf(parts) if word == "$and" else AnyOf(parts)
 
 
-def _field(name: str, value: object) -> Where:
+def _field(name: str, value: object) -> Predicate:
     path = _path(name)
     if not isinstance(value, dict):
         return Is(path, (_value(path, value),))
@@ -148,7 +148,7 @@ def _path(name: str) -> tuple[str, ...]:
     return ("metadata", *keys)
 
 
-def _operator(path: tuple[str, ...], operator: str, operand: object) -> Where:
+def _operator(path: tuple[str, ...], operator: str, operand: object) -> Predicate:
     name = ".".join(path)
     if operator not in OPERATORS:
         raise ValueError(f"{name}: {operator} is no operator: {', '.join(OPERATORS)} are")
@@ -207,7 +207,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _comparisons(one: Where) -> int:
+def _comparisons(one: Predicate) -> int:
     if isinstance(one, AllOf | AnyOf):
         return sum(map(_comparisons, one.conditions))
     if isinstance(one, Not):

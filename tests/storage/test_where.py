@@ -23,7 +23,7 @@ from schemas.where import (
     Exists,
     Is,
     Not,
-    Where,
+    Predicate,
     condition,
 )
 from tests.storage.material import NOW, enroll
@@ -206,7 +206,7 @@ def alike(one: Any, other: Any) -> bool:
     return all(numbers) or (not any(numbers) and type(one) is type(other))
 
 
-def holds(one: Where, view: ViewAttributes) -> bool:
+def holds(one: Predicate, view: ViewAttributes) -> bool:
     """What a condition means."""
     if isinstance(one, AllOf | AnyOf):
         return (all if isinstance(one, AllOf) else any)(holds(part, view) for part in one.conditions)

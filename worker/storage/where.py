@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
-from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Value, Where
+from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Predicate, Value
 from worker.storage.rows import as_json
 from worker.storage.tables import VIEWS
 
@@ -16,12 +16,12 @@ _COMPARE = {"$gt": gt, "$gte": ge, "$lt": lt, "$lte": le}
 Clause = sa.ColumnElement[bool]
 
 
-def fulfilling(one: Where, dialect: str) -> Clause:
+def fulfilling(one: Predicate, dialect: str) -> Clause:
     """The views of which a condition holds.
 
     Parameters
     ----------
-    one : Where
+    one : Predicate
     dialect : str
         ``sqlite`` or ``postgresql``.
     """
