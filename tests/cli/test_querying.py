@@ -61,15 +61,32 @@ def test_a_point_in_the_south_and_every_filter_are_sent(service: FakeService, im
     service.replies["GET /views"] = 200, {"views": [], "next": None}
     argv = ["--near", "-27.4,153.0,50", "--after", "2026-03-01T09:30:00Z", "--before", "2026-03-02T09:30:00Z"]
     argv += ["--metadata", "floor=2", "--metadata", "a=b=c", "--exclude-last", "30s", "--exclude", "v1, v2"]
+    argv += ["--where", '{"x": {"$gte": 2}}']
 
     assert main(["query", str(image), *argv]) == 0
     assert main(["views", *argv, "--geo"]) == 0
 
     (_, body), (listed, _) = service.requests
-    for part in (b"-27.4,153.0,50.0", b'"metadata.floor"', b'"metadata.a"', b"b=c", b"30s", b"v1,v2", b"2026-03-02T"):
+    for part in (
+        b"-27.4,153.0,50.0",
+        b'"metadata.floor"',
+        b'"metadata.a"',
+        b"b=c",
+        b"30s",
+        b"v1,v2",
+        b"2026-03-02T",
+        b'{"x": {"$gte": 2}}',
+    ):
         assert part in body
     assert b'name="frame"' not in body
-    for text in ("near=-27.4%2C153.0%2C50.0", "frame=geo", "metadata.floor=2", "exclude=v1%2Cv2", "exclude_last=30s"):
+    for text in (
+        "near=-27.4%2C153.0%2C50.0",
+        "frame=geo",
+        "metadata.floor=2",
+        "exclude=v1%2Cv2",
+        "exclude_last=30s",
+        "where=%7B%22x",
+    ):
         assert text in listed
 
 

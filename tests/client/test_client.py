@@ -186,11 +186,12 @@ def test_filters_of_a_query_are_sent_as_documented() -> None:
         exclude_last=timedelta(seconds=30),
         exclude=["a", "b"],
         metadata={"floor": "2"},
+        where={"place": {"$prefix": "a/"}},
         explain=False,
     )
 
     assert answer.matches[0].view.place == "square"
-    for part in ("1.0,2.0,30.0", "geo", "30s", "a,b", 'name="metadata.floor"', "false"):
+    for part in ("1.0,2.0,30.0", "geo", "30s", "a,b", 'name="metadata.floor"', "false", '{"place": {"$prefix": "a/"}}'):
         assert part in bodies[0]
 
 
