@@ -8,7 +8,7 @@
     ├── BodyTooLarge       body-too-large        UnexpectedBody unexpected-body
     ├── RequestTimeout     request-timeout
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
-    ├── NothingStatic      nothing-static
+    ├── NothingStatic      nothing-static        PoorImage   poor-picture
     ├── NotFound           not-found
     ├── Conflict           conflict
     ├── KeyReused          idempotency-key-reused
@@ -120,6 +120,12 @@ class InvalidParameters(RevisitError):
     def of(cls, parameter: str, detail: str) -> "InvalidParameters":
         """Refuse one parameter."""
         return cls([ParameterError(parameter, detail)])
+
+
+class PoorImage(RevisitError):
+    """An image that is dark, overexposed, covered or blurred, and was not to be enrolled then."""
+
+    code = "poor-picture"
 
 
 class NothingStatic(RevisitError):

@@ -15,6 +15,8 @@ class ImportOptions:
         Every image is an equirectangular panorama, and is enrolled as eight views.
     image_topic, pose_topic : str or None
         Of a ROS 2 recording; None: the only ones.
+    refuse_poor : bool
+        Images that are dark, overexposed, covered or blurred are errors.
     every_s, every_m : float or None
         Least seconds, or metres, from one image to the next; None: all images, and of a video one a second.
     """
@@ -23,5 +25,6 @@ class ImportOptions:
     panorama: bool = False
     image_topic: str | None = None
     pose_topic: str | None = None
+    refuse_poor: bool = False
     every_s: float | None = None
     every_m: float | None = None

@@ -132,6 +132,13 @@ from .wire_views import (
 )
 
 
+class EnrolmentWarning(Answer):
+    """Something about an image that was enrolled."""
+
+    code: Literal["poor-picture"] = Field(description="poor-picture: it is dark, overexposed, covered or blurred.")
+    detail: str
+
+
 class Enrolled(Answer):
     """The result of enrolling one image."""
 
@@ -139,6 +146,9 @@ class Enrolled(Answer):
     created: bool = Field(description="False when the same bytes were in the map already.")
     revision: int = Field(description="The map's revision after this enrolment.")
     job: str | None = Field(None, description="The job that describes the view, while it is pending.")
+    warnings: list[EnrolmentWarning] = Field(
+        default_factory=list, description="What may keep the view from being recognised; it is enrolled all the same."
+    )
     timing_ms: dict[str, float]
 
 

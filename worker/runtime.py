@@ -229,6 +229,7 @@ def build(
                 settlements=settlements,
                 decode=decoder.decode_patiently,
                 taken=decoder.taken,
+                look_for_problem=_problem_of,
                 limits=Limits.of(settings),
                 wake=lambda: loop.wake() if loop is not None else None,
             )
@@ -301,6 +302,7 @@ def _services(
         queue=store.jobs,
         settlements=settlements,
         decode=decoder.decode,
+        look_for_problem=_problem_of,
         default_recipe=default_recipe,
         limit=settings.queue,
         pace_s=lambda: scheduler.pace_s,
@@ -322,7 +324,7 @@ def _services(
             catalogue=catalogue,
             decode=decoder.decode,
             shrink=codec.shrink,
-            look_for_problem=lambda image: quality.problem(image.pixels),
+            look_for_problem=_problem_of,
             thumbnail=decoder.thumbnail,
             kept=store.kept_queries,
             calibration=calibration_of,
@@ -386,6 +388,10 @@ def _services(
 def _never(busy: bool) -> bool:
     """Has nothing to do: views are not compared."""
     return False
+
+
+def _problem_of(image: Image) -> str | None:
+    return quality.problem(image.pixels)
 
 
 def _nothing() -> None:

@@ -39,6 +39,7 @@ class Summary:
     already_there: int = 0
     failed: list[dict[str, str]] = field(default_factory=list)
     skipped: list[dict[str, str]] = field(default_factory=list)
+    warned: list[dict[str, str]] = field(default_factory=list)
     views: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -62,6 +63,9 @@ def add(verbs: Verbs) -> None:
     for name, what in (("x", "metres"), ("y", "metres"), ("heading", "degrees clockwise from north, or from +y")):
         parser.add_argument(f"--{name}", type=float, metavar="N", help=f"{what}; of all these images")
     parser.add_argument("--metadata", metavar="JSON", help="kept with all these images")
+    parser.add_argument(
+        "--refuse-poor", action="store_true", help="refuse images that are dark, overexposed, covered or blurred"
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what would be enrolled, and with what")
     parser.add_argument("--parallel", type=int, default=4, metavar="N", help="images sent at once (default: 4)")
     speaks(parser)
@@ -91,6 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
         show(f"{summary.enrolled} enrolled, {summary.already_there} already there, {len(summary.failed)} failed{more}")
         for failure in summary.failed:
             say(f"  {failure['file']}: {failure['reason']}")
+        for warned in summary.warned:
+            say(f"  {warned['file']}: {warned['reason']}; enrolled all the same")
         _name_skipped(left_out)
     return FAILED if summary.failed else DONE
 
@@ -127,6 +133,8 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
     metadata = json_object("--metadata", arguments.metadata, '{"floor": 2}')
     for path in images.found(arguments.paths, skipped):
         known: images.Known = {"map": arguments.map, "place": arguments.place}
+        if arguments.refuse_poor:
+            known["refuse_poor"] = True
         given = {"x": arguments.x, "y": arguments.y, "heading": arguments.heading, "metadata": metadata}
         known |= {name: value for name, value in given.items() if value is not None}
         if arguments.place_from_folder:
@@ -181,6 +189,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
                 else:
                     summary.already_there += 1
                 view = answer.view
+                summary.warned += [{"file": str(path), "reason": one.detail} for one in answer.warnings]
                 summary.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
                 if view.state == "failed" and view.failure is not None:
                     summary.failed.append({"file": str(path), "reason": view.failure.detail})
@@ -196,6 +205,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
         done = summary.enrolled + summary.already_there
         raise Failure(f"{stop[0]}\n{done} of {len(work)} images are enrolled; run the same command again to go on")
     order = {str(path): i for i, (path, _) in enumerate(work)}
+    summary.warned.sort(key=lambda warned: order[warned["file"]])
     summary.failed.sort(key=lambda failure: order[failure["file"]])
     summary.views.sort(key=lambda view: order[view["file"]])
     return summary

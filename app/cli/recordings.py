@@ -38,6 +38,9 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("--image-topic", metavar="TOPIC", help="topic of the images, of a ROS 2 recording with several")
     parser.add_argument("--pose-topic", metavar="TOPIC", help="topic of the poses, of a ROS 2 recording with several")
+    parser.add_argument(
+        "--refuse-poor", action="store_true", help="leave out images that are dark, overexposed, covered or blurred"
+    )
     parser.add_argument("--no-wait", action="store_true", help="return once everything is sent")
     speaks(parser)
     parser.set_defaults(run=run)
@@ -55,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
                 manifest=arguments.manifest,
                 exif=arguments.exif,
                 panorama=arguments.panorama,
+                refuse_poor=arguments.refuse_poor,
                 every=arguments.every,
                 image_topic=arguments.image_topic,
                 pose_topic=arguments.pose_topic,
@@ -79,6 +83,8 @@ def _show(job: "Job") -> None:
     show(f"{report['enrolled']} enrolled, {report['already_there']} already there, {report['failed']} failed")
     if report.get("left_out"):
         say(f"{report['left_out']} left out by --every")
+    if report.get("poor"):
+        say(f"{report['poor']} of them are dark, overexposed, covered or blurred")
     for error in report["errors"][:MOST_SHOWN]:
         say(f"  {error['file']}: {error['detail']}")
     left = len(report["errors"]) - MOST_SHOWN + report["errors_left_off"]

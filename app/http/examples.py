@@ -194,6 +194,7 @@ PROBLEM_DETAILS: dict[str, str] = {
     "undecodable-picture": "this jpeg image cannot be decoded: it ends before the image does",
     "picture-too-large": "the image is 12000 x 9000 = 108.0 megapixels; at most 50 are taken",
     "picture-too-small": "the image is 31 x 32 pixels; at least 32 x 32 are needed",
+    "poor-picture": "the image is blurred (sharpness 9; photos of places have hundreds)",
     "nothing-static": "every cell of the image shows something that moves",
     "idempotency-key-reused": "this Idempotency-Key was used for another request",
     "too-many-requests": "1000 images wait to be described, as many as are let in; try in 61 s",

@@ -26,6 +26,9 @@ class ImportParameters(Parameters):
     panorama: bool = Field(
         False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."
     )
+    refuse_poor: bool = Field(
+        False, description="Leave out images that are dark, overexposed, covered or blurred, as errors of their own."
+    )
     image_topic: Topic = Field(None, description="Topic of the images, of a ROS 2 recording (MCAP) with several.")
     pose_topic: Topic = Field(None, description="Topic of the poses, of a ROS 2 recording (MCAP) with several.")
     every: Annotated[str, AfterValidator(_step)] | None = Field(
@@ -41,6 +44,7 @@ class ImportParameters(Parameters):
         return ImportOptions(
             exif=self.exif,
             panorama=self.panorama,
+            refuse_poor=self.refuse_poor,
             image_topic=self.image_topic,
             pose_topic=self.pose_topic,
             every_s=amount if unit == "s" else None,

@@ -100,6 +100,11 @@ class EnrollParameters(PositionParameters):
         description="File name to show, for an image that is the body, or instead of the name of its part. Folders and "
         "control characters are left out, and it is cut to 255 characters.",
     )
+    refuse_poor: bool = Field(
+        False,
+        description="Refuse an image that is dark, overexposed, covered or blurred; otherwise it is enrolled, and "
+        "`warnings` says so.",
+    )
     wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")
 
     def attributes(self) -> ViewAttributes:

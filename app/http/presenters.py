@@ -182,6 +182,7 @@ def enrolled(outcome: Enrolled) -> wire.Enrolled:
         created=outcome.created,
         revision=outcome.revision,
         job=outcome.job_id,
+        warnings=[wire.EnrolmentWarning(code="poor-picture", detail=outcome.problem)] if outcome.problem else [],
         timing_ms=outcome.timing_ms,
     )
 

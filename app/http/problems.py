@@ -78,6 +78,9 @@ KINDS: Mapping[str, Kind] = {
     ),
     "picture-too-large": Kind(422, "The image has too many pixels", "Scale it down; 1280 pixels a side are plenty."),
     "picture-too-small": Kind(422, "The image has too few pixels", "Send at least 32 x 32 pixels."),
+    "poor-picture": Kind(
+        422, "The image is too poor to enrol", "Take the photo again, or enrol it as it is without `refuse_poor`."
+    ),
     "nothing-static": Kind(
         422, "The image shows dynamic labels only", "Take the photo again when less is in the way, or change `dynamic`."
     ),

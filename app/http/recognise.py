@@ -47,7 +47,13 @@ class Recogniser:
         self._settlements.give_up()
 
     async def enroll(
-        self, images: Sequence[tuple[str | None, bytes]], map_name: str, attributes: ViewAttributes, wait: bool
+        self,
+        images: Sequence[tuple[str | None, bytes]],
+        map_name: str,
+        attributes: ViewAttributes,
+        wait: bool,
+        *,
+        refuse_poor: bool,
     ) -> list[wire.Enrolled | RevisitError]:
         """Keep images and describe them.
 
@@ -60,6 +66,8 @@ class Recogniser:
         wait : bool
             Whether to wait until the views are described, within a bound; otherwise, or where the queue says that this
             bound is too short, return once the images are durable.
+        refuse_poor : bool
+            Whether images that are dark, overexposed, covered or blurred are refused.
 
         Returns
         -------
@@ -69,15 +77,18 @@ class Recogniser:
         """
         until = time.monotonic() + self._wait_s
         accepted = [
-            await self._submit(data, map_name, replace(attributes, filename=name), wait) for name, data in images
+            await self._submit(data, map_name, replace(attributes, filename=name), wait, refuse_poor)
+            for name, data in images
         ]
         return [one if isinstance(one, RevisitError) else await self._outcome(one, wait, until) for one in accepted]
 
     async def _submit(
-        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool
+        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool
     ) -> Accepted | RevisitError:
         try:
-            return await asyncio.to_thread(self._enroll.submit, data, map_name, attributes, waits=wait)
+            return await asyncio.to_thread(
+                self._enroll.submit, data, map_name, attributes, waits=wait, refuse_poor=refuse_poor
+            )
         except RevisitError as error:
             return error
 

@@ -34,6 +34,7 @@ class JobCalls:
         manifest: str | os.PathLike[str] | None = None,
         exif: bool = False,
         panorama: bool = False,
+        refuse_poor: bool = False,
         every: str | None = None,
         image_topic: str | None = None,
         pose_topic: str | None = None,
@@ -56,6 +57,8 @@ class JobCalls:
             Take place and time from the images where the manifest says nothing of them.
         panorama : bool
             Every image is an equirectangular panorama, and is enrolled as eight views.
+        refuse_poor : bool
+            Leave out images that are dark, overexposed, covered or blurred, as errors of their own.
         every : str or None
             Least time (``2s``, ``1min``) or way (``1m``: metres) from one image to the next. None: all images, and of
             a video one a second.
@@ -83,6 +86,7 @@ class JobCalls:
                 {
                     "exif": exif or None,
                     "panorama": panorama or None,
+                    "refuse_poor": refuse_poor or None,
                     "every": every,
                     "image_topic": image_topic,
                     "pose_topic": pose_topic,

@@ -1,8 +1,9 @@
 """`./revisit loops`: a walk goes in, loops and a pose graph come out."""
 
-import _thread
 import itertools
 import json
+import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -54,19 +55,22 @@ def test_what_was_found_before_an_early_end_is_written(
     walk: list[str], service: FakeService, tmp_path: Path, capsys: Out, ending: type[BaseException] | None
 ) -> None:
     table = tmp_path / "loops.csv"
-    refusals = iter([False, False, True])
+    refusals, over = iter([False, False, True]), threading.Event()
 
     def refused_at_last(_: bytes) -> tuple[int, object]:
         if next(refusals):
             if ending is not None:
-                _thread.interrupt_main()
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+                over.wait(30)
             return 507, answers.problem("storage-full", 507)
         return 200, answers.query_answer(answers.match(view_id="0"))
 
     service.replies["POST /query"] = refused_at_last
 
-    assert main([*walk, "--csv", str(table)]) == (1 if ending is None else 130)
+    ended = main([*walk, "--csv", str(table)])
+    over.set()
 
+    assert ended == (1 if ending is None else 130)
     assert table.read_text().splitlines()[1:] == ["1,0,0.93,5.0"]
     assert "(2 keyframes)" in capsys.readouterr().err
 

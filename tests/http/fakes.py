@@ -97,10 +97,11 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
             raise self.fails[name]
 
     async def enroll(
-        self, images: Sequence[tuple[str | None, bytes]], map_name: str, attributes: ViewAttributes, wait: bool
+        self, images: Sequence[Any], map_name: str, attributes: ViewAttributes, wait: bool, *, refuse_poor: bool
     ) -> list[wire.Enrolled | RevisitError]:
         self._may_fail("enroll")
         self.given = {"map": map_name, "said": attributes, "wait": wait, "names": [name for name, _ in images]}
+        self.given |= {"refuse_poor": refuse_poor}
         self.enrolments += 1
         if self.hold is not None:
             await self.hold.wait()

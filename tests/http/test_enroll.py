@@ -24,6 +24,12 @@ def files(*images: bytes) -> list[tuple[str, tuple[str, bytes, str]]]:
     return [("image", (f"{i}.jpg", data, "image/jpeg")) for i, data in enumerate(images)]
 
 
+def test_whether_poor_images_are_refused_arrives(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    for wanted in (False, True):
+        client.post("/enroll", files=files(photo(5)), data={"refuse_poor": str(wanted).lower()})
+        assert recogniser.given["refuse_poor"] is wanted
+
+
 def test_an_image_is_enrolled_as_multipart(client: CheckedClient, recogniser: FakeRecogniser) -> None:
     answer = client.post(
         "/enroll",

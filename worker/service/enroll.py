@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, RevisitError, StorageFailed, Unavailable
+from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, PoorImage, RevisitError, StorageFailed, Unavailable
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
@@ -32,12 +32,15 @@ class Accepted:
         Reading of `time.perf_counter` when the call began.
     expected_s : float
         Seconds until it is described, by the length of the queue and the measured pace.
+    problem : str or None
+        What may keep it from being recognised, in words.
     timing_ms : mapping of stage to milliseconds
     """
 
     submitted: Submitted
     began: float
     expected_s: float
+    problem: str | None
     timing_ms: dict[str, float]
 
 
@@ -56,6 +59,8 @@ class Enrolled:
         Of the map, after this enrolment.
     job_id : str or None
         The job that describes the view, while the view is pending.
+    problem : str or None
+        What may keep the view from being recognised, in words.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -64,6 +69,7 @@ class Enrolled:
     created: bool
     revision: int
     job_id: str | None
+    problem: str | None
     timing_ms: dict[str, float]
 
 
@@ -78,6 +84,8 @@ class EnrollService:
         Waits for a view to be described.
     decode : function
         Bytes to Image; raises BadImage.
+    look_for_problem : function
+        What is wrong with an image, in words, or None.
     default_recipe : MapRecipe
         Recipe of a map that its first enrolment creates.
     limit : int
@@ -100,6 +108,7 @@ class EnrollService:
         queue: JobQueue,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
+        look_for_problem: Callable[[Image], str | None],
         default_recipe: MapRecipe,
         limit: int,
         pace_s: Callable[[], float],
@@ -108,10 +117,18 @@ class EnrollService:
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
-        self._decode, self._default_recipe = decode, default_recipe
+        self._decode, self._look_for_problem, self._default_recipe = decode, look_for_problem, default_recipe
         self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
 
-    def submit(self, data: bytes, map_name: str, attributes: ViewAttributes, *, waits: bool = False) -> Accepted:
+    def submit(
+        self,
+        data: bytes,
+        map_name: str,
+        attributes: ViewAttributes,
+        *,
+        waits: bool = False,
+        refuse_poor: bool = False,
+    ) -> Accepted:
         """Store an image durably and queue its description.
 
         Parameters
@@ -121,14 +138,19 @@ class EnrollService:
         attributes : ViewAttributes
         waits : bool
             Whether the caller wants to wait for the description, which is refused when no worker is alive.
+        refuse_poor : bool
+            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled.
 
         Raises
         ------
-        BadImage, Busy, Conflict, DiskFull, StorageFailed, Unavailable
+        BadImage, PoorImage, Busy, Conflict, DiskFull, StorageFailed, Unavailable
             Nothing is stored.
         """
         began = time.perf_counter()
         image = self._decode(data)
+        problem = self._look_for_problem(image)
+        if problem is not None and refuse_poor:
+            raise PoorImage(problem)
         decoded = time.perf_counter()
         waiting = self._queue.count_waiting()
         if waiting >= self._limit:
@@ -144,7 +166,9 @@ class EnrollService:
         if submitted.job_id is not None:
             self._wake()
         expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
-        return Accepted(submitted, began, expected_s, {"decode": (decoded - began) * 1000, "store": _since(decoded)})
+        return Accepted(
+            submitted, began, expected_s, problem, {"decode": (decoded - began) * 1000, "store": _since(decoded)}
+        )
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
         """The outcome of an accepted image.
@@ -188,6 +212,7 @@ class EnrollService:
             created=submitted.created,
             revision=revision,
             job_id=submitted.job_id if record.state == "pending" else None,
+            problem=accepted.problem,
             timing_ms={**accepted.timing_ms, "total": _since(accepted.began)},
         )
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from uuid6 import uuid7
 
-from schemas.errors import LeaseLost, NotFound, RevisitError, StorageFailed
+from schemas.errors import LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.imports import ImportOptions
 from schemas.recipe import MapRecipe
@@ -128,6 +128,7 @@ class _Report:
     already_there: int = 0
     failed: int = 0
     left_out: int = 0
+    poor: int = 0
     rows_without_file: int = 0
     files_without_row: int = 0
     errors: list[dict[str, str]] = field(default_factory=list)
@@ -157,6 +158,8 @@ class Importer:
         Bytes to Image; raises BadImage.
     taken : function
         Bytes to what their EXIF says, by the names of attributes; raises BadImage.
+    look_for_problem : function
+        What is wrong with an image, in words, or None.
     limits : Limits
     wake : function
         Called when a description was queued.
@@ -171,11 +174,13 @@ class Importer:
         settlements: Settlements,
         decode: Callable[[bytes], Image],
         taken: Callable[[bytes], Mapping[str, Any]],
+        look_for_problem: Callable[[Image], str | None],
         limits: Limits,
         wake: Callable[[], None],
     ) -> None:
         self._uploads, self._jobs, self._enrolment, self._settlements = uploads, jobs, enrolment, settlements
-        self._decode, self._taken, self._limits, self._wake = decode, taken, limits, wake
+        self._decode, self._taken, self._look_for_problem = decode, taken, look_for_problem
+        self._limits, self._wake = limits, wake
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
         """Import a recording until `stopping()` is true; what is there already is skipped, an error fails the job.
@@ -196,7 +201,7 @@ class Importer:
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
                 exif = wanted_of_exif(items) if options.exif else frozenset()
-                _Run(self, claim, stopping, report, exif).all(items)
+                _Run(self, claim, stopping, report, exif, options.refuse_poor).all(items)
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
         except _Stop:
             self._jobs.release_map_job(claim)
@@ -235,7 +240,10 @@ class Importer:
             attributes = completed(attributes, {name: value for name, value in known.items() if name in exif})
         attributes = turned(attributes, item.turn)
         view = self._enrolment.known(claim.map, hashlib.sha256(data).hexdigest(), attributes)
-        return _Read(data, attributes, view, None if view is not None else self._decode(data))
+        if view is not None:
+            return _Read(data, attributes, view, None, None)
+        image = self._decode(data)
+        return _Read(data, attributes, None, image, self._look_for_problem(image))
 
     def submit(self, claim: MapClaim, data: bytes, attributes: ViewAttributes, image: Image) -> Submitted:
         """Store an image durably and queue its description; raises Conflict, LeaseLost, DiskFull, StorageFailed."""
@@ -278,9 +286,10 @@ class _Run:
         stopping: Callable[[], bool],
         report: _Report,
         exif: frozenset[str],
+        refuse_poor: bool,
     ) -> None:
         self._importer, self._claim, self._stopping, self._report = importer, claim, stopping, report
-        self._exif = exif
+        self._exif, self._refuse_poor = exif, refuse_poor
         self._began = importer.began(claim)
         self._seen: set[str] = set()
         self._describing: deque[tuple[str, str, bool]] = deque()  # file, view, whether this import enrolled it
@@ -315,6 +324,10 @@ class _Run:
         try:
             read = reading.result()
             view = read.view
+            if read.problem is not None:
+                if self._refuse_poor:
+                    raise PoorImage(read.problem)
+                self._report.poor += 1
             if view is None:
                 view = self._importer.submit(self._claim, read.data, read.attributes, read.image).view
         except (*STORAGE_ERRORS, LeaseLost):
@@ -367,12 +380,13 @@ class _Run:
 
 @dataclass(frozen=True)
 class _Read:
-    """An image that was read, with its view in the map or else decoded."""
+    """An image that was read, with its view in the map or else decoded; and what is wrong with it, in words."""
 
     data: bytes
     attributes: ViewAttributes
     view: ViewRecord | None
     image: Image | None
+    problem: str | None
 
 
 def _now() -> datetime:

@@ -56,6 +56,7 @@ _ANY = Enrolled | EnrolledMany
             "undecodable-picture",
             "picture-too-large",
             "picture-too-small",
+            "poor-picture",
             "nothing-static",
             "idempotency-key-reused",
             "too-many-requests",
@@ -77,7 +78,9 @@ async def enroll(
     images = [(params.filename or name, data) for name, data in sent.images]
 
     async def work() -> Response:
-        outcomes = await recogniser.enroll(images, params.map, params.attributes(), params.wait)
+        outcomes = await recogniser.enroll(
+            images, params.map, params.attributes(), params.wait, refuse_poor=params.refuse_poor
+        )
         for outcome in outcomes:
             if isinstance(outcome, Enrolled):
                 metrics.stages("enroll", outcome.timing_ms)

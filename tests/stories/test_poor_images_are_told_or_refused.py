@@ -1,0 +1,69 @@
+"""A robot's camera is dirty, or the light is off: it is told when it enrols, not when it is lost."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from tests.sample_images import drawn, encoded
+from tests.stories.importing import ZIP, ended, zipped
+from tests.stories.running import RunningService
+
+JPEG = {"content-type": "image/jpeg"}
+DARK = encoded((drawn(96, 64, 3) // 16).astype(np.uint8))
+COVERED = encoded(np.full((64, 96, 3), 90, np.uint8))
+
+
+def sharp(seed: int) -> bytes:
+    """Fine structure, as photos of places have."""
+    noise = np.random.default_rng(seed).integers(-60, 60, (240, 320, 1))
+    return encoded(np.clip(drawn(320, 240, seed).astype(int) // 2 + 64 + noise, 0, 255).astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    with RunningService(tmp_path_factory.mktemp("poor"), REVISIT_COMPARE="false") as one:
+        yield one
+
+
+@pytest.fixture
+def client(service: RunningService) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=service.url, timeout=60) as one:
+        yield one
+
+
+def test_an_enrolment_warns_of_a_poor_image_and_keeps_it(client: httpx.Client) -> None:
+    told = [
+        client.post("/enroll?map=warned", content=image, headers=JPEG).json()["warnings"]
+        for image in (sharp(1), DARK, COVERED)
+    ]
+    assert told[0] == []
+    assert [[one["code"] for one in warnings] for warnings in told[1:]] == [["poor-picture"]] * 2
+    assert "dark" in told[1][0]["detail"]
+    assert "lens may be covered" in told[2][0]["detail"]
+    assert client.get("/maps/warned").json()["views"]["ready"] == 3
+
+
+def test_a_poor_image_is_refused_on_request_and_leaves_nothing(client: httpx.Client) -> None:
+    refused = client.post("/enroll?map=strict&refuse_poor=true", content=DARK, headers=JPEG)
+    assert (refused.status_code, refused.json()["type"]) == (422, "urn:revisit:problem:poor-picture")
+    assert client.get("/maps/strict").status_code == 404
+    assert client.post("/enroll?map=strict&refuse_poor=true", content=sharp(2), headers=JPEG).status_code == 201
+
+    images = [("image", (f"{i}.jpg", data, "image/jpeg")) for i, data in enumerate((sharp(3), DARK))]
+    some = client.post("/enroll?map=strict&refuse_poor=true", files=images)
+    assert some.status_code == 207
+    assert [one["type"] for one in some.json()["errors"]] == ["urn:revisit:problem:poor-picture"]
+
+
+@pytest.mark.parametrize(("refused", "counts"), [("false", (3, 0, 1)), ("true", (2, 1, 0))])
+def test_an_import_counts_poor_images_or_leaves_them_out(
+    client: httpx.Client, refused: str, counts: tuple[int, ...]
+) -> None:
+    files: dict[str, Any] = {"0.jpg": sharp(1), "1.jpg": DARK, "2.jpg": sharp(2)}
+    answer = client.post(f"/maps/walk-{refused}/imports?refuse_poor={refused}", content=zipped(files), headers=ZIP)
+    result = ended(client, answer.json()["id"])["result"]
+    assert (result["enrolled"], result["failed"], result["poor"]) == counts
+    assert [(one["file"], one["problem"]) for one in result["errors"]] == [("1.jpg", "poor-picture")] * counts[1]
