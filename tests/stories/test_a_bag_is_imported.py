@@ -1,6 +1,7 @@
 """A recording of ROS 2 is sent as it is: its images are enrolled with where they were taken, by its poses."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -12,6 +13,7 @@ from tests.recorded_bags import START, bag, fix, image, odometry, pose
 from tests.sample_images import drawn, photo
 from tests.stories.importing import ended
 from tests.stories.running import RunningService
+from worker.images.apart import bag_child
 from worker.service.bags import position_at
 
 MCAP = {"content-type": "application/x-mcap"}
@@ -148,3 +150,18 @@ def test_positions_are_not_made_up() -> None:
     assert position_at([], 0, geographic=False) is None
     across: list[list[float | None]] = [[0, 10, 179.9, None, None], [1, 10, -179.9, None, None]]
     assert position_at(across, 0.1, geographic=True) == Position(lat=10, lon=179.9)
+
+
+def test_a_listing_ends_before_it_fills_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoder = pytest.importorskip("mcap_ros2.decoder", reason="NO MCAP FILE IS READ: the extra `mcap` is not installed")
+    (path := tmp_path / "upload").write_bytes(
+        bag([image(n, photo(n)) for n in range(6)] + [pose(n, n, 0, f"/pose{n}") for n in range(6)])
+    )
+    monkeypatch.setattr(bag_child, "MOST_LISTED", 8)
+    monkeypatch.setattr(bag_child, "MOST_TOPICS", 3)
+    known = bag_child._listed(path, decoder.DecoderFactory())
+    assert (len(known["types"]), len(known["poses"]), known["broken"]) == (3, 2, None)
+
+    monkeypatch.setattr(bag_child, "MOST_LISTED", 4)
+    known = bag_child._listed(path, decoder.DecoderFactory())
+    assert (len(known["images"]["/camera/compressed"]), known["broken"]) == (4, "it has more than 4 images and poses")

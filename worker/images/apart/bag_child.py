@@ -26,6 +26,9 @@ POSES = (
 LIST_S, SEND_S = 300, 120
 """Seconds for reading all of a file, and for finding the next image."""
 
+MOST_LISTED, MOST_TOPICS = 1_000_000, 1_000
+"""Images and poses, and topics, that are told of."""
+
 CLOSEST_S = 0.02
 """Seconds between poses that are listed."""
 
@@ -107,11 +110,18 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
     images: dict[str, list[float]] = {}
     poses: dict[str, list[list[float | None]]] = {}
     broken: list[str] = []
+    listed = 0
     for schema, channel, message in _messages(path, broken):
         name = "" if schema is None else schema.name
+        if channel.topic not in types and len(types) == MOST_TOPICS:
+            continue
         types[channel.topic] = name
         if name not in IMAGES and name not in POSES:
             continue
+        if listed == MOST_LISTED:
+            broken.append(f"it has more than {MOST_LISTED:,} images and poses")
+            break
+        listed += 1
         decoded = _message(decoders, schema, channel, message)
         time = _time(decoded, message)
         if name in IMAGES:

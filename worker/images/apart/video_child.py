@@ -24,6 +24,9 @@ TOLERANCE_MS = 0.5
 
 MOST_FRAMES = 10_000_000
 
+MOST_CHOSEN = 100_000
+"""Frames that are told of: more than are taken, so that it is seen that there are too many."""
+
 FIRST = 100
 """Frames of which one must be decoded."""
 
@@ -91,7 +94,7 @@ def _described(cv2: Any, path: str, times: list[float], every_s: float, max_pixe
     width, height = (int(video.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     code = int(video.get(cv2.CAP_PROP_FOURCC))
     return {
-        "times_s": [time * MILLI for time in chosen(times, every_s)],
+        "times_s": [time * MILLI for time in chosen(times, every_s)[:MOST_CHOSEN]],
         "width": width,
         "height": height,
         "codec": "".join(chr(code >> 8 * i & 0xFF) for i in range(4)) if code > 0 else "unknown",
