@@ -8,12 +8,15 @@ import httpx
 import numpy as np
 import pytest
 
+from schemas.errors import BadBody
 from schemas.records import Position
 from tests.recorded_bags import START, bag, fix, image, odometry, pose
 from tests.sample_images import drawn, photo
 from tests.stories.importing import ended
 from tests.stories.running import RunningService
+from worker.images.apart import bag as reading
 from worker.images.apart import bag_child
+from worker.images.codec import Limits
 from worker.service.bags import position_at
 
 MCAP = {"content-type": "application/x-mcap"}
@@ -165,3 +168,9 @@ def test_a_listing_ends_before_it_fills_the_memory(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(bag_child, "MOST_LISTED", 4)
     known = bag_child._listed(path, decoder.DecoderFactory())
     assert (len(known["images"]["/camera/compressed"]), known["broken"]) == (4, "it has more than 4 images and poses")
+
+
+def test_a_service_without_the_packages_says_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "find_spec", lambda _: None)
+    with pytest.raises(BadBody, match="pip install mcap mcap-ros2-support"):
+        reading.Bag(tmp_path / "upload", Limits(), None, None)
