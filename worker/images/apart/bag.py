@@ -45,7 +45,7 @@ class Bag(ImageStream):
         if find_spec("mcap_ros2") is None:
             raise BadBody(
                 "malformed-body",
-                "this service reads no MCAP files: whoever runs it can add that with pip install mcap mcap-ros2-support",
+                "this service reads no MCAP files: whoever runs it can add that by pip install mcap mcap-ros2-support",
             )
         child = "worker.images.apart.bag_child"
         listing = ImageStream(child, path, "", limits.max_bytes, limits.max_pixels)
