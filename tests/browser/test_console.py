@@ -14,6 +14,7 @@ import pytest
 
 from app.http.examples import VIEW
 from tests.browser.conftest import LAPTOP, PHONE, PLACES, Open, Tab
+from tests.sample_images import drawn, encoded
 from tests.sample_images import photo as drawn_photo
 from tests.stories.running import RunningService
 
@@ -154,6 +155,7 @@ def test_of_several_photos_one_is_bad_and_the_others_are_enrolled_with_their_pos
     photos = [tmp_path / f"{number}.jpg" for number in range(3)]
     for number, path in enumerate(photos):
         path.write_bytes(drawn_photo(200 + number))
+    photos[2].write_bytes(encoded(drawn(96, 64) // 16))
     (tmp_path / "bad.jpg").write_text("no image")
     table = tmp_path / "positions.csv"
     table.write_text('file,place,x,y,heading\n0.jpg,"gate, north",1.5,-2,90\nphotos/1.jpg,,3,4,\n')
@@ -170,6 +172,7 @@ def test_of_several_photos_one_is_bad_and_the_others_are_enrolled_with_their_pos
     refused = tab.page.locator(".files .refused").all_inner_texts()
     assert len(refused) == 1
     assert refused[0].startswith("This is not an image")
+    assert "the image is dark" in tab.page.locator(".files .done").all_inner_texts()[2]
     found = {(one["place"], one["position"]["x"], one["position"]["y"]) for one in views(service, "yard")}
     assert found == {("gate, north", 1.5, -2.0), ("yard", 3.0, 4.0), ("yard", 7.0, 8.0)}
     assert tab.page.get_by_role("button", name="Try again: enrol 1 photo").is_enabled()

@@ -212,8 +212,9 @@ export function enrolScreen() {
     for (let tried = 1; ; tried += 1) {
       try {
         mark(one, "waiting", "sending …");
-        const { view, created } = await call("POST", "/enroll", { form: formOf(one, map) });
-        mark(one, "done", created ? "enrolled" : "was there already");
+        const { view, created, warnings } = await call("POST", "/enroll", { form: formOf(one, map) });
+        const came = created ? "enrolled" : "was there already";
+        mark(one, "done", [came, ...warnings.map((warning) => warning.detail)].join("; "));
         one.place.value ||= view.place ?? "";
         return;
       } catch (error) {

@@ -125,6 +125,7 @@ function came(report) {
       ["Enrolled", report.enrolled],
       ["There already", report.already_there],
       ["Failed", report.failed],
+      ...(report.poor ? [["Dark, overexposed, covered or blurred", report.poor]] : []),
       ...(report.left_out ? [["Left out", report.left_out]] : []),
     ]),
     [...kinds].map(([problem, errors]) => {
