@@ -93,3 +93,9 @@ def test_every_package_that_is_needed_is_pinned() -> None:
     wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
 
     assert {re.split(r"[>=<\[ ]", text)[0].lower() for text in wanted} <= pinned
+
+
+def test_every_decision_is_listed() -> None:
+    folder = ROOT / "docs" / "decisions"
+    listed = (folder / "README.md").read_text()
+    assert [path.name for path in sorted(folder.glob("0*.md")) if f"({path.name})" not in listed] == []
