@@ -66,6 +66,15 @@ def test_frames_are_read_a_little_out_of_turn(tmp_path: Path) -> None:
         assert one.read(3) == ahead
 
 
+def test_of_images_far_apart_those_that_are_wanted_are_kept_whoever_comes_first(tmp_path: Path) -> None:
+    """Several threads read, and the one with the later image may be the first."""
+    video(path := tmp_path / "a.avi", frames(40), 1)
+    with closing(opened(path)) as one:
+        one.wants([0, 35])
+        later = one.read(35)
+        assert one.read(0) != later
+
+
 def test_a_frame_that_is_the_same_as_an_earlier_one_is_told_each_time(tmp_path: Path) -> None:
     still, other = frames(2)
     video(path := tmp_path / "a.avi", [still, other, still], 1)

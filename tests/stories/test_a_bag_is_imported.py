@@ -8,7 +8,8 @@ import httpx
 import numpy as np
 import pytest
 
-from schemas.errors import BadBody
+from schemas.errors import BadBody, BodyTooLarge
+from schemas.imports import ImportOptions
 from schemas.records import Position
 from tests.recorded_bags import START, bag, fix, image, odometry, pose
 from tests.sample_images import drawn, photo
@@ -17,6 +18,7 @@ from tests.stories.running import RunningService
 from worker.images.apart import bag as reading
 from worker.images.apart import bag_child
 from worker.images.codec import Limits
+from worker.service import opening, recordings
 from worker.service.bags import position_at
 
 MCAP = {"content-type": "application/x-mcap"}
@@ -174,3 +176,13 @@ def test_a_service_without_the_packages_says_which(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(reading, "find_spec", lambda _: None)
     with pytest.raises(BadBody, match="pip install mcap mcap-ros2-support"):
         reading.Bag(tmp_path / "upload", Limits(), None, None)
+
+
+def test_only_images_that_are_wanted_count_against_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (path := tmp_path / "upload").write_bytes(bag([image(n, photo(n)) for n in range(10)]))
+    monkeypatch.setattr(opening, "MOST_FILES", 5)
+    limits = recordings.Limits(Limits(), 1_000_000, 20)
+    with opening.open_recording(path, limits, ImportOptions(every_s=3)) as recording:
+        assert [item.read() for item in recording.items] == [photo(n) for n in (0, 3, 6, 9)]
+    with pytest.raises(BodyTooLarge, match="10 images that are wanted; at most 5"):
+        opening.open_recording(path, limits, ImportOptions())

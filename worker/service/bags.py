@@ -4,13 +4,11 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
 
-from schemas.imports import ImportOptions
 from schemas.records import Position, ViewAttributes
 from worker.images.apart.bag import Bag, PoseRow
 from worker.images.apart.bag_child import LEAST_UNIX_S
-from worker.service.recordings import Item, Limits, Note, Recording
+from worker.service.recordings import Item, Note, Recording
 
 ACROSS_S = 2.0
 """Longest gap between two poses that a position is interpolated in, seconds."""
@@ -19,9 +17,8 @@ BESIDE_S = 0.2
 """Longest time to the nearest pose where there is none on both sides, seconds."""
 
 
-def open_bag(path: Path, limits: Limits, options: ImportOptions) -> Recording:
-    """Open an MCAP file; raises BadBody."""
-    bag = Bag(path, limits.image, options.image_topic, options.pose_topic)
+def recording_of(bag: Bag) -> Recording:
+    """All images of a topic, in the order of the file."""
     poses = sorted(bag.poses, key=_time)
     recording = Recording(bag.close)
     for number, time in enumerate(bag.times_s):

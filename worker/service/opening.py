@@ -6,12 +6,12 @@ from pathlib import Path
 from schemas.errors import BodyTooLarge, InvalidParameters
 from schemas.imports import ImportOptions
 from schemas.records import ViewAttributes
-from worker.images.apart.bag import MAGIC
+from worker.images.apart.bag import MAGIC, Bag
 from worker.images.apart.video import Video, is_video
 from worker.service.archives import MOST_FILES
-from worker.service.bags import open_bag
+from worker.service.bags import recording_of
 from worker.service.recordings import Item, Limits, Recording, open_archive
-from worker.service.thinning import thinned
+from worker.service.thinning import thin
 
 VIDEO_EVERY_S = 1.0
 """Seconds from one frame of a video to the next, unless a caller says otherwise."""
@@ -29,17 +29,25 @@ def open_recording(path: Path, limits: Limits, options: ImportOptions) -> Record
         head = file.read(16)
     if is_video(head):
         return _video(path, limits, options)
-    recording = open_bag(path, limits, options) if head.startswith(MAGIC) else open_archive(path, limits)
+    if head.startswith(MAGIC):
+        return _bag(path, limits, options)
+    recording = open_archive(path, limits)
     try:
-        if len(recording.items) > MOST_FILES:
-            raise BodyTooLarge(f"it holds {len(recording.items):,} images; at most {MOST_FILES:,} are taken")
-        items, notes = thinned(recording.items, options)
+        thin(recording, options)
     except BaseException:
         recording.close()
         raise
-    recording.left_out = len(recording.items) - len(items)
-    recording.items = items
-    recording.notes += notes
+    return recording
+
+
+def _bag(path: Path, limits: Limits, options: ImportOptions) -> Recording:
+    bag = Bag(path, limits.image, options.image_topic, options.pose_topic)
+    recording = recording_of(bag)
+    bag.wants(thin(recording, options))
+    if len(recording.items) > MOST_FILES:
+        raise BodyTooLarge(
+            f"it holds {len(recording.items):,} images that are wanted; at most {MOST_FILES:,} are taken: see `every`"
+        )
     return recording
 
 

@@ -1,49 +1,59 @@
 """Leave out images of a recording that were taken soon, or near, after the one before."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from schemas.errors import InvalidParameters
 from schemas.imports import ImportOptions
 from schemas.records import ViewAttributes
 from worker.method.estimate import distance, is_known
-from worker.service.recordings import Item, Note
+from worker.service.recordings import Note, Recording
 
 SLACK = 1e-6
 """Share of a step by which two images may be closer: times and positions are rounded."""
 
 
-def thinned(items: Sequence[Item], options: ImportOptions) -> tuple[list[Item], list[Note]]:
-    """Items at least a step apart, in their order, and notes on those of which that cannot be told.
+def thin(recording: Recording, options: ImportOptions) -> list[int]:
+    """Leave out items that are less than a step after the one before, and note those of which that cannot be told.
+
+    Returns
+    -------
+    list of int
+        Where the items that are left stood, ascending.
 
     Raises
     ------
     InvalidParameters
         It can be told of none.
     """
+    kept = list(range(len(recording.items)))
     if options.every_s is not None:
-        return _apart(items, "time", _timed, _seconds, options.every_s)
-    if options.every_m is not None:
-        return _apart(items, "position", _placed, _metres, options.every_m)
-    return list(items), []
+        kept = _apart(recording, "time", _timed, _seconds, options.every_s)
+    elif options.every_m is not None:
+        kept = _apart(recording, "position", _placed, _metres, options.every_m)
+    recording.left_out = len(recording.items) - len(kept)
+    recording.items = [recording.items[at] for at in kept]
+    return kept
 
 
 def _apart(
-    items: Sequence[Item],
+    recording: Recording,
     what: str,
     known: Callable[[ViewAttributes], bool],
     between: Callable[[ViewAttributes, ViewAttributes], float],
     step: float,
-) -> tuple[list[Item], list[Note]]:
-    kept: list[Item] = []
-    notes: list[Note] = []
-    for item in items:
+) -> list[int]:
+    kept: list[int] = []
+    last: ViewAttributes | None = None
+    for at, item in enumerate(recording.items):
         if not known(item.attributes):
-            notes.append(Note(item.file, "no-row", f"has no {what}, by which `every` chooses; it was left out"))
-        elif not kept or between(kept[-1].attributes, item.attributes) >= step * (1 - SLACK):
-            kept.append(item)
+            detail = f"has no {what}, by which `every` chooses; it was left out"
+            recording.notes.append(Note(item.file, "no-row", detail))
+        elif last is None or between(last, item.attributes) >= step * (1 - SLACK):
+            kept.append(at)
+            last = item.attributes
     if not kept:
         raise InvalidParameters.of("every", f"no image of the recording has a {what} in a manifest or trajectory")
-    return kept, notes
+    return kept
 
 
 def _timed(attributes: ViewAttributes) -> bool:

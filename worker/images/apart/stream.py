@@ -7,6 +7,7 @@ import struct
 import subprocess
 import threading
 from collections import OrderedDict
+from collections.abc import Iterable
 from typing import Any
 
 from worker.images.apart.launching import launched
@@ -45,6 +46,8 @@ class ImageStream:
         self._ended: str | None = None  # why no more images come
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._first: dict[bytes, int] = {}
+        self._last = -1  # the number that came last
+        self._wanted: frozenset[int] | None = None
 
     def listed(self) -> dict[str, Any]:
         """What the process says of the file; raises Ended."""
@@ -54,6 +57,10 @@ class ImageStream:
             raise Ended(_how(process.returncode))
         known: dict[str, Any] = json.loads(answer)
         return known
+
+    def wants(self, numbers: Iterable[int]) -> None:
+        """Say before the first `read` that no other images will be read: these are dropped as they come."""
+        self._wanted = frozenset(numbers)
 
     def read(self, number: int) -> bytes:
         """An image, the same bytes each time. Each is to be read soon after the one before.
@@ -65,7 +72,7 @@ class ImageStream:
             It cannot be decoded.
         """
         with self._lock:
-            while number not in self._kept and self._ended is None and number > max(self._kept, default=-1):
+            while number not in self._kept and self._ended is None and number > self._last:
                 self._receive()
             if number not in self._kept:
                 raise ValueError(self._ended or "is damaged")
@@ -99,7 +106,9 @@ class ImageStream:
             number, length = HEADER.unpack(header)
             image = self._process.stdout.read(length)
             if len(image) == length:
-                self._kept[number] = image
+                self._last = number
+                if self._wanted is None or number in self._wanted:
+                    self._kept[number] = image
                 while len(self._kept) > KEPT:
                     self._kept.popitem(last=False)
                 return
