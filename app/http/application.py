@@ -33,7 +33,7 @@ from app.http.routes import (
     views,
 )
 from app.http.service import Service
-from app.http.tracing import Tracing, make_provider
+from app.http.tracing import Tracing, finish, make_provider
 from app.version import VERSION
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         finally:
             await service.lifecycle.stop()
             if tracer_provider is not None:  # sends what is left
-                await asyncio.to_thread(tracer_provider.shutdown)
+                await asyncio.to_thread(finish, tracer_provider)
 
     app = FastAPI(
         title="revisit",

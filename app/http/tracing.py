@@ -3,7 +3,9 @@
 The standard variables ``OTEL_*`` say where traces go; nothing of OpenTelemetry is imported while traces are off.
 """
 
+import logging
 import os
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -17,6 +19,11 @@ from schemas.log_context import bound
 
 if TYPE_CHECKING:
     from app.http.metrics import Metrics
+
+logger = logging.getLogger("revisit.http")
+
+PATIENCE_S = 3.0
+"""Seconds that a stop waits for the collector to take the last spans."""
 
 WITHOUT_SPANS = frozenset({"/livez", "/readyz", "/metrics"})
 """Asked every few seconds by supervisors: their spans would hide all others."""
@@ -104,7 +111,8 @@ def make_provider() -> Any:
     except ModuleNotFoundError:
         raise SetupError("REVISIT_TRACES needs an extra: pip install 'revisit[otel]', or switch it off") from None
     named = {} if os.environ.get("OTEL_SERVICE_NAME") else {SERVICE_NAME: "revisit"}
-    provider = TracerProvider(resource=Resource.create(named))
+    # `finish` sends what is left; at exit the exporter would take all the time it likes.
+    provider = TracerProvider(resource=Resource.create(named), shutdown_on_exit=False)
     exporter = os.environ.get("OTEL_TRACES_EXPORTER", "otlp")
     if exporter == "otlp":
         try:
@@ -117,3 +125,16 @@ def make_provider() -> Any:
     elif exporter != "none":
         raise SetupError(f"OTEL_TRACES_EXPORTER={exporter}: use otlp (over HTTP), console or none")
     return provider
+
+
+def finish(provider: Any, patience_s: float = PATIENCE_S) -> None:
+    """Send the spans that are left; returns after `patience_s` seconds at the latest, and logs what that costs.
+
+    An exporter tries a collector that is away for ten seconds and more, which is all that containers get to stop.
+    """
+    # A thread of the pool would be waited for when the process exits.
+    sending = threading.Thread(target=provider.shutdown, name="revisit-last-spans", daemon=True)
+    sending.start()
+    sending.join(patience_s)
+    if sending.is_alive():
+        logger.warning("the collector of traces took nothing for %.0f s; the last spans are lost", patience_s)

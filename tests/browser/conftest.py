@@ -15,7 +15,7 @@ from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, ViewportSize
+    from playwright.sync_api import Browser, Page, Request, ViewportSize
 
 PLACES = {"mill lane": (0, 0), "station road": (40, 5), "rose garden": (80, -12), "castle park": (31, 60)}
 """Names, and positions in metres."""
@@ -45,6 +45,7 @@ class Tab:
         page.on("console", lambda message: self._heard(message.type, message.text))
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", lambda request: self._sent(request.url))
+        page.on("response", lambda response: self._answered(response.url, response.status, response.request))
 
     def _heard(self, kind: str, text: str) -> None:
         refused = re.search(r"the server responded with a status of 4\d\d", text)
@@ -54,6 +55,16 @@ class Tab:
     def _sent(self, url: str) -> None:
         if not url.startswith((self.url, "blob:", "data:")):
             self.complaints.append(f"asked another host: {url}")
+
+    def _answered(self, url: str, status: int, request: "Request") -> None:
+        """The browser's own complaint of a failure says neither of what nor why."""
+        if status >= 500:
+            try:
+                response = request.response()
+                why = "no answer" if response is None else response.text()
+            except Exception as error:  # the page may be gone
+                why = str(error)
+            self.complaints.append(f"{request.method} {url}: {status} {why}")
 
     def show(self, screen: str) -> None:
         """Go to a screen by its address."""
