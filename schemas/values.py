@@ -9,6 +9,8 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+MOST_MAPS = 16
+"""Maps of one query."""
 
 METADATA_BYTES = 16 * 1024
 METADATA_DEPTH = 8
@@ -112,6 +114,18 @@ def identifiers(text: object) -> tuple[str, ...]:
     if not all(re.fullmatch(r"[A-Za-z0-9-]{1,64}", i) for i in ids):
         raise ValueError("needs view ids with commas between them")
     return ids
+
+
+def map_names(text: object) -> tuple[str, ...]:
+    """Parse names of maps with commas between them, each once."""
+    names = tuple(part.strip() for part in str(text).split(","))
+    if not all(re.fullmatch(MAP_NAME, name) for name in names):
+        raise ValueError("needs names of maps with commas between them")
+    if len(set(names)) < len(names):
+        raise ValueError("names a map twice")
+    if len(names) > MOST_MAPS:
+        raise ValueError(f"needs at most {MOST_MAPS} maps, not {len(names)}")
+    return names
 
 
 def metadata(value: object) -> dict[str, Any]:

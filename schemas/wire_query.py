@@ -126,7 +126,7 @@ class Rival(Answer):
     )
 
 
-class Reason(Answer):
+class MapReason(Answer):
     """Why the status is what it is."""
 
     code: Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"] = Field(
@@ -136,6 +136,11 @@ class Reason(Answer):
     )
     detail: str = Field(description="What was seen.")
     remedy: str = Field(description="What to do.")
+
+
+class Reason(MapReason):
+    """Why the status is what it is, and the rival."""
+
     rival: Rival | None = Field(None, description="With look-alike.")
 
 
@@ -149,6 +154,7 @@ class ScoredId(Answer):
 class PlaceProbability(Answer):
     """A place that the query may show: views with one name, near each other or else alike to the map."""
 
+    map: str = Field(description="Its map.")
     place: str | None = Field(description="Name of its best view's place.")
     position: Position | None = Field(description="Of its best view.")
     probability: float = Field(ge=0, le=1)
@@ -189,22 +195,37 @@ class DriveFacts(Answer):
     )
 
 
-class QueryAnswer(Answer):
-    """The answer to a query: places and views of the map that it may show, best first."""
+class MapAnswer(Answer):
+    """What one of several maps says by itself."""
 
-    query: QueryFacts
     map: str
     revision: int
     recipe: str = Field(description="Id of the description recipe.")
     ranking: str = Field(description="Id of the ranking.")
     searched: int
-    pending: int = Field(description="Views of the map acknowledged but not described when the search began.")
+    pending: int
+    status: Literal["matched", "ambiguous", "no_match"]
+    confidence: float = Field(description="Probability that the first place of this map is right.", ge=0, le=1)
+    reason: MapReason
+
+
+class QueryAnswer(Answer):
+    """The answer to a query: places and views that it may show, best first."""
+
+    query: QueryFacts
+    map: str = Field(description="That was searched; with `maps`: the one of the first place.")
+    revision: int = Field(description="Of this map.")
+    recipe: str = Field(description="Id of its description recipe.")
+    ranking: str = Field(description="Id of its ranking.")
+    searched: int = Field(description="Views searched, of all maps.")
+    pending: int = Field(description="Views acknowledged but not described when the search began, of all maps.")
     status: Literal["matched", "ambiguous", "no_match"]
     confidence: float = Field(description="Probability that the first place is right.", ge=0, le=1)
     reason: Reason
     places: list[PlaceProbability] = Field(description="Best first; with `nowhere` their probabilities sum to 1.")
     nowhere: float = Field(description="Probability that the image shows none of the places.", ge=0, le=1)
     decision: DecisionFacts
+    maps: list[MapAnswer] | None = Field(None, description="With `maps`: what each says by itself.")
     drive: DriveFacts | None = Field(None, description="With `drive`: what its images say together.")
     matches: list[Match]
     estimate: Estimate | None

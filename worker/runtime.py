@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.settings import MEGA, Settings
-from worker.configure import configure, configure_torch, has_torch
+from worker.configure import configure
 from worker.description.describers import Describers
 from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
@@ -19,8 +19,9 @@ from worker.images import codec, quality
 from worker.images.apart.pool import make_decoder
 from worker.images.decoder import Decoder
 from worker.loop import Loop
-from worker.method.byte_vectors import Product, float_product
+from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
+from worker.search.byte_product import make_product
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
 from worker.service.attendance import Attendance, this_process
@@ -39,6 +40,7 @@ from worker.service.maps import MapService
 from worker.service.query import QueryService
 from worker.service.recordings import Limits
 from worker.service.renderings import RenderingService
+from worker.service.searching import Searcher
 from worker.service.settlements import Settlements
 from worker.service.snapshots import SnapshotService
 from worker.service.trouble import StoringTrouble
@@ -56,6 +58,7 @@ class Services:
 
     enroll: EnrollService
     query: QueryService
+    searcher: Searcher
     views: ViewService
     renderings: RenderingService
     maps: MapService
@@ -149,17 +152,6 @@ class Runtime:
 
 MakeEncoder = Callable[[Settings, int], tuple[Encoder, Segmenter | None]]
 """From settings and a number of threads to an encoder and its segmenter, if any."""
-
-
-def make_product(settings: Settings) -> Product:
-    """The product of int8 vectors: the fastest; float32 without torch, and for `color`, which does not load it."""
-    if settings.encoder == "color" or not has_torch():
-        return float_product
-    from worker.search.byte_product import fastest_product
-
-    if settings.encoder == "compact" and settings.device == "cpu":
-        configure_torch(1)  # nothing but these products runs in torch then: more threads would only spin
-    return fastest_product()
 
 
 def build(
@@ -309,29 +301,35 @@ def _services(
         wake=_nothing if loop is None else loop.wake,
         workers=lambda: attendance.alive,
     )
+    searcher = Searcher(
+        maps=store.maps,
+        views=store.views,
+        listings=store.listings,
+        descriptions=store.descriptions,
+        comparisons=store.comparisons,
+        queue=store.jobs,
+        describers=describers,
+        scheduler=scheduler,
+        catalogue=catalogue,
+        calibration=calibration_of,
+        product=product,
+    )
     return Services(
         enroll=enroll,
         inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
         query=QueryService(
-            maps=store.maps,
+            searcher=searcher,
             views=store.views,
-            listings=store.listings,
             descriptions=store.descriptions,
-            comparisons=store.comparisons,
-            queue=store.jobs,
-            describers=describers,
-            scheduler=scheduler,
-            catalogue=catalogue,
             decode=decoder.decode,
             shrink=codec.shrink,
             look_for_problem=_problem_of,
             thumbnail=decoder.thumbnail,
             kept=store.kept_queries,
-            calibration=calibration_of,
             explanations=explanations,
             drives=Drives(),
-            product=product,
         ),
+        searcher=searcher,
         views=ViewService(maps=store.maps, views=store.views, removals=store.removals, listings=store.listings),
         renderings=RenderingService(
             maps=store.maps,

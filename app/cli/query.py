@@ -21,7 +21,9 @@ def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser("query", help="find where an image was taken")
     parser.add_argument("image", type=Path, metavar="IMAGE")
-    parser.add_argument("--map", help="map to search (default: default)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--map", help="map to search (default: default)")
+    where.add_argument("--maps", metavar="A,B", help="several maps to search: one verdict over all of them")
     parser.add_argument("--top", type=int, metavar="N", help="how many matches (default: 5)")
     parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
@@ -41,6 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
         answer = revisit.query(
             arguments.image,
             map=arguments.map,
+            maps=None if arguments.maps is None else arguments.maps.split(","),
             top=arguments.top,
             candidates=arguments.candidates,
             precision=arguments.precision,
@@ -67,10 +70,17 @@ def told(answer: "QueryAnswer") -> str:
         lines.append(f"drive: image {answer.drive.images}; this image alone: {answer.drive.single_frame_status}")
     if answer.reason.rival is not None:
         rival = answer.reason.rival
-        lines.append(f"rival: {rival.view.place or rival.view.filename or rival.view.id}, score {rival.score:.3f}")
+        of = "" if answer.maps is None else f"{rival.view.map}: "
+        lines.append(f"rival: {of}{rival.view.place or rival.view.filename or rival.view.id}, score {rival.score:.3f}")
+    if answer.maps is not None:
+        alone = [(one.map, one.status, one.confidence, one.searched) for one in answer.maps]
+        lines.append(table(("map by itself", "status", "confidence", "views"), alone))
     if answer.matches:
-        heads = ("rank", "place", "score", "confidence", "inliers", "position", "file", "view")
-        lines.append(table(heads, [_row(match) for match in answer.matches]))
+        heads: tuple[str, ...] = ("rank", "place", "score", "confidence", "inliers", "position", "file", "view")
+        if answer.maps is not None:
+            heads = (*heads, "map")
+        rows = [(*_row(match), match.view.map)[: len(heads)] for match in answer.matches]
+        lines.append(table(heads, rows))
     if answer.estimate is not None:
         where = position_text(answer.estimate.position)
         radius = answer.estimate.radius_m

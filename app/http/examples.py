@@ -88,6 +88,7 @@ QUERY_ANSWER: dict[str, Any] = {
     "reason": {"code": "sure", "detail": "one place stands out from all others", "remedy": "nothing", "rival": None},
     "places": [
         {
+            "map": VIEW["map"],
             "place": VIEW["place"],
             "position": VIEW["position"],
             "probability": 0.97,

@@ -196,6 +196,9 @@ class QueryParameters(FilterParameters):
     """Parameters of `POST /query`."""
 
     map: MapName = "default"
+    maps: Annotated[tuple[str, ...], BeforeValidator(values.map_names), _text(examples=["floor1,floor2"])] = Field(
+        (), description="Names of several maps, with commas between, instead of `map`: one verdict over all of them."
+    )
     top: int = Field(5, ge=1, le=100, description="How many matches at most.")
     candidates: int | None = Field(
         None,
@@ -224,6 +227,21 @@ class QueryParameters(FilterParameters):
         False,
         description="List the regions and local features that matched, and keep what the explanation is drawn from.",
     )
+
+    @classmethod
+    def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
+        """Mistakes: `maps` beside `map`, or beside a drive, which runs in one."""
+        found = super().contradictions(given)
+        found += [
+            ParameterError("maps", f"cannot be given with {name}")
+            for name in ("map", "drive")
+            if {"maps", name} <= given.keys()
+        ]
+        return found
+
+    def searched(self) -> tuple[str, ...]:
+        """Names of the maps to search."""
+        return self.maps or (self.map,)
 
 
 class LocalizeParameters(Parameters):

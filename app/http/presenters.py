@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime
+from itertools import accumulate
+from operator import itemgetter
 from typing import Literal
 
 from schemas import wire
@@ -19,7 +21,7 @@ from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
 from worker.service.query import QueryResult
-from worker.service.results import RankedResults, ScoredView
+from worker.service.results import MapResults, RankedResults, ScoredView
 from worker.service.views import LabelledView
 
 
@@ -187,12 +189,11 @@ def enrolled(outcome: Enrolled) -> wire.Enrolled:
     )
 
 
-def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
+def query_answer(result: QueryResult) -> wire.QueryAnswer:
     """The answer to a query."""
     results, decision = result.results, result.decision
     recipe = results.recipe.description
-    explained = result.id if result.explained else None
-    graph = result.description.appearance.graph
+    several = list(zip(result.maps, result.alone, result.joined.parts, strict=True))
     return wire.QueryAnswer(
         query=wire.QueryFacts(
             id=result.id,
@@ -201,17 +202,17 @@ def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
             labels=label_shares(result.description.label_shares, recipe.labels),
             static_share=result.description.static_share,
         ),
-        map=map_name,
+        map=result.leading.name,
         revision=results.revision,
         recipe=recipe.id,
         ranking=results.recipe.ranking.id,
-        searched=results.searched,
-        pending=results.pending,
+        searched=sum(one.results.searched for one in result.maps),
+        pending=sum(one.results.pending for one in result.maps),
         status=decision.status,
         confidence=decision.confidence,
         reason=_reason(result),
-        places=[_place(place, results) for place in decision.places],
-        nowhere=decision.nowhere,
+        places=_places(result),
+        nowhere=result.joined.nowhere,
         decision=wire.DecisionFacts(
             precision=decision.precision,
             threshold=decision.threshold,
@@ -220,15 +221,49 @@ def query_answer(map_name: str, result: QueryResult) -> wire.QueryAnswer:
             wrong_gap=decision.levels.gap,
             views_compared=decision.levels.compared,
         ),
+        maps=[_map_answer(one, alone) for one, alone, _ in several] if len(several) > 1 else None,
         drive=None if result.driven is None else _drive(result.driven, results),
-        matches=[
-            match(rank, scored, confidence, recipe, graph, explained)
-            for rank, (scored, confidence) in enumerate(
-                zip(results.views[: result.top], decision.confidences, strict=False), start=1
-            )
-        ],
+        matches=_matches(result),
         estimate=estimate(results, decision, result.top),
         timing_ms=dict(result.timing_ms),
+    )
+
+
+def _places(result: QueryResult) -> list[wire.PlaceProbability]:
+    """Places of all maps, likeliest first; those of one map in its own order."""
+    places = []
+    for found, part in zip(result.maps, result.joined.parts, strict=True):
+        bounds = accumulate((place.probability for place in part.places), min)
+        places += [(-bound, _place(place, found)) for bound, place in zip(bounds, part.places, strict=True)]
+    return [place for _, place in sorted(places, key=itemgetter(0))]
+
+
+def _matches(result: QueryResult) -> list[wire.Match]:
+    """Views of all maps, by the probability of their places; those of one map in its own order."""
+    found = [
+        (confidence, scored, of)
+        for of, part in zip(result.maps, result.joined.parts, strict=True)
+        for scored, confidence in zip(of.results.views, part.confidences, strict=False)
+    ]
+    found = sorted(found, key=lambda one: -one[0])[: result.top]
+    return [
+        match(rank, scored, confidence, of, result.id if result.explained and of is result.leading else None)
+        for rank, (confidence, scored, of) in enumerate(found, start=1)
+    ]
+
+
+def _map_answer(found: MapResults, alone: Decision) -> wire.MapAnswer:
+    """What one of several maps says by itself."""
+    return wire.MapAnswer(
+        map=found.name,
+        revision=found.results.revision,
+        recipe=found.results.recipe.description.id,
+        ranking=found.results.recipe.ranking.id,
+        searched=found.results.searched,
+        pending=found.results.pending,
+        status=alone.status,
+        confidence=alone.confidence,
+        reason=wire.MapReason(code=alone.reason.code, detail=alone.reason.detail, remedy=alone.reason.remedy),
     )
 
 
@@ -236,11 +271,11 @@ def match(
     rank: int,
     found: ScoredView,
     confidence: float,
-    recipe: DescriptionRecipe,
-    query_graph: ContextGraph,
+    of: MapResults,
     explained: str | None,
 ) -> wire.Match:
     """One match; `explained` is the query's id when an explanation is kept, else None."""
+    recipe, query_graph = of.results.recipe.description, of.description.appearance.graph
     base = f"/views/{found.view.id}"
     explanation = None if explained is None else f"/queries/{explained}/explanation.png?view={found.view.id}"
     return wire.Match(
@@ -261,10 +296,10 @@ def match(
 
 
 def _reason(result: QueryResult) -> wire.Reason:
-    reason, rival = result.decision.reason, result.results.rival
+    reason, rival = result.decision.reason, result.rival
     shown = None
     if reason.code == "look-alike" and rival is not None:
-        labels = result.results.recipe.description.labels
+        labels = result.rival_map.results.recipe.description.labels
         differs = [wire.Difference.model_validate(region, from_attributes=True) for region in result.differs]
         shown = wire.Rival(
             view=view(rival.view, labels), score=rival.score, differs=differs if result.explained else None
@@ -272,10 +307,11 @@ def _reason(result: QueryResult) -> wire.Reason:
     return wire.Reason(code=reason.code, detail=reason.detail, remedy=reason.remedy, rival=shown)
 
 
-def _place(place: PlaceProbability, results: RankedResults) -> wire.PlaceProbability:
-    scored = [results.views[i] for i in place.views]
+def _place(place: PlaceProbability, found: MapResults) -> wire.PlaceProbability:
+    scored = [found.results.views[i] for i in place.views]
     attributes = scored[0].view.attributes
     return wire.PlaceProbability(
+        map=found.name,
         place=attributes.place,
         position=position(attributes.position),
         probability=place.probability,

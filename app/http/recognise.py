@@ -108,8 +108,7 @@ class Recogniser:
     async def query(
         self,
         image: bytes,
-        map_name: str,
-        *,
+        *maps: str,
         top: int,
         candidates: int | None,
         filters: Filters,
@@ -119,11 +118,11 @@ class Recogniser:
         drive_timeout_s: float,
         keep: bool = True,
     ) -> wire.QueryAnswer:
-        """Rank the views of a map that may show the place of an image; raises as `QueryService.query`."""
+        """Rank the views of some maps that may show the place of an image; raises as `QueryService.query`."""
         query = partial(
             self._query.query,
             image,
-            map_name,
+            *maps,
             top=top,
             candidates=candidates,
             filters=filters,
@@ -134,4 +133,4 @@ class Recogniser:
             keep=keep,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
-        return presenters.query_answer(map_name, result)
+        return presenters.query_answer(result)

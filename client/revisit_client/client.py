@@ -149,6 +149,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         image: Image,
         *,
         map: str | None = None,
+        maps: Sequence[str] | None = None,
         top: int | None = None,
         candidates: int | None = None,
         precision: float | None = None,
@@ -165,13 +166,15 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         exclude_last: int | str | timedelta | None = None,
         exclude: Sequence[str] = (),
     ) -> wire.QueryAnswer:
-        """Find the views of a map that show the place of an image.
+        """Find the views of a map, or of several, that show the place of an image.
 
         Parameters
         ----------
         image : bytes or path
         map : str or None
             None for the map ``default``.
+        maps : sequence of str or None
+            Names of several maps, instead of `map`: one verdict over all of them.
         top : int or None
             How many matches at most.
         candidates : int or None
@@ -203,7 +206,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         """
         chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
-        options |= {"drive": drive, "drive_timeout": drive_timeout}
+        options |= {"maps": None if maps is None else ",".join(maps), "drive": drive, "drive_timeout": drive_timeout}
         name, data = named(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}

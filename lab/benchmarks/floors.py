@@ -1,5 +1,7 @@
 """How look-alike floors are told apart: ``python -m lab.benchmarks.floors [--seeds 1 2 3] [--kinds corridor lobby]``.
 
+With ``--apart`` each floor is a map of its own, and all of them are queried together.
+
 Drawn buildings (`scenes.building`). Each spot of each floor is enrolled once, as a place of its own; then the same
 floors and one that was never enrolled are queried from elsewhere, in other light.
 """
@@ -42,8 +44,10 @@ class Answered:
         return "floor" if self.first[0] == self.truth[0] else "no"
 
 
-def measured(runtime: Runtime, preset: str, one: Building, count: int) -> tuple[list[Answered], list[Answered]]:
-    """Enrol a building in a map of its own and query it.
+def measured(
+    runtime: Runtime, preset: str, one: Building, count: int, *, apart: bool = False
+) -> tuple[list[Answered], list[Answered]]:
+    """Enrol a building and query it.
 
     Parameters
     ----------
@@ -53,26 +57,31 @@ def measured(runtime: Runtime, preset: str, one: Building, count: int) -> tuple[
     one : Building
     count : int
         Queries of each spot.
+    apart : bool
+        Whether each floor is a map of its own, and all are queried together; otherwise the building is one map.
 
     Returns
     -------
     enrolled, unknown : list of Answered
         Answers to queries of the enrolled floors, and of the floor that was never enrolled.
     """
-    map_name = f"{one.kind}-{one.seed}"
+    whole = f"{one.kind}-{one.seed}"
+    maps = [f"{whole}-{floor}" for floor in range(1, one.floors + 1)] if apart else [whole]
     recipe = make_recipe(runtime.encoder, Wanted(), preset=preset)
-    runtime.store.maps.put(map_name, recipe, datetime.now(UTC))
+    for name in maps:
+        runtime.store.maps.put(name, recipe, datetime.now(UTC))
     for floor, spot, image in one.enrolments():
         attributes = ViewAttributes(place=f"{floor}/{spot}")
-        runtime.services.enroll.enroll(_encoded(image), map_name, attributes, patience_s=PATIENCE_S)
+        name = maps[floor - 1] if apart else whole
+        runtime.services.enroll.enroll(_encoded(image), name, attributes, patience_s=PATIENCE_S)
     runtime.comparer.all()  # as the service does in the background
-    return _answers(runtime, map_name, one.queries(count)), _answers(runtime, map_name, one.unknown(count))
+    return _answers(runtime, maps, one.queries(count)), _answers(runtime, maps, one.unknown(count))
 
 
-def _answers(runtime: Runtime, map_name: str, shots: Iterable[Shot]) -> list[Answered]:
+def _answers(runtime: Runtime, maps: Sequence[str], shots: Iterable[Shot]) -> list[Answered]:
     answers = []
     for floor, spot, image in shots:
-        result = runtime.services.query.query(_encoded(image), map_name)
+        result = runtime.services.query.query(_encoded(image), *maps)
         place = result.results.views[0].view.attributes.place or "0/0"
         first = (int(place.split("/")[0]), int(place.split("/")[1]))
         answers.append(Answered((floor, spot), first, result.decision.status))
@@ -110,6 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--floors", type=int, default=4)
     parser.add_argument("--spots", type=int, default=6)
     parser.add_argument("--queries", type=int, default=1, help="of each spot")
+    parser.add_argument("--apart", action="store_true", help="a map for each floor, all queried together")
     parser.add_argument("--preset", default="default")
     parser.add_argument("--encoder", default="compact")
     options = parser.parse_args(arguments)
@@ -118,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for kind in options.kinds:
             for seed in options.seeds:
                 one = building(seed, options.floors, options.spots, kind)
-                enrolled, unknown = measured(runtime, options.preset, one, options.queries)
+                enrolled, unknown = measured(runtime, options.preset, one, options.queries, apart=options.apart)
                 rows += [(f"{kind} {seed}", enrolled), (f"{kind} {seed}, floor never enrolled", unknown)]
                 print(f"{kind} {seed} done", file=sys.stderr, flush=True)
     print(table(rows))

@@ -39,7 +39,7 @@ from worker.images.codec import Limits
 from worker.method import cascade, score_fusion, verification
 from worker.method.byte_vectors import Product
 from worker.method.evidence import Evidence
-from worker.runtime import make_product
+from worker.search.byte_product import make_product
 from worker.search.flat_index import FlatIndex
 
 Doubles = npt.NDArray[np.float64]

@@ -113,7 +113,7 @@ def measure(dataset: Dataset, runtime: Runtime, recipe: MapRecipe, part: float) 
 
 def _described(runtime: Runtime, map_name: str, queries: Mapping[int, Path]) -> dict[int, Description]:
     """Descriptions of queries; one in which everything is dynamic is left out."""
-    service = runtime.services.query
+    service = runtime.services.searcher
     describer = service.describer(map_name)
     described = {}
     for query, path in queries.items():
@@ -136,7 +136,7 @@ def _first_views(
 
     first = {}
     for query, description in described.items():
-        runtime.services.query.search(
+        runtime.services.searcher.search(
             map_name, recipe.description, description, filters=Filters(), top=1, observe=observe
         )
         first[query] = seen[-1]

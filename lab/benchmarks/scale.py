@@ -34,7 +34,7 @@ from worker.description.presets import Wanted, changed_ranking, general_vocabula
 from worker.encoders.choosing import make_encoder
 from worker.images import codec
 from worker.images.codec import Limits
-from worker.runtime import make_product
+from worker.search.byte_product import make_product
 
 SIZES = (100, 1_000, 10_000, 20_000)
 FORECAST = (100_000, 1_000_000)

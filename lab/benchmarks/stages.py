@@ -202,7 +202,7 @@ def searching(runtime: Runtime, description: Description, views: int, repeats: i
         ]
 
     def search(observe: Observe) -> None:
-        runtime.services.query.search(
+        runtime.services.searcher.search(
             "default", recipe, description, filters=Filters(), top=5, candidates=nearest, observe=observe
         )
 

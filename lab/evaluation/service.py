@@ -59,7 +59,7 @@ class ServiceRetriever:
         """Query; the histograms alone are searched a second time with the same description."""
         result = self.result(image, top)
         results = result.results
-        plain = self.runtime.services.query.search(
+        plain = self.runtime.services.searcher.search(
             self.map_name, results.recipe.description, result.description, filters=Filters(), top=top, candidates=0
         )
         found = results.views[:top]

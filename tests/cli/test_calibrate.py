@@ -23,7 +23,7 @@ def site(service: FakeService, tmp_path: Path) -> FakeService:
         (tmp_path / name).write_bytes(b"an image")
     facts = answers.map_facts("campus")
     facts["ranking"] = {"id": "k", "same_place_m": 5.0}
-    place = {"place": "square", "position": POSITION, "probability": 0.9, "views": []}
+    place = {"map": "town", "place": "square", "position": POSITION, "probability": 0.9, "views": []}
     service.replies |= {
         "GET /maps/campus": (200, facts),
         "GET /places": (200, {"places": [_place("square"), _place("canal")], "next": None}),

@@ -228,7 +228,7 @@ class Service:
 
     def describe(self, map_name: str, image: bytes) -> Evidence:
         """An image's description by a map's recipe: arrays, and numbers."""
-        query = self._runtime.services.query
+        query = self._runtime.services.searcher
         found = query.describe(self._runtime.decode(image), query.describer(map_name)).value
         graph = found.appearance.graph
         arrays = {

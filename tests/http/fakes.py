@@ -132,8 +132,7 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
     async def query(
         self,
         image: bytes,
-        map_name: str,
-        *,
+        *maps: str,
         top: int,
         candidates: int | None,
         filters: Filters,
@@ -141,10 +140,11 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
         explain: bool,
         **drive: Any,
     ) -> wire.QueryAnswer:
+        map_name = maps[0]
         self._may_fail("query")
         decode(image, self.limits)
         self.given = {
-            "map": map_name,
+            "map": ",".join(maps),
             "top": top,
             "precision": precision,
             "candidates": candidates,

@@ -65,6 +65,12 @@ def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecognis
     assert recogniser.given["precision"] == 0.99
 
 
+def test_several_maps_arrive_as_they_were_named(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    client.post("/enroll?map=floor2", content=photo(), headers=JPEG)
+    assert client.post("/query?maps=floor2, floor1", content=photo(1), headers=JPEG).status_code == 200
+    assert recogniser.given["map"] == "floor2,floor1"
+
+
 @pytest.mark.parametrize("precision", ["0.4", "1", "nan", "sure"])
 def test_a_precision_out_of_range_is_refused(client: CheckedClient, precision: str) -> None:
     answer = client.post("/query", files={"image": photo(1)}, data={"precision": precision})
@@ -87,6 +93,12 @@ ERRORS: list[tuple[dict[str, Any], list[str]]] = [
     ({"candidates": "-1"}, ["candidates"]),
     ({"explain": "si"}, ["explain"]),
     ({"drive": "two words"}, ["drive"]),
+    ({"maps": "floor1,"}, ["maps"]),
+    ({"maps": "floor 1,floor2"}, ["maps"]),
+    ({"maps": "floor1,floor1"}, ["maps"]),
+    ({"maps": ",".join(f"floor{i}" for i in range(17))}, ["maps"]),
+    ({"maps": "floor1,floor2", "map": "floor3"}, ["maps"]),
+    ({"maps": "floor1,floor2", "drive": "monday"}, ["maps"]),
     ({"drive": "monday", "drive_timeout": "0"}, ["drive_timeout"]),
     ({"function-x": "1"}, ["function-x"]),
     ({"near": "1,2"}, ["near"]),
@@ -131,7 +143,7 @@ def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedCli
     answer = client.post("/query?journey=monday-7", content=photo(), headers=JPEG)
     assert answer.json()["detail"] == (
         "journey: is unknown; known are after, before, candidates, drive, drive_timeout, exclude, exclude_last, "
-        "explain, frame, map, "
+        "explain, frame, map, maps, "
         "metadata.KEY, near, place, precision, top, where"
     )
 

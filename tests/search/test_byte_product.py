@@ -14,8 +14,8 @@ from schemas.settings import Settings
 from worker.method import dense_cells, vocabulary
 from worker.method.byte_vectors import float_product, quantise
 from worker.method.unit_length import unit
-from worker.runtime import make_product
 from worker.search import byte_product
+from worker.search.byte_product import make_product
 
 
 @settings(deadline=None)  # a crowded machine is no failure

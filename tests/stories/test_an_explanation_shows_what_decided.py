@@ -50,7 +50,7 @@ def explained(result: QueryResult) -> Explained:
 
 
 def cells(runtime: Runtime, *views: ScoredView) -> dict[int, Int8s]:
-    recipe = runtime.services.query.describer("town").recipe
+    recipe = runtime.services.searcher.describer("town").recipe
     return runtime.store.descriptions.cells([view.seq for view in views], recipe.id)
 
 

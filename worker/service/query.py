@@ -1,56 +1,41 @@
-"""Query a map: which of its views show the place of an image, with what confidence."""
+"""Query maps: which of their views show the place of an image, with what confidence."""
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import chain
 
-import numpy as np
 from uuid6 import uuid7
 
 from schemas.description import Description
-from schemas.errors import RevisitError, Unavailable
+from schemas.errors import InvalidParameters, NotFound, RevisitError
 from schemas.image import Image
-from schemas.recipe import DescriptionRecipe
-from schemas.records import Filters, MapLevels, MapRecord, Selection
-from worker.description.describer import Describer, components
-from worker.description.describers import Describers
-from worker.description.scheduler import Scheduler, Timed
-from worker.method import cascade
-from worker.method.byte_vectors import Product
-from worker.method.calibration import Calibration
-from worker.method.cascade import ViewGone
+from schemas.records import Filters
+from worker.description.describer import components
+from worker.description.scheduler import Timed
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide
-from worker.search.catalogue import Catalogue
-from worker.search.fetcher import Fetcher
+from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
 from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.inbox import KeptQueries
-from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
-from worker.service.results import RankedResults, ScoredView
+from worker.service.ports import Views
+from worker.service.results import MapResults, RankedResults, ScoredView
+from worker.service.searching import Searcher
 from worker.service.sheets import cells_of
-from worker.service.stopwatch import Stopwatch
 
 log = logging.getLogger("revisit.service")
 DRIVE_TIMEOUT_S = 60.0
 """Seconds of silence after which a drive begins anew."""
-
-ROUNDS = 5
-"""Attempts at a search; one is repeated when a view that it found is deleted before it ends."""
-
 
 KEPT_SIZE = 1024
 """Longer side of the image that is kept of a query that matched nothing, pixels."""
 
 MOSTLY_MOVES = 0.2
 """Share of static cells below which an image shows too little of its place."""
-
-
-class RecipeChanged(Exception):
-    """The map's recipe changed while the query was described: it must be described by the new one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +48,22 @@ class QueryResult:
         Of the query.
     image : Image
         The decoded query image.
-    description : Description
-    results : RankedResults
-    top : int
-        How many of its views were wanted.
+    maps : tuple of MapResults
+        Of each map that was searched, as asked for; the one with the first place is `leading`.
+    alone : tuple of Decision
+        What each map says by itself.
+    joined : Joined
+        What they say together.
     decision : Decision
+        The verdict, the reason for it, and the probabilities of the leading map's places.
+    rival : ScoredView or None
+        Best view of another place than the first; of the map `rival_map`.
+    top : int
+        How many views were wanted.
     differs : tuple of Region
         Where the first match and its rival differ, if the query is explained.
     explained : bool
-        Whether an explanation can be drawn.
+        Whether explanations of the leading map's views can be drawn.
     driven : Driven or None
         What the images of its drive say together.
     timing_ms : mapping of stage to milliseconds
@@ -79,26 +71,46 @@ class QueryResult:
 
     id: str
     image: Image
-    description: Description
-    results: RankedResults
-    top: int
+    maps: tuple[MapResults, ...]
+    alone: tuple[Decision, ...]
+    joined: Joined
     decision: Decision
+    rival: ScoredView | None
+    top: int
     differs: tuple[Region, ...]
     explained: bool
     driven: Driven | None
     timing_ms: Mapping[str, float]
 
+    @property
+    def leading(self) -> MapResults:
+        """The map with the first place."""
+        return self.maps[self.joined.leading]
+
+    @property
+    def rival_map(self) -> MapResults:
+        """The map of the rival."""
+        return self.leading if self.joined.rival is None else self.maps[self.joined.rival]
+
+    @property
+    def results(self) -> RankedResults:
+        """Those of the leading map."""
+        return self.leading.results
+
+    @property
+    def description(self) -> Description:
+        """Of the query image, by the leading map's recipe."""
+        return self.leading.description
+
 
 class QueryService:
-    """The use-case `query`. The answer depends only on the image, the request and the map's revision.
+    """The use-case `query`. The answer depends only on the image, the request and the maps' revisions.
 
     Parameters
     ----------
-    maps, views, listings, descriptions, comparisons, queue
+    searcher : Searcher
+    views, descriptions
         Parts of the store.
-    describers : Describers
-    scheduler : Scheduler
-    catalogue : Catalogue
     decode : function
         Bytes to Image; raises BadImage.
     shrink : function
@@ -109,51 +121,34 @@ class QueryService:
         Bytes and length of the longer side to a small JPEG.
     kept : KeptQueries
         Where queries that matched nothing are kept, if their map says so.
-    calibration : function
-        Map to the calibration of its confidences.
     explanations : Explanations
         Where the latest explained queries are kept.
     drives : Drives
-    product : Product
-        Multiplies dense cells; the choice affects speed, not results.
     """
 
     def __init__(
         self,
         *,
-        maps: Maps,
+        searcher: Searcher,
         views: Views,
-        listings: Listings,
         descriptions: DescriptionReader,
-        comparisons: Comparisons,
-        queue: Pending,
-        describers: Describers,
-        scheduler: Scheduler,
-        catalogue: Catalogue,
         decode: Callable[[bytes], Image],
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
         thumbnail: Callable[[bytes, int], bytes],
         kept: KeptQueries,
-        calibration: Callable[[MapRecord], Calibration],
         explanations: Explanations,
         drives: Drives,
-        product: Product,
     ) -> None:
-        self._maps, self._views, self._listings = maps, views, listings
-        self._descriptions, self._comparisons, self._queue = descriptions, comparisons, queue
-        self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
+        self._searcher, self._views, self._descriptions = searcher, views, descriptions
         self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
-        self._levels: dict[str, tuple[tuple[datetime, int], MapLevels]] = {}
         self._thumbnail, self._kept = thumbnail, kept
-        self._calibration, self._explanations, self._product = calibration, explanations, product
-        self._drives = drives
+        self._explanations, self._drives = explanations, drives
 
     def query(
         self,
         data: bytes,
-        map_name: str,
-        *,
+        *maps: str,
         top: int = 5,
         candidates: int | None = None,
         filters: Filters | None = None,
@@ -163,111 +158,141 @@ class QueryService:
         drive_timeout_s: float = DRIVE_TIMEOUT_S,
         keep: bool = True,
     ) -> QueryResult:
-        """Which views of a map show the place of an image.
+        """Which views of some maps show the place of an image.
 
         Parameters
         ----------
         data : bytes
             The encoded image.
-        map_name : str
+        maps : str
+            Names of one map or more.
         top : int
             Number of views returned at most.
         candidates : int, optional
             Candidates of each channel that are re-ranked; None takes the map's setting, 0 ranks by histograms alone.
         filters : Filters, optional
+            Applied to each map.
         precision : float, optional
             Share of matched answers that must be right, 0.5..0.999; None takes the map's setting.
         explain : bool
             Keep the query, so that its explanation can be drawn.
         drive : str, optional
-            Name of the drive that the image is the next one of.
+            Name of the drive that the image is the next one of; only with one map.
         drive_timeout_s : float
             The drive begins anew when its last image is older.
         keep : bool
-            Whether the image may be kept among the map's unknown places.
+            Whether the image may be kept among the maps' unknown places.
 
         Raises
         ------
-        BadImage, NotFound, NothingStatic, Busy, Unavailable
+        BadImage, NotFound, NothingStatic, InvalidParameters, Busy, Unavailable
         """
+        if drive is not None and len(maps) > 1:
+            raise InvalidParameters.of("drive", "goes with one map")
         began = time.perf_counter()
-        describer = self.describer(map_name)  # an unknown map is refused before any work is done
+        # Unknown maps and views are refused before any work is done.
+        describers = {name: self._searcher.describer(name) for name in maps}
+        parts = self._filters(filters or Filters(), maps)
         image = self._decode(data)
         decoded = time.perf_counter()
-        described, results = self._describe_and_search(
-            image, map_name, describer, filters or Filters(), max(top, GROUPED if drive is None else DRIVEN), candidates
-        )
-        decision = decide(
-            results.ranking,
-            results.levels,
-            results.calibration,
-            precision or results.recipe.ranking.precision,
-            searched=results.searched,
-            shown=top,
-            measured_alike=candidates != 0 or results.recipe.ranking.candidates == 0,
-        )
+        described: dict[str, Timed[Description]] = {}
+        found = [
+            self._searcher.describe_and_search(
+                image,
+                name,
+                describer,
+                described,
+                filters=part,
+                top=max(top, GROUPED if drive is None else DRIVEN),
+                candidates=candidates,
+            )
+            for (name, describer), part in zip(describers.items(), parts, strict=True)
+        ]
+        alone = [self._decide(one.results, top, candidates, precision) for one in found]
         driven = None
         if drive is not None:
-            results, decision, driven = self._drives.follow((map_name, drive), drive_timeout_s, results, decision)
+            [one], [decision] = found, alone
+            results, decision, driven = self._drives.follow((one.name, drive), drive_timeout_s, one.results, decision)
+            found, alone = [replace(one, results=results)], [decision]
+        joined = join(alone)
+        leading, decision = found[joined.leading], joined.decision
+        rival = leading.results.rival if joined.rival is None else found[joined.rival].results.views[0]
         if decision.status != "matched":
-            decision = blame_image(decision, self._problem(image, described.value))
+            decision = blame_image(decision, self._problem(image, leading.description))
         query_id = str(uuid7())
         whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
-        unknown = whole and decision.status == "no_match" and decision.reason.code != "poor-picture"
-        if keep and results.keep_queries and unknown:
-            self._keep_unknown(map_name, query_id, results.recipe.description, described.value, data)
+        if keep and whole and decision.status == "no_match" and decision.reason.code != "poor-picture":
+            for one in found:
+                self._keep_unknown(query_id if one is leading else str(uuid7()), one, data)
         differs: tuple[Region, ...] = ()
         if explain:
-            shown = replace(results, views=results.views[:top])
-            explained = Explained(self._shrink(image), described.value, shown, headline(decision), results.rival)
+            shown = replace(leading.results, views=leading.results.views[:top])
+            explained = Explained(self._shrink(image), leading.description, shown, headline(decision), rival)
             self._explanations.keep(query_id, explained)
             differs = self._differs(explained) if decision.reason.code == "look-alike" else ()
         return QueryResult(
             id=query_id,
             image=image,
-            description=described.value,
-            results=results,
-            top=top,
+            maps=tuple(found),
+            alone=tuple(alone),
+            joined=joined,
             decision=decision,
+            rival=rival,
+            top=top,
             differs=differs,
             explained=explain,
             driven=driven,
             timing_ms={
                 "decode": (decoded - began) * 1000,
-                "queue": described.queue_ms,
-                "encode": described.encode_ms,
-                "describe": described.finish_ms,
-                **results.timing_ms,
+                "queue": sum(one.queue_ms for one in described.values()),
+                "encode": sum(one.encode_ms for one in described.values()),
+                "describe": sum(one.finish_ms for one in described.values()),
+                **_sums([one.results.timing_ms for one in found]),
                 "total": (time.perf_counter() - began) * 1000,
             },
         )
 
-    def describer(self, map_name: str) -> Describer:
-        """The describer of a map's recipe; raises NotFound."""
-        return self._describers.of(self._maps.get(map_name).description)
+    @staticmethod
+    def _decide(results: RankedResults, top: int, candidates: int | None, precision: float | None) -> Decision:
+        ranking = results.recipe.ranking
+        return decide(
+            results.ranking,
+            results.levels,
+            results.calibration,
+            precision or ranking.precision,
+            searched=results.searched,
+            shown=top,
+            measured_alike=candidates != 0 or ranking.candidates == 0,
+        )
 
-    def describe(self, image: Image, describer: Describer) -> Timed[Description]:
-        """Describe an image ahead of all waiting enrolments; raises NothingStatic, Busy."""
-        return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
+    def _filters(self, filters: Filters, maps: Sequence[str]) -> list[Filters]:
+        """The filters of each map, with those views to exclude that are its own; raises InvalidParameters."""
+        if len(maps) == 1 or not filters.exclude:
+            return [filters] * len(maps)  # of one map the search itself refuses unknown views
+        of_map: dict[str, list[str]] = {name: [] for name in maps}
+        unknown = []
+        for view_id in filters.exclude:
+            try:
+                of_map[self._views.get(view_id).map].append(view_id)
+            except (NotFound, KeyError):
+                unknown.append(view_id)
+        if unknown:
+            raise InvalidParameters.of("exclude", f"no map of these has the views {', '.join(unknown)}")
+        return [replace(filters, exclude=tuple(of_map[name])) for name in maps]
 
-    def _levels_of(self, record: MapRecord) -> MapLevels:
-        """What wrong answers get in a map; read once for each revision."""
-        kept = self._levels.get(record.name)
-        if kept is None or kept[0] != (record.created_at, record.revision):
-            levels = self._comparisons.levels(record.name)
-            kept = (record.created_at, levels.revision), levels
-            self._levels[record.name] = kept
-        return kept[1]
+    def _keep_unknown(self, query_id: str, found: MapResults, data: bytes) -> None:
+        """Keep a query that matched nothing, if its map says so.
 
-    def _keep_unknown(
-        self, map_name: str, query_id: str, recipe: DescriptionRecipe, description: Description, data: bytes
-    ) -> None:
-        """Keep a query that matched nothing; that it cannot be kept is logged, and its answer is given all the same."""
+        That it cannot be kept is logged, and its answer is given all the same.
+        """
+        if not found.results.keep_queries:
+            return
         try:
             small = self._thumbnail(data, KEPT_SIZE)
-            self._kept.keep(map_name, query_id, recipe, description, small, datetime.now(UTC))
+            recipe = found.results.recipe.description
+            self._kept.keep(found.name, query_id, recipe, found.description, small, datetime.now(UTC))
         except RevisitError as error:
-            log.error("the query %s of map %s is not kept: %s", query_id, map_name, error.detail)
+            log.error("the query %s of map %s is not kept: %s", query_id, found.name, error.detail)
 
     def _problem(self, image: Image, description: Description) -> str | None:
         """What may keep the image from being recognised, in words; None when nothing is seen."""
@@ -286,98 +311,8 @@ class QueryService:
             return ()
         return tuple(contrast(ours, theirs, explained.description.appearance.extent, components).regions)
 
-    def _describe_and_search(
-        self, image: Image, map_name: str, describer: Describer, filters: Filters, top: int, candidates: int | None
-    ) -> tuple[Timed[Description], RankedResults]:
-        """Describe by the map's recipe and search; repeated when the map's recipe changes in between."""
-        while True:
-            described = self.describe(image, describer)
-            try:
-                return described, self.search(
-                    map_name, describer.recipe, described.value, filters=filters, top=top, candidates=candidates
-                )
-            except RecipeChanged:
-                describer = self.describer(map_name)
 
-    def search(
-        self,
-        map_name: str,
-        recipe: DescriptionRecipe,
-        description: Description,
-        *,
-        filters: Filters,
-        top: int,
-        candidates: int | None = None,
-        observe: cascade.Observe = lambda stage, evidence: None,
-    ) -> RankedResults:
-        """The `top` best views of a map for a description by `recipe`; `observe` is called after each stage.
-
-        Raises
-        ------
-        NotFound
-            There is no such map.
-        RecipeChanged
-            The map's recipe is no longer `recipe`.
-        Unavailable
-            Views that were found were deleted before they could be ranked, `ROUNDS` times.
-        """
-        gone: frozenset[int] = frozenset()
-        rounds = 0
-        while rounds < ROUNDS:
-            watch = Stopwatch(observe)
-            # Counted first: a view described between the two reads is found and counted, never neither.
-            pending = self._queue.count_pending(map_name)
-            index, record = self._catalogue.index(map_name)
-            if record.description.id != recipe.id:
-                raise RecipeChanged
-            config = record.ranking
-            searched = config.searched if candidates is None else candidates
-            selection = without(self._listings.select(map_name, filters), gone)
-            found = index.search(description.vectors, max(top, searched), selection)
-            try:
-                ranked = cascade.rank(
-                    description,
-                    found,
-                    recipe,
-                    config,
-                    Fetcher(self._descriptions, self._comparisons, recipe.id),
-                    top=top,
-                    reranked=candidates,
-                    product=self._product,
-                    observe=watch.observe,
-                )
-                shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
-                views = self._views.at(sorted({candidate.seq for candidate in shown}))
-                described = {seq: view.description for seq, view in views.items() if view.description is not None}
-                facts = [described[candidate.seq] for candidate in shown if candidate.seq in described]
-                if len(facts) < len(shown):
-                    raise ViewGone({candidate.seq for candidate in shown} - described.keys())
-            except ViewGone as error:
-                # A round that found damaged descriptions to leave out does not count: a map may have many.
-                rounds += not self._comparisons.known(sorted(error.seqs - gone), recipe.id)
-                gone |= error.seqs
-                continue
-            if any(of.recipe != recipe.id for of in facts):
-                raise RecipeChanged  # while candidates were compared: views are shown by the map's present recipe
-            scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
-            return RankedResults(
-                views=tuple(scored[: len(ranked.first)]),
-                ranking=ranked,
-                rival=None if ranked.opposed is None else scored[-1],
-                levels=self._levels_of(record),
-                pending=pending,
-                revision=found.revision,
-                recipe=record.recipe,
-                calibration=self._calibration(record),
-                searched=found.searched,
-                timing_ms=watch.timing_ms(),
-                keep_queries=record.keep_queries,
-            )
-        raise Unavailable("the map is being emptied faster than it can be searched; query again", 1)
-
-
-def without(selection: Selection, gone: frozenset[int]) -> Selection:
-    """A selection without views that were deleted meanwhile, or are damaged."""
-    if not gone:
-        return selection
-    return Selection(selection.only, np.union1d(selection.never, np.array(sorted(gone), np.int64)))
+def _sums(timings: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Time of each stage over all maps."""
+    stages = dict.fromkeys(chain.from_iterable(timings))
+    return {stage: sum(one.get(stage, 0.0) for one in timings) for stage in stages}

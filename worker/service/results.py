@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from schemas.description import Description
 from schemas.recipe import MapRecipe
 from schemas.records import MapLevels, ViewRecord
 from worker.method.calibration import Calibration
@@ -55,3 +56,21 @@ class RankedResults:
     searched: int
     timing_ms: Mapping[str, float]
     keep_queries: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class MapResults:
+    """What a map says of an image.
+
+    Parameters
+    ----------
+    name : str
+        Of the map.
+    description : Description
+        Of the image, by the map's recipe.
+    results : RankedResults
+    """
+
+    name: str
+    description: Description
+    results: RankedResults

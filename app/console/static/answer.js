@@ -21,13 +21,15 @@ const TERMS = {
   verification: "geometry",
 };
 
+const VERDICTS = { matched: "recognised", ambiguous: "perhaps", no_match: "not recognised" };
+
 const nameOf = (view) => view.place ?? `view ${view.id.slice(-6)}`;
 
 /** What shows an answer: `short` and, below it, `long`. `photo`: URL of the query's image in this browser. */
 export function answerPanel(answer, photo) {
   const [first] = answer.matches;
   const detail = h("div");
-  const cards = answer.matches.map((match) => matchCard(match, () => show(match)));
+  const cards = answer.matches.map((match) => matchCard(match, answer.maps, () => show(match)));
   function show(match) {
     cards.forEach((card, index) => {
       const chosen = answer.matches[index] === match;
@@ -54,7 +56,8 @@ export function answerPanel(answer, photo) {
 
 function verdict(answer) {
   const [best] = answer.places;
-  const name = best ? (best.place ?? nameOf(answer.matches[0].view)) : "";
+  const known = best ? (best.place ?? nameOf(answer.matches[0].view)) : "";
+  const name = answer.maps ? `${known} of ${answer.map}` : known;
   return h(
     "section",
     { class: `panel verdict ${answer.status}` },
@@ -73,6 +76,13 @@ function verdict(answer) {
       `${count(answer.searched, "view")} searched`,
       `${answer.pending ? `, ${answer.pending} more not described yet` : ""}.`,
     ),
+    answer.maps &&
+      facts(
+        answer.maps.map((one) => [
+          `The map ${one.map} alone`,
+          `${VERDICTS[one.status]}, probability ${percent(one.confidence)}`,
+        ]),
+      ),
   );
 }
 
@@ -83,7 +93,7 @@ function sentence(text) {
 /** The plan: matched views, and where the query lies. */
 function where(answer) {
   const points = answer.matches
-    .filter((match) => match.view.position)
+    .filter((match) => match.view.position && match.view.map === answer.map) // other maps have frames of their own
     .map((match) => ({
       position: match.view.position,
       kind: match.rank === 1 ? "first" : "match",
@@ -112,8 +122,8 @@ function where(answer) {
   );
 }
 
-function matchCard(match, choose) {
-  const name = nameOf(match.view);
+function matchCard(match, several, choose) {
+  const name = several ? `${nameOf(match.view)} of ${match.view.map}` : nameOf(match.view);
   return h(
     "li",
     { class: "match" },

@@ -10,7 +10,9 @@ export function probabilities(answer) {
   const shown = answer.places.slice(0, MOST_PLACES);
   const others = answer.places.slice(MOST_PLACES);
   const spot = (position) => position && inWords({ ...position, heading: null });
-  const name = ({ place, position, views }) => place ?? spot(position) ?? `view ${views[0].id.slice(-6)}`;
+  const several = answer.maps ?? [];
+  const name = ({ map, place, position, views }) =>
+    (several.length ? `${map}: ` : "") + (place ?? spot(position) ?? `view ${views[0].id.slice(-6)}`);
   const rows = shown.map((one) => [name(one), one.probability]);
   if (others.length) {
     rows.push([count(others.length, "other place"), others.reduce((sum, one) => sum + one.probability, 0)]);

@@ -54,6 +54,8 @@ export function queryScreen() {
     drive: h("input", { placeholder: "robot-7", spellcheck: "false" }),
     drive_timeout: h("input", { placeholder: "60", inputmode: "decimal", spellcheck: "false" }),
     metadata: h("input", { placeholder: "floor=2", spellcheck: "false" }),
+    where: h("input", { placeholder: '{"place": {"$prefix": "hall/"}}', spellcheck: "false" }),
+    also: h("input", { placeholder: "floor2,floor3", spellcheck: "false" }),
   };
   const frame = h("select", {}, h("option", { value: "" }, "metres"), h("option", { value: "geo" }, "degrees"));
   const explain = checkbox("Draw what agrees", { checked: true });
@@ -85,6 +87,8 @@ export function queryScreen() {
         field("Captured before", inputs.before),
         field("Without the newest", inputs.exclude_last),
         field("Metadata", inputs.metadata),
+        field("Condition, as JSON", inputs.where),
+        field("These maps as well", inputs.also),
       ),
     ),
     h(
@@ -139,6 +143,11 @@ export function queryScreen() {
     delete given.metadata;
     if (name) given[`metadata.${name}`] = value.join("=");
     if (given.top === "5") delete given.top;
+    if (given.also) {
+      given.maps = `${given.map},${given.also}`;
+      delete given.map;
+    }
+    delete given.also;
     return Object.fromEntries(Object.entries(given).filter(([, text]) => text !== ""));
   }
 

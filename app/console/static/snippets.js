@@ -22,6 +22,7 @@ function python(query, name) {
     else if (field === "explain") options.push("explain=True");
     else if (field === "frame") options.push("geographic=True");
     else if (field === "near") options.push(`near=(${value})`);
+    else if (field === "maps") options.push(`maps=${JSON.stringify(value.split(","))}`);
     else options.push(`${field}=${NUMBERS.includes(field) ? Number(value) : JSON.stringify(value)}`);
   }
   if (Object.keys(metadata).length) options.push(`metadata=${JSON.stringify(metadata)}`);

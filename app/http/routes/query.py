@@ -42,7 +42,7 @@ router = APIRouter(tags=["enrol and query"])
     },
 )
 async def query(request: Request, recogniser: Recognises, metrics: Measures, access: Accesses) -> Response:
-    """Which views of a map show the place of this image?
+    """Which views of a map, or of several, show the place of this image?
 
     With `Accept: application/geopose+json` the answer is the pose of these views, as OGC GeoPose 1.0 (Basic-YPR).
     """
@@ -52,10 +52,11 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures, acc
     if len(sent.images) > 1:
         errors.append(ParameterError(IMAGE_PART, f"{len(sent.images)} images; a query takes one"))
     params = read(QueryParameters, sent.parameters, errors)
-    check_map(access, params.map)
+    for name in params.searched():
+        check_map(access, name)
     answer = await recogniser.query(
         sent.images[0][1],
-        params.map,
+        *params.searched(),
         top=params.top,
         candidates=params.candidates,
         filters=params.filters(),
