@@ -17,6 +17,7 @@ from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
 from app.http.rate_limits import RateLimit
 from app.http.routes import (
+    compreface,
     console,
     enroll,
     health,
@@ -46,6 +47,7 @@ TAGS = [
     {"name": "maps", "description": "Named sets of views that are searched together."},
     {"name": "jobs", "description": "Work in the background: describing, recipes, vocabularies, imports."},
     {"name": "snapshots", "description": "Maps as files: made, given away, restored."},
+    {"name": "compatible services", "description": "The shapes of other services, for apps that speak to them."},
     {"name": "service", "description": "Health, metrics and version."},
 ]
 
@@ -94,7 +96,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     for group in (enroll, query):
         app.include_router(group.router)
     of_maps = (views, images, maps, imports, map_health, unknown, places, jobs, snapshots)
-    for group in (localize, *of_maps, health, console):
+    for group in (localize, *of_maps, compreface, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)

@@ -28,7 +28,9 @@ _QUICK = 1_000_000  # bytes that are parsed within a few milliseconds
 
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 
-_REMEDY = "send the image as the multipart part `image`, or as the body with content-type image/jpeg"
+
+def _remedy(named: str) -> str:
+    return f"send the image as the multipart part `{named}`, or as the body with content-type image/jpeg"
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,8 @@ async def refuse_body(request: Request) -> None:
     raise UnexpectedBody(f"{request.method} {echoed(request.url.path)} takes no body, and {sent} was sent")
 
 
-async def take(request: Request) -> Sent:
-    """Parse a request with images, multipart (RFC 7578) or one image as the raw body.
+async def take(request: Request, named: str = IMAGE_PART) -> Sent:
+    """Parse a request with images, multipart (RFC 7578) with parts of this name or one image as the raw body.
 
     Raises
     ------
@@ -83,7 +85,7 @@ async def take(request: Request) -> Sent:
     BodyTooLarge
         Raised by `app.http.middleware.BodyLimit` while the body is read.
     InvalidParameters
-        No part is named ``image``, and other parts cannot be used.
+        No part has the name of images, and other parts cannot be used.
     """
     content_type = request.headers.get("content-type", "")
     body = await request.body()
@@ -92,14 +94,14 @@ async def take(request: Request) -> Sent:
     if kind == b"multipart/form-data":
         boundary = options.get(b"boundary", b"")
         if len(body) <= _QUICK:
-            return _multipart(body, boundary, in_url)
+            return _multipart(body, boundary, in_url, named)
         # Milliseconds for a photo, but a body made of near-boundaries takes long and must not block the event loop.
-        return await asyncio.to_thread(_multipart, body, boundary, in_url)
+        return await asyncio.to_thread(_multipart, body, boundary, in_url, named)
     if not body:
-        raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
+        raise BadBody("no-picture", f"the body is empty; {_remedy(named)}")
     name = kind.decode("latin-1")
     if name and not name.startswith("image/") and name not in _RAW_TYPES:
-        raise BadImage("not-a-picture", f"the content type is {echoed(name)}; {_REMEDY}")
+        raise BadImage("not-a-picture", f"the content type is {echoed(name)}; {_remedy(named)}")
     return Sent([(None, body)], in_url)
 
 
@@ -195,23 +197,23 @@ class _Reader:
         self.ended = True
 
 
-def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> Sent:
+def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]], named: str) -> Sent:
     if not boundary:
         raise BadBody("malformed-body", "the content type names no boundary; let your HTTP library write the header")
     if not body:
-        raise BadBody("no-picture", f"the body is empty; {_REMEDY}")
+        raise BadBody("no-picture", f"the body is empty; {_remedy(named)}")
     images: list[tuple[str | None, bytes]] = []
     attributes: list[tuple[str, str]] = []
     errors: list[ParameterError] = []
     for part in _parts(body, boundary):
         name, file = part.names()
         content = part.content
-        if name == IMAGE_PART:
+        if name == named:
             if not content:
-                raise BadBody("no-picture", f"the part `image` number {len(images) + 1} is empty")
+                raise BadBody("no-picture", f"the part `{named}` number {len(images) + 1} is empty")
             images.append((file_name(file), content))
         elif file is not None:
-            errors.append(ParameterError(name, "is a file; images are sent as parts named image"))
+            errors.append(ParameterError(name, f"is a file; images are sent as parts named {named}"))
         elif len(content) > LONGEST_PARAMETER:
             errors.append(ParameterError(name, f"has {len(content)} bytes; at most {LONGEST_PARAMETER} are taken"))
         else:
@@ -223,9 +225,9 @@ def _multipart(body: bytes, boundary: bytes, in_url: list[tuple[str, str]]) -> S
         # Most likely the image was sent under another name: report that part rather than a missing image.
         if errors:
             raise InvalidParameters(errors)
-        raise BadBody("no-picture", f"no part is named image; {_REMEDY}")
+        raise BadBody("no-picture", f"no part is named {named}; {_remedy(named)}")
     if len(images) > MOST_IMAGES:
-        errors.append(ParameterError(IMAGE_PART, f"{len(images)} images; at most {MOST_IMAGES} at once"))
+        errors.append(ParameterError(named, f"{len(images)} images; at most {MOST_IMAGES} at once"))
     twice = {name for name, _ in in_url} & {name for name, _ in attributes}
     errors += [ParameterError(name, "was given both in the URL and in the body") for name in sorted(twice)]
     return Sent(images, [p for p in in_url if p[0] not in twice] + attributes, errors)

@@ -10,6 +10,7 @@ that were not announced are counted when they have come: they are served, and th
 
 import ipaddress
 import math
+import re
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -33,7 +34,7 @@ MOST_BUCKETS = 10_000
 
 OVERALL = "*"
 
-_IMAGES_ON = frozenset({"/enroll", "/query"})
+_IMAGES_ON = re.compile(r"/(enroll|query|localize/geopose|compat/.+/(faces|recognize|verify))")
 
 
 class Buckets:
@@ -136,7 +137,7 @@ class RateLimit:
             return
         announced = Headers(scope=scope).get("content-length", "")
         sent = int(announced) if announced.isdigit() else 0
-        image = scope["method"] == "POST" and scope["path"] in _IMAGES_ON
+        image = scope["method"] == "POST" and _IMAGES_ON.fullmatch(scope["path"]) is not None
         costs = {"requests": 1, "images": int(image), "bytes": sent}
 
         async def send_with_limits(message: Message) -> None:

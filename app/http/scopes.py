@@ -14,9 +14,16 @@ OPEN_PATHS = frozenset({"/livez", "/readyz", "/version", *files()})
 OF_ALL_MAPS = frozenset({"/metrics"})
 """Paths whose answers name every map: a key for some maps is not enough."""
 
+COMPREFACE = "/compat/compreface/{map}/api/v1/recognition"
+
 READ: tuple[tuple[str, str], ...] = (
     ("POST", "/query"),
     ("POST", "/localize/geopose"),
+    ("POST", f"{COMPREFACE}/recognize"),
+    ("POST", f"{COMPREFACE}/faces/{{view_id}}/verify"),
+    ("GET", f"{COMPREFACE}/faces"),
+    ("GET", f"{COMPREFACE}/faces/{{view_id}}/img"),
+    ("GET", f"{COMPREFACE}/subjects"),
     ("GET", "/views"),
     ("GET", "/views/{view_id}"),
     ("GET", "/views/{view_id}/image"),
@@ -39,6 +46,13 @@ READ: tuple[tuple[str, str], ...] = (
 )
 WRITE: tuple[tuple[str, str], ...] = (
     ("POST", "/enroll"),
+    ("POST", f"{COMPREFACE}/faces"),
+    ("DELETE", f"{COMPREFACE}/faces"),
+    ("DELETE", f"{COMPREFACE}/faces/{{view_id}}"),
+    ("POST", f"{COMPREFACE}/subjects"),
+    ("PUT", f"{COMPREFACE}/subjects/{{subject}}"),
+    ("DELETE", f"{COMPREFACE}/subjects/{{subject}}"),
+    ("DELETE", f"{COMPREFACE}/subjects"),
     ("POST", "/maps/{map}/unknown/{place_id}"),
     ("DELETE", "/maps/{map}/unknown/{place_id}"),
     ("PATCH", "/views/{view_id}"),
