@@ -217,11 +217,14 @@ class KnownView:
         Where it was taken, if that was given.
     same_spot : frozenset of int
         Sequence numbers of views that show the same spot by the map's own comparison.
+    map : int
+        Which of the maps that are searched together; those of different maps are different places.
     """
 
     name: str | None = None
     position: Position = Position()
     same_spot: frozenset[int] = frozenset()
+    map: int = 0
 
 
 @dataclass(frozen=True)

@@ -65,9 +65,6 @@ from .wire_query import (
     MapAnswer as MapAnswer,
 )
 from .wire_query import (
-    MapReason as MapReason,
-)
-from .wire_query import (
     Match as Match,
 )
 from .wire_query import (

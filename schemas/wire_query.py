@@ -126,7 +126,7 @@ class Rival(Answer):
     )
 
 
-class MapReason(Answer):
+class Reason(Answer):
     """Why the status is what it is."""
 
     code: Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"] = Field(
@@ -136,11 +136,6 @@ class MapReason(Answer):
     )
     detail: str = Field(description="What was seen.")
     remedy: str = Field(description="What to do.")
-
-
-class Reason(MapReason):
-    """Why the status is what it is, and the rival."""
-
     rival: Rival | None = Field(None, description="With look-alike.")
 
 
@@ -196,7 +191,7 @@ class DriveFacts(Answer):
 
 
 class MapAnswer(Answer):
-    """What one of several maps says by itself."""
+    """One of several maps that were searched."""
 
     map: str
     revision: int
@@ -204,9 +199,7 @@ class MapAnswer(Answer):
     ranking: str = Field(description="Id of the ranking.")
     searched: int
     pending: int
-    status: Literal["matched", "ambiguous", "no_match"]
-    confidence: float = Field(description="Probability that the first place of this map is right.", ge=0, le=1)
-    reason: MapReason
+    probability: float = Field(description="That the image shows one of its places in `places`.", ge=0, le=1)
 
 
 class QueryAnswer(Answer):
@@ -225,7 +218,7 @@ class QueryAnswer(Answer):
     places: list[PlaceProbability] = Field(description="Best first; with `nowhere` their probabilities sum to 1.")
     nowhere: float = Field(description="Probability that the image shows none of the places.", ge=0, le=1)
     decision: DecisionFacts
-    maps: list[MapAnswer] | None = Field(None, description="With `maps`: what each says by itself.")
+    maps: list[MapAnswer] | None = Field(None, description="With `maps`: each of them.")
     drive: DriveFacts | None = Field(None, description="With `drive`: what its images say together.")
     matches: list[Match]
     estimate: Estimate | None

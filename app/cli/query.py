@@ -73,8 +73,8 @@ def told(answer: "QueryAnswer") -> str:
         of = "" if answer.maps is None else f"{rival.view.map}: "
         lines.append(f"rival: {of}{rival.view.place or rival.view.filename or rival.view.id}, score {rival.score:.3f}")
     if answer.maps is not None:
-        alone = [(one.map, one.status, one.confidence, one.searched) for one in answer.maps]
-        lines.append(table(("map by itself", "status", "confidence", "views"), alone))
+        maps = [(one.map, one.probability, one.searched) for one in answer.maps]
+        lines.append(table(("map", "probability", "views"), maps))
     if answer.matches:
         heads: tuple[str, ...] = ("rank", "place", "score", "confidence", "inliers", "position", "file", "view")
         if answer.maps is not None:

@@ -82,6 +82,7 @@ QUERY_ANSWER: dict[str, Any] = {
     "ranking": "97b1f2c0d3e4a586",
     "searched": 1730,
     "pending": 0,
+    "maps": None,
     "drive": None,
     "status": "matched",
     "confidence": 0.97,

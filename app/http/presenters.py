@@ -21,7 +21,7 @@ from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
 from worker.service.query import QueryResult
-from worker.service.results import MapResults, RankedResults, ScoredView
+from worker.service.results import Found, RankedResults, ScoredView, SearchedMap
 from worker.service.views import LabelledView
 
 
@@ -193,7 +193,8 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
     """The answer to a query."""
     results, decision = result.results, result.decision
     recipe = results.recipe.description
-    several = list(zip(result.maps, result.alone, result.joined.parts, strict=True))
+    first = results.first_map
+    several = [(one, of.results) for of in result.found for one in of.results.maps]
     return wire.QueryAnswer(
         query=wire.QueryFacts(
             id=result.id,
@@ -202,16 +203,16 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
             labels=label_shares(result.description.label_shares, recipe.labels),
             static_share=result.description.static_share,
         ),
-        map=result.leading.name,
-        revision=results.revision,
+        map=first.name,
+        revision=first.revision,
         recipe=recipe.id,
         ranking=results.recipe.ranking.id,
-        searched=sum(one.results.searched for one in result.maps),
-        pending=sum(one.results.pending for one in result.maps),
+        searched=sum(one.searched for one, _ in several),
+        pending=sum(one.pending for one, _ in several),
         status=decision.status,
         confidence=decision.confidence,
         reason=_reason(result),
-        places=_places(result),
+        places=(places := _places(result)),
         nowhere=result.joined.nowhere,
         decision=wire.DecisionFacts(
             precision=decision.precision,
@@ -221,7 +222,7 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
             wrong_gap=decision.levels.gap,
             views_compared=decision.levels.compared,
         ),
-        maps=[_map_answer(one, alone) for one, alone, _ in several] if len(several) > 1 else None,
+        maps=[_map_answer(one, of, places) for one, of in several] if len(several) > 1 else None,
         drive=None if result.driven is None else _drive(result.driven, results),
         matches=_matches(result),
         estimate=estimate(results, decision, result.top),
@@ -230,40 +231,38 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
 
 
 def _places(result: QueryResult) -> list[wire.PlaceProbability]:
-    """Places of all maps, likeliest first; those of one map in its own order."""
+    """All places, likeliest first; those that were ranked together in their own order."""
     places = []
-    for found, part in zip(result.maps, result.joined.parts, strict=True):
+    for found, part in zip(result.found, result.joined.parts, strict=True):
         bounds = accumulate((place.probability for place in part.places), min)
-        places += [(-bound, _place(place, found)) for bound, place in zip(bounds, part.places, strict=True)]
+        places += [(-bound, _place(place, found.results)) for bound, place in zip(bounds, part.places, strict=True)]
     return [place for _, place in sorted(places, key=itemgetter(0))]
 
 
 def _matches(result: QueryResult) -> list[wire.Match]:
-    """Views of all maps, by the probability of their places; those of one map in its own order."""
-    found = [
-        (confidence, scored, of)
-        for of, part in zip(result.maps, result.joined.parts, strict=True)
-        for scored, confidence in zip(of.results.views, part.confidences, strict=False)
+    """All views, by the probability of their places; those that were ranked together in their own order."""
+    views = [
+        (confidence, scored, found)
+        for found, part in zip(result.found, result.joined.parts, strict=True)
+        for scored, confidence in zip(found.results.views, part.confidences, strict=False)
     ]
-    found = sorted(found, key=lambda one: -one[0])[: result.top]
+    views = sorted(views, key=lambda one: -one[0])[: result.top]
     return [
-        match(rank, scored, confidence, of, result.id if result.explained and of is result.leading else None)
-        for rank, (confidence, scored, of) in enumerate(found, start=1)
+        match(rank, scored, confidence, found, result.id if result.explained and found is result.leading else None)
+        for rank, (confidence, scored, found) in enumerate(views, start=1)
     ]
 
 
-def _map_answer(found: MapResults, alone: Decision) -> wire.MapAnswer:
-    """What one of several maps says by itself."""
+def _map_answer(one: SearchedMap, of: RankedResults, places: Sequence[wire.PlaceProbability]) -> wire.MapAnswer:
+    """One of several maps."""
     return wire.MapAnswer(
-        map=found.name,
-        revision=found.results.revision,
-        recipe=found.results.recipe.description.id,
-        ranking=found.results.recipe.ranking.id,
-        searched=found.results.searched,
-        pending=found.results.pending,
-        status=alone.status,
-        confidence=alone.confidence,
-        reason=wire.MapReason(code=alone.reason.code, detail=alone.reason.detail, remedy=alone.reason.remedy),
+        map=one.name,
+        revision=one.revision,
+        recipe=of.recipe.description.id,
+        ranking=of.recipe.ranking.id,
+        searched=one.searched,
+        pending=one.pending,
+        probability=min(1.0, sum(place.probability for place in places if place.map == one.name)),
     )
 
 
@@ -271,7 +270,7 @@ def match(
     rank: int,
     found: ScoredView,
     confidence: float,
-    of: MapResults,
+    of: Found,
     explained: str | None,
 ) -> wire.Match:
     """One match; `explained` is the query's id when an explanation is kept, else None."""
@@ -296,10 +295,11 @@ def match(
 
 
 def _reason(result: QueryResult) -> wire.Reason:
-    reason, rival = result.decision.reason, result.rival
+    reason = result.decision.reason
     shown = None
-    if reason.code == "look-alike" and rival is not None:
-        labels = result.rival_map.results.recipe.description.labels
+    if reason.code == "look-alike" and result.rival is not None:
+        rival, results = result.rival
+        labels = results.recipe.description.labels
         differs = [wire.Difference.model_validate(region, from_attributes=True) for region in result.differs]
         shown = wire.Rival(
             view=view(rival.view, labels), score=rival.score, differs=differs if result.explained else None
@@ -307,11 +307,11 @@ def _reason(result: QueryResult) -> wire.Reason:
     return wire.Reason(code=reason.code, detail=reason.detail, remedy=reason.remedy, rival=shown)
 
 
-def _place(place: PlaceProbability, found: MapResults) -> wire.PlaceProbability:
-    scored = [found.results.views[i] for i in place.views]
+def _place(place: PlaceProbability, results: RankedResults) -> wire.PlaceProbability:
+    scored = [results.views[i] for i in place.views]
     attributes = scored[0].view.attributes
     return wire.PlaceProbability(
-        map=found.name,
+        map=scored[0].view.map,
         place=attributes.place,
         position=position(attributes.position),
         probability=place.probability,

@@ -136,9 +136,7 @@ def _first_views(
 
     first = {}
     for query, description in described.items():
-        runtime.services.searcher.search(
-            map_name, recipe.description, description, filters=Filters(), top=1, observe=observe
-        )
+        runtime.services.searcher.search({map_name: Filters()}, recipe.description, description, top=1, observe=observe)
         first[query] = seen[-1]
     return first
 

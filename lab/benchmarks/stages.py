@@ -203,7 +203,7 @@ def searching(runtime: Runtime, description: Description, views: int, repeats: i
 
     def search(observe: Observe) -> None:
         runtime.services.searcher.search(
-            "default", recipe, description, filters=Filters(), top=5, candidates=nearest, observe=observe
+            {"default": Filters()}, recipe, description, top=5, candidates=nearest, observe=observe
         )
 
     times = [stages_of(search) for _ in range(repeats)]

@@ -60,7 +60,7 @@ class ServiceRetriever:
         result = self.result(image, top)
         results = result.results
         plain = self.runtime.services.searcher.search(
-            self.map_name, results.recipe.description, result.description, filters=Filters(), top=top, candidates=0
+            {self.map_name: Filters()}, results.recipe.description, result.description, top=top, candidates=0
         )
         found = results.views[:top]
         return Answer(

@@ -1,4 +1,4 @@
-"""Decisions of several maps become one."""
+"""Decisions of several searches become one."""
 
 import pytest
 from hypothesis import given
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from schemas.records import MapLevels
 from worker.method.calibration import Verdict
 from worker.method.decision import EMPTY, SURE, Decision, PlaceProbability, Reason
-from worker.method.joining import Joined, join
+from worker.method.joining import Joined, join, pooled
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
 THRESHOLD, AMBIGUOUS = 0.9, 0.4
@@ -15,7 +15,7 @@ WEAK = Reason("weak", "nothing stands out", "enrol more")
 
 
 def said(*probabilities: float) -> Decision:
-    """What a map says whose places have these probabilities, best first."""
+    """What a search says whose places have these probabilities, best first."""
     if not probabilities:
         return Decision("no_match", 0.0, EMPTY, 0.97, THRESHOLD, LEVELS)
     best = probabilities[0]
@@ -103,3 +103,12 @@ def test_an_answer_is_never_surer_than_its_map_alone(several: list[Decision]) ->
     if joined.decision.status == "matched":
         assert alone.status == "matched"
     assert order.index(joined.decision.status) <= max(order.index(one.status) for one in several)
+
+
+def test_levels_of_several_maps_are_means_over_their_compared_views() -> None:
+    one, two = MapLevels(compared=30, level=0.2, gap=0.02, others=29), MapLevels(10, 0.6, 0.01, 9)
+    both = pooled([one, two])
+    assert (both.compared, both.others) == (40, 38)
+    assert (both.level, both.gap) == (pytest.approx(0.3), pytest.approx(0.0175))
+    assert pooled([one]) is one
+    assert pooled([MapLevels(), MapLevels()]) == MapLevels()

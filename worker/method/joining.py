@@ -1,22 +1,23 @@
-"""Joining: from the decisions of several maps about one image to one verdict over all of them.
+"""Joining: from the decisions of several searches about one image to one verdict over all of them.
 
-Each map says by itself how likely it is that the image shows one of its places, or none. Taken as evidence that does
-not depend on the other maps, the odds ``p / none`` of a place add up: over all maps
+Maps of one recipe are searched and ranked together, as one map. Those of different recipes have scores that cannot be
+compared, but each says how likely it is that the image shows one of its places, or none. Taken as evidence that does
+not depend on the other searches, the odds ``p / none`` of a place add up: over all searches
 
-    P(place k of map i) = (p_ik / none_i) / (1 + sum over maps j of (sum over places of p_j) / none_j).
+    P(place k of search i) = (p_ik / none_i) / (1 + sum over searches j of (sum over places of p_j) / none_j).
 
-The probabilities of all places and of none of them sum to 1. Another map can only lower that of a place: a house of
-three floors that look alike is not three times as sure.
+The probabilities of all places and of none of them sum to 1. Another search can only lower that of a place.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from schemas.records import MapLevels
 from worker.method.calibration import Verdict
 from worker.method.decision import Decision, PlaceProbability, Reason
 
 NEVER_SURE = 1e-6
-"""Probability that every map leaves for none of its places: two maps cannot both be certain."""
+"""Probability that every search leaves for none of its places: two cannot both be certain."""
 
 OTHER_MAP = Reason(
     "look-alike",
@@ -28,20 +29,20 @@ OTHER_MAP = Reason(
 
 @dataclass(frozen=True)
 class Joined:
-    """One decision over several maps.
+    """One decision over several searches.
 
     Parameters
     ----------
     parts : tuple of Decision
-        Of each map, with probabilities among the places of all maps; the rest as the map says by itself.
+        Of each search, with probabilities among the places of all; the rest as it says by itself.
     leading : int
-        Index of the map with the most probable place.
+        Index of the search with the most probable place.
     decision : Decision
-        That part, with the verdict on all maps and the reason for it.
+        That part, with the verdict on all searches and the reason for it.
     rival : int or None
-        Index of the map whose first place keeps that of the leading one from being matched.
+        Index of the search whose first place keeps that of the leading one from being matched.
     nowhere : float
-        Probability that the image shows no place of any map.
+        Probability that the image shows none of the places.
     """
 
     parts: tuple[Decision, ...]
@@ -52,12 +53,12 @@ class Joined:
 
 
 def join(decisions: Sequence[Decision]) -> Joined:
-    """One decision over the maps that made these, at least one.
+    """One decision over the searches that made these, at least one.
 
     Notes
     -----
-    An answer is `matched` where its joined probability reaches the threshold of its own map, `no_match` where each map
-    says that by itself, and else `ambiguous`.
+    An answer is `matched` where its joined probability reaches the threshold of its own search, `no_match` where each
+    search says that by itself, and else `ambiguous`.
     """
     if len(decisions) == 1:
         return Joined((decisions[0],), 0, decisions[0], None, decisions[0].nowhere)
@@ -75,6 +76,21 @@ def join(decisions: Sequence[Decision]) -> Joined:
     rivalled = alone.status == "matched" and status != "matched"
     decision = replace(first, status=status, reason=OTHER_MAP if rivalled else alone.reason)
     return Joined(parts, leading, decision, others[0] if rivalled else None, 1 / total)
+
+
+def pooled(levels: Sequence[MapLevels]) -> MapLevels:
+    """What wrong answers get in several maps taken together: means over their compared views."""
+    compared = sum(one.compared for one in levels)
+    if len(levels) == 1 or compared == 0:
+        return levels[0]
+    shares = [one.compared / compared for one in levels]
+    return MapLevels(
+        compared=compared,
+        level=sum(share * one.level for share, one in zip(shares, levels, strict=True)),
+        gap=sum(share * one.gap for share, one in zip(shares, levels, strict=True)),
+        others=sum(one.others for one in levels),
+        updated_at=max((one.updated_at for one in levels if one.updated_at is not None), default=None),
+    )
 
 
 def _scaled(decision: Decision, factor: float) -> Decision:

@@ -28,7 +28,8 @@ class Places:
     Notes
     -----
     Two views are of one place when they have the same name, or lie at most `same_place_m` apart, or the map's own
-    comparison says so and the user does not tell them apart: equal doors on two floors look like one spot. This is no
+    comparison says so and the user does not tell them apart: equal doors on two floors look like one spot. Views of
+    different maps that are searched together are never of one place. This is no
     equivalence: along a path each view shares a place with the next. A place is therefore always that of one view, the
     best.
     """
@@ -47,6 +48,8 @@ class Places:
     def same(self, one: int, other: int) -> bool:
         """Whether two views, by sequence number, are of one place."""
         a, b = self._known[one], self._known[other]
+        if a.map != b.map:
+            return False
         named = a.name is not None and b.name is not None
         gap = distance(a.position, b.position)
         if one == other or (named and a.name == b.name) or gap <= self._within:
@@ -55,15 +58,19 @@ class Places:
         return not told_apart and (other in a.same_spot or one in b.same_spot)
 
     def alike(self, one: int, other: int) -> bool:
-        """Whether two views are of one place, or of places that the map's own comparison takes for one."""
+        """Whether two views are of one place, or of places that the map's own comparison takes for one, or may take:
+        views of different maps have not been compared."""
         a, b = self._known[one], self._known[other]
-        return self.same(one, other) or other in a.same_spot or one in b.same_spot
+        return self.same(one, other) or a.map != b.map or other in a.same_spot or one in b.same_spot
 
     def apart(self, one: int, other: int) -> bool:
         """Whether two views are of different places and not neighbours either."""
         if self.same(one, other):
             return False
-        gap = distance(self._known[one].position, self._known[other].position)
+        a, b = self._known[one], self._known[other]
+        if a.map != b.map:  # positions of two maps lie in frames of their own
+            return True
+        gap = distance(a.position, b.position)
         return gap == inf or gap > NEIGHBOURHOOD * self._within
 
     def group(self, ranked: Sequence[int]) -> list[list[int]]:

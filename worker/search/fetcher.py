@@ -1,6 +1,7 @@
 """Reads candidates' descriptions from the store for `worker.method.cascade`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 from schemas.description import Appearance, Int8s, LocalFeatures
@@ -22,10 +23,19 @@ class Fetcher:
     comparisons : ComparisonReader
     recipe : str
         Id of the description recipe.
+    of_map : function, optional
+        Sequence number to which of several maps; None where one map is searched.
     """
 
-    def __init__(self, descriptions: DescriptionReader, comparisons: ComparisonReader, recipe: str) -> None:
+    def __init__(
+        self,
+        descriptions: DescriptionReader,
+        comparisons: ComparisonReader,
+        recipe: str,
+        of_map: Callable[[int], int] | None = None,
+    ) -> None:
         self._descriptions, self._comparisons, self._recipe = descriptions, comparisons, recipe
+        self._of_map = of_map
 
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
         """Cells at half size, graphs and extents."""
@@ -41,7 +51,10 @@ class Fetcher:
 
     def known(self, seqs: Sequence[int]) -> list[KnownView]:
         """Names, positions and the map's own comparisons."""
-        return _in_order(self._comparisons.known(seqs, self._recipe), seqs)
+        known = _in_order(self._comparisons.known(seqs, self._recipe), seqs)
+        if self._of_map is None:
+            return known
+        return [replace(one, map=self._of_map(seq)) for one, seq in zip(known, seqs, strict=True)]
 
 
 def _in_order(found: Mapping[int, T], seqs: Sequence[int]) -> list[T]:

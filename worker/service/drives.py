@@ -93,10 +93,10 @@ class Drives:
         recipe, now = results.recipe.description.id, self._now()
         with self._lock:
             kept = self._kept.pop(key, None)
-            fits = kept is not None and kept.recipe == recipe and kept.revision <= results.revision
+            fits = kept is not None and kept.recipe == recipe and kept.revision <= results.first_map.revision
             before = kept.drive if kept is not None and fits and now - kept.at <= timeout_s else Drive()
             after, together = follow(before, single)
-            self._kept[key] = _Kept(after, recipe, results.revision, now)
+            self._kept[key] = _Kept(after, recipe, results.first_map.revision, now)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         posterior = _by_place(

@@ -14,7 +14,6 @@ from schemas.errors import InvalidParameters, NotFound, RevisitError
 from schemas.image import Image
 from schemas.records import Filters
 from worker.description.describer import components
-from worker.description.scheduler import Timed
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide
 from worker.method.joining import Joined, join
@@ -23,7 +22,7 @@ from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.inbox import KeptQueries
 from worker.service.ports import Views
-from worker.service.results import MapResults, RankedResults, ScoredView
+from worker.service.results import Found, RankedResults, ScoredView
 from worker.service.searching import Searcher
 from worker.service.sheets import cells_of
 
@@ -48,22 +47,18 @@ class QueryResult:
         Of the query.
     image : Image
         The decoded query image.
-    maps : tuple of MapResults
-        Of each map that was searched, as asked for; the one with the first place is `leading`.
-    alone : tuple of Decision
-        What each map says by itself.
+    found : tuple of Found
+        Of all maps, those that were searched as one together; the one with the first place is `leading`.
     joined : Joined
         What they say together.
     decision : Decision
-        The verdict, the reason for it, and the probabilities of the leading map's places.
-    rival : ScoredView or None
-        Best view of another place than the first; of the map `rival_map`.
+        The verdict, the reason for it, and the probabilities of the leading maps' places.
     top : int
         How many views were wanted.
     differs : tuple of Region
         Where the first match and its rival differ, if the query is explained.
     explained : bool
-        Whether explanations of the leading map's views can be drawn.
+        Whether explanations of the leading maps' views can be drawn.
     driven : Driven or None
         What the images of its drive say together.
     timing_ms : mapping of stage to milliseconds
@@ -71,11 +66,9 @@ class QueryResult:
 
     id: str
     image: Image
-    maps: tuple[MapResults, ...]
-    alone: tuple[Decision, ...]
+    found: tuple[Found, ...]
     joined: Joined
     decision: Decision
-    rival: ScoredView | None
     top: int
     differs: tuple[Region, ...]
     explained: bool
@@ -83,24 +76,27 @@ class QueryResult:
     timing_ms: Mapping[str, float]
 
     @property
-    def leading(self) -> MapResults:
-        """The map with the first place."""
-        return self.maps[self.joined.leading]
-
-    @property
-    def rival_map(self) -> MapResults:
-        """The map of the rival."""
-        return self.leading if self.joined.rival is None else self.maps[self.joined.rival]
+    def leading(self) -> Found:
+        """What has the first place."""
+        return self.found[self.joined.leading]
 
     @property
     def results(self) -> RankedResults:
-        """Those of the leading map."""
+        """Those that have the first place."""
         return self.leading.results
 
     @property
     def description(self) -> Description:
-        """Of the query image, by the leading map's recipe."""
+        """Of the query image, by the recipe of the first place's map."""
         return self.leading.description
+
+    @property
+    def rival(self) -> tuple[ScoredView, RankedResults] | None:
+        """The best view of another place than the first, and the results that have it."""
+        if self.joined.rival is not None:
+            results = self.found[self.joined.rival].results
+            return results.views[0], results
+        return None if self.results.rival is None else (self.results.rival, self.results)
 
 
 class QueryService:
@@ -191,108 +187,97 @@ class QueryService:
             raise InvalidParameters.of("drive", "goes with one map")
         began = time.perf_counter()
         # Unknown maps and views are refused before any work is done.
-        describers = {name: self._searcher.describer(name) for name in maps}
-        parts = self._filters(filters or Filters(), maps)
+        for name in maps:
+            self._searcher.describer(name)
+        wanted = self._filters(filters or Filters(), maps)
         image = self._decode(data)
         decoded = time.perf_counter()
-        described: dict[str, Timed[Description]] = {}
-        found = [
-            self._searcher.describe_and_search(
-                image,
-                name,
-                describer,
-                described,
-                filters=part,
-                top=max(top, GROUPED if drive is None else DRIVEN),
-                candidates=candidates,
+        found, described = self._searcher.describe_and_search(
+            image, wanted, top=max(top, GROUPED if drive is None else DRIVEN), candidates=candidates
+        )
+        decisions = [
+            decide(
+                one.results.ranking,
+                one.results.levels,
+                one.results.calibration,
+                precision or one.results.recipe.ranking.precision,
+                searched=one.results.searched,
+                shown=top,
+                measured_alike=candidates != 0 or one.results.recipe.ranking.candidates == 0,
             )
-            for (name, describer), part in zip(describers.items(), parts, strict=True)
+            for one in found
         ]
-        alone = [self._decide(one.results, top, candidates, precision) for one in found]
         driven = None
         if drive is not None:
-            [one], [decision] = found, alone
-            results, decision, driven = self._drives.follow((one.name, drive), drive_timeout_s, one.results, decision)
-            found, alone = [replace(one, results=results)], [decision]
-        joined = join(alone)
+            [one], [decision] = found, decisions
+            results, decision, driven = self._drives.follow((maps[0], drive), drive_timeout_s, one.results, decision)
+            found, decisions = [replace(one, results=results)], [decision]
+        joined = join(decisions)
         leading, decision = found[joined.leading], joined.decision
-        rival = leading.results.rival if joined.rival is None else found[joined.rival].results.views[0]
         if decision.status != "matched":
             decision = blame_image(decision, self._problem(image, leading.description))
-        query_id = str(uuid7())
-        whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
-        if keep and whole and decision.status == "no_match" and decision.reason.code != "poor-picture":
-            for one in found:
-                self._keep_unknown(query_id if one is leading else str(uuid7()), one, data)
-        differs: tuple[Region, ...] = ()
-        if explain:
-            shown = replace(leading.results, views=leading.results.views[:top])
-            explained = Explained(self._shrink(image), leading.description, shown, headline(decision), rival)
-            self._explanations.keep(query_id, explained)
-            differs = self._differs(explained) if decision.reason.code == "look-alike" else ()
-        return QueryResult(
-            id=query_id,
+        result = QueryResult(
+            id=str(uuid7()),
             image=image,
-            maps=tuple(found),
-            alone=tuple(alone),
+            found=tuple(found),
             joined=joined,
             decision=decision,
-            rival=rival,
             top=top,
-            differs=differs,
+            differs=(),
             explained=explain,
             driven=driven,
             timing_ms={
                 "decode": (decoded - began) * 1000,
-                "queue": sum(one.queue_ms for one in described.values()),
-                "encode": sum(one.encode_ms for one in described.values()),
-                "describe": sum(one.finish_ms for one in described.values()),
+                "queue": sum(one.queue_ms for one in described),
+                "encode": sum(one.encode_ms for one in described),
+                "describe": sum(one.finish_ms for one in described),
                 **_sums([one.results.timing_ms for one in found]),
-                "total": (time.perf_counter() - began) * 1000,
             },
         )
+        whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
+        if keep and whole and decision.status == "no_match" and decision.reason.code != "poor-picture":
+            self._keep_unknown(result, data)
+        if explain:
+            result = replace(result, differs=self._explain(result))
+        return replace(result, timing_ms={**result.timing_ms, "total": (time.perf_counter() - began) * 1000})
 
-    @staticmethod
-    def _decide(results: RankedResults, top: int, candidates: int | None, precision: float | None) -> Decision:
-        ranking = results.recipe.ranking
-        return decide(
-            results.ranking,
-            results.levels,
-            results.calibration,
-            precision or ranking.precision,
-            searched=results.searched,
-            shown=top,
-            measured_alike=candidates != 0 or ranking.candidates == 0,
-        )
-
-    def _filters(self, filters: Filters, maps: Sequence[str]) -> list[Filters]:
+    def _filters(self, filters: Filters, maps: Sequence[str]) -> dict[str, Filters]:
         """The filters of each map, with those views to exclude that are its own; raises InvalidParameters."""
         if len(maps) == 1 or not filters.exclude:
-            return [filters] * len(maps)  # of one map the search itself refuses unknown views
-        of_map: dict[str, list[str]] = {name: [] for name in maps}
+            return dict.fromkeys(maps, filters)  # of one map the search itself refuses unknown views
+        own: dict[str, list[str]] = {name: [] for name in maps}
         unknown = []
         for view_id in filters.exclude:
             try:
-                of_map[self._views.get(view_id).map].append(view_id)
+                own[self._views.get(view_id).map].append(view_id)
             except (NotFound, KeyError):
                 unknown.append(view_id)
         if unknown:
             raise InvalidParameters.of("exclude", f"no map of these has the views {', '.join(unknown)}")
-        return [replace(filters, exclude=tuple(of_map[name])) for name in maps]
+        return {name: replace(filters, exclude=tuple(ids)) for name, ids in own.items()}
 
-    def _keep_unknown(self, query_id: str, found: MapResults, data: bytes) -> None:
-        """Keep a query that matched nothing, if its map says so.
+    def _keep_unknown(self, result: QueryResult, data: bytes) -> None:
+        """Keep a query that matched nothing in each map that keeps such queries.
 
         That it cannot be kept is logged, and its answer is given all the same.
         """
-        if not found.results.keep_queries:
-            return
+        keeping = [(one, of) for of in result.found for one in of.results.maps if one.keep_queries]
         try:
-            small = self._thumbnail(data, KEPT_SIZE)
-            recipe = found.results.recipe.description
-            self._kept.keep(found.name, query_id, recipe, found.description, small, datetime.now(UTC))
+            small = self._thumbnail(data, KEPT_SIZE) if keeping else b""
+            for number, (one, of) in enumerate(keeping):
+                kept_id = str(uuid7()) if number else result.id
+                recipe = of.results.recipe.description
+                self._kept.keep(one.name, kept_id, recipe, of.description, small, datetime.now(UTC))
         except RevisitError as error:
-            log.error("the query %s of map %s is not kept: %s", query_id, found.name, error.detail)
+            log.error("the query %s is not kept: %s", result.id, error.detail)
+
+    def _explain(self, result: QueryResult) -> tuple[Region, ...]:
+        """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""
+        shown = replace(result.results, views=result.results.views[: result.top])
+        rival = None if result.rival is None else result.rival[0]
+        explained = Explained(self._shrink(result.image), result.description, shown, headline(result.decision), rival)
+        self._explanations.keep(result.id, explained)
+        return self._differs(explained) if result.decision.reason.code == "look-alike" else ()
 
     def _problem(self, image: Image, description: Description) -> str | None:
         """What may keep the image from being recognised, in words; None when nothing is seen."""

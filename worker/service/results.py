@@ -17,9 +17,32 @@ class ScoredView(RankedCandidate):
     view: ViewRecord
 
 
+@dataclass(frozen=True)
+class SearchedMap:
+    """A map that was searched, at one revision.
+
+    Parameters
+    ----------
+    name : str
+    revision : int
+    searched : int
+        Number of views searched.
+    pending : int
+        Views that were acknowledged and not described yet when the search began.
+    keep_queries : int
+        How many queries that matched nothing the map keeps.
+    """
+
+    name: str
+    revision: int
+    searched: int
+    pending: int
+    keep_queries: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class RankedResults:
-    """Results of a search at one revision of the map and by one recipe.
+    """Results of a search of one map, or of several with one recipe as if they were one.
 
     Parameters
     ----------
@@ -30,47 +53,47 @@ class RankedResults:
     rival : ScoredView or None
         Best view of another place than the first one's.
     levels : MapLevels
-        Of the map.
-    pending : int
-        Views of the map that were acknowledged and not described yet when the search began.
-    revision : int
+        What wrong answers get in the maps.
+    maps : tuple of SearchedMap
+        As they were asked for.
     recipe : MapRecipe
     calibration : Calibration
-        Of the map's confidences.
-    searched : int
-        Number of views searched.
+        Of the maps' confidences.
     timing_ms : mapping of stage to milliseconds
         ``search``, ``rerank``, ``verify``.
-    keep_queries : int
-        How many queries that matched nothing the map keeps.
     """
 
     views: tuple[ScoredView, ...]
     ranking: Ranking
     rival: ScoredView | None
     levels: MapLevels
-    pending: int
-    revision: int
+    maps: tuple[SearchedMap, ...]
     recipe: MapRecipe
     calibration: Calibration
-    searched: int
     timing_ms: Mapping[str, float]
-    keep_queries: int = 0
+
+    @property
+    def searched(self) -> int:
+        """Number of views searched."""
+        return sum(one.searched for one in self.maps)
+
+    @property
+    def first_map(self) -> SearchedMap:
+        """The map of the first view, or the first map without one."""
+        name = self.views[0].view.map if self.views else self.maps[0].name
+        return next(one for one in self.maps if one.name == name)
 
 
 @dataclass(frozen=True, eq=False)
-class MapResults:
-    """What a map says of an image.
+class Found:
+    """What maps of one recipe say of an image.
 
     Parameters
     ----------
-    name : str
-        Of the map.
     description : Description
-        Of the image, by the map's recipe.
+        Of the image, by their recipe.
     results : RankedResults
     """
 
-    name: str
     description: Description
     results: RankedResults

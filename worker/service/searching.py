@@ -1,6 +1,6 @@
 """Searching: which views of a map are like an image, by the map's own recipe."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 
 import numpy as np
@@ -9,7 +9,7 @@ from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
-from schemas.records import Filters, MapLevels, MapRecord, Selection
+from schemas.records import Candidates, Filters, MapLevels, MapRecord, Selection
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -17,11 +17,13 @@ from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
+from worker.method.joining import pooled
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
+from worker.search.merging import merged
 from worker.search.ports import DescriptionReader
 from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
-from worker.service.results import MapResults, RankedResults, ScoredView
+from worker.service.results import Found, RankedResults, ScoredView, SearchedMap
 from worker.service.stopwatch import Stopwatch
 
 ROUNDS = 5
@@ -78,50 +80,79 @@ class Searcher:
         return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
 
     def describe_and_search(
-        self,
-        image: Image,
-        map_name: str,
-        describer: Describer,
-        described: dict[str, Timed[Description]],
-        *,
-        filters: Filters,
-        top: int,
-        candidates: int | None,
-    ) -> MapResults:
-        """Describe by the map's recipe and search; repeated when the map's recipe changes in between.
+        self, image: Image, maps: Mapping[str, Filters], *, top: int, candidates: int | None
+    ) -> tuple[list[Found], list[Timed[Description]]]:
+        """Describe an image by each recipe of some maps, and search; repeated when a recipe changes in between.
 
-        `described` has the image's descriptions by recipe; one that is missing is made and added.
+        Parameters
+        ----------
+        image : Image
+        maps, top, candidates
+            As for `search`; the maps may have different recipes.
+
+        Returns
+        -------
+        found : list of Found
+            Of maps with one recipe, ranking and calibration, in the order of the first of them.
+        described : list of Timed Description
+            One for each recipe.
         """
+        described: dict[str, Timed[Description]] = {}
         while True:
-            recipe = describer.recipe
-            if recipe.id not in described:
-                described[recipe.id] = self.describe(image, describer)
-            description = described[recipe.id].value
             try:
-                results = self.search(map_name, recipe, description, filters=filters, top=top, candidates=candidates)
-                return MapResults(map_name, description, results)
+                found = []
+                for together in self._alike(maps):
+                    describer = self.describer(next(iter(together)))
+                    recipe = describer.recipe
+                    if recipe.id not in described:
+                        described[recipe.id] = self.describe(image, describer)
+                    description = described[recipe.id].value
+                    results = self.search(together, recipe, description, top=top, candidates=candidates)
+                    found.append(Found(description, results))
+                return found, list(described.values())
             except RecipeChanged:
-                describer = self.describer(map_name)
+                continue
+
+    def _alike(self, maps: Mapping[str, Filters]) -> list[Mapping[str, Filters]]:
+        """Maps that can be searched as one: those whose scores and probabilities mean the same."""
+        if len(maps) == 1:
+            return [maps]
+        groups: dict[tuple[str, str, str | None], dict[str, Filters]] = {}
+        for name, filters in maps.items():
+            groups.setdefault(_kind(self._maps.get(name)), {})[name] = filters
+        return list(groups.values())
 
     def search(
         self,
-        map_name: str,
+        maps: Mapping[str, Filters],
         recipe: DescriptionRecipe,
         description: Description,
         *,
-        filters: Filters,
         top: int,
         candidates: int | None = None,
         observe: cascade.Observe = lambda stage, evidence: None,
     ) -> RankedResults:
-        """The `top` best views of a map for a description by `recipe`; `observe` is called after each stage.
+        """The best views of maps with one recipe for a description by it.
+
+        Parameters
+        ----------
+        maps : mapping of str to Filters
+            By their names.
+        recipe : DescriptionRecipe
+        description : Description
+        top : int
+            Number of views returned at most.
+        candidates : int, optional
+            Candidates of each channel that are re-ranked; None takes the maps' setting, 0 ranks by histograms alone.
+        observe : function
+            Called after each stage.
 
         Raises
         ------
         NotFound
             There is no such map.
         RecipeChanged
-            The map's recipe is no longer `recipe`.
+            A map's recipe is no longer `recipe`, or the maps are no longer of one kind.
         Unavailable
             Views that were found were deleted before they could be ranked, `ROUNDS` times.
         """
@@ -130,21 +161,25 @@ class Searcher:
         while rounds < ROUNDS:
             watch = Stopwatch(observe)
             # Counted first: a view described between the two reads is found and counted, never neither.
-            pending = self._queue.count_pending(map_name)
-            index, record = self._catalogue.index(map_name)
-            if record.description.id != recipe.id:
+            pending = [self._queue.count_pending(name) for name in maps]
+            indexes = [self._catalogue.index(name) for name in maps]
+            records = [record for _, record in indexes]
+            if records[0].description.id != recipe.id or len({_kind(record) for record in records}) > 1:
                 raise RecipeChanged
-            config = record.ranking
-            searched = config.searched if candidates is None else candidates
-            selection = without(self._listings.select(map_name, filters), gone)
-            found = index.search(description.vectors, max(top, searched), selection)
+            config = records[0].ranking
+            count = max(top, config.searched if candidates is None else candidates)
+            several = [
+                index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
+                for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
+            ]
+            found = merged(several, count)
             try:
                 ranked = cascade.rank(
                     description,
                     found,
                     recipe,
                     config,
-                    Fetcher(self._descriptions, self._comparisons, recipe.id),
+                    Fetcher(self._descriptions, self._comparisons, recipe.id, _map_of(several)),
                     top=top,
                     reranked=candidates,
                     product=self._product,
@@ -168,14 +203,14 @@ class Searcher:
                 views=tuple(scored[: len(ranked.first)]),
                 ranking=ranked,
                 rival=None if ranked.opposed is None else scored[-1],
-                levels=self._levels_of(record),
-                pending=pending,
-                revision=found.revision,
-                recipe=record.recipe,
-                calibration=self._calibration(record),
-                searched=found.searched,
+                levels=pooled([self._levels_of(record) for record in records]),
+                maps=tuple(
+                    SearchedMap(record.name, one.revision, one.searched, waiting, record.keep_queries)
+                    for record, one, waiting in zip(records, several, pending, strict=True)
+                ),
+                recipe=records[0].recipe,
+                calibration=self._calibration(records[0]),
                 timing_ms=watch.timing_ms(),
-                keep_queries=record.keep_queries,
             )
         raise Unavailable("the map is being emptied faster than it can be searched; query again", 1)
 
@@ -187,6 +222,19 @@ class Searcher:
             kept = (record.created_at, levels.revision), levels
             self._levels[record.name] = kept
         return kept[1]
+
+
+def _kind(record: MapRecord) -> tuple[str, str, str | None]:
+    """Maps in which this is the same are searched as one."""
+    return record.description.id, record.ranking.id, record.calibration
+
+
+def _map_of(several: Sequence[Candidates]) -> Callable[[int], int] | None:
+    """Which of several maps a candidate is of."""
+    if len(several) == 1:
+        return None
+    of_map = {int(seq): number for number, one in enumerate(several) for seq in one.seqs}
+    return of_map.__getitem__
 
 
 def without(selection: Selection, gone: frozenset[int]) -> Selection:

@@ -21,8 +21,6 @@ const TERMS = {
   verification: "geometry",
 };
 
-const VERDICTS = { matched: "recognised", ambiguous: "perhaps", no_match: "not recognised" };
-
 const nameOf = (view) => view.place ?? `view ${view.id.slice(-6)}`;
 
 /** What shows an answer: `short` and, below it, `long`. `photo`: URL of the query's image in this browser. */
@@ -79,8 +77,8 @@ function verdict(answer) {
     answer.maps &&
       facts(
         answer.maps.map((one) => [
-          `The map ${one.map} alone`,
-          `${VERDICTS[one.status]}, probability ${percent(one.confidence)}`,
+          `The map ${one.map}`,
+          `probability ${percent(one.probability)}, ${count(one.searched, "view")}`,
         ]),
       ),
   );

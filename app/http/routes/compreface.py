@@ -12,6 +12,7 @@ from app.http.curate import Curator
 from app.http.dependencies import Curates, MapName, Measures, Recognises, ViewId, no_parameters
 from app.http.openapi import answers_bytes, refusals, takes_json
 from app.http.recognise import Recogniser
+from app.http.routes import images
 from app.http.scopes import COMPREFACE
 from app.http.validation import validated
 from app.version import VERSION
@@ -26,8 +27,10 @@ PAGE = 500
 
 SubjectName = Annotated[str, Path(min_length=1, max_length=200, description="Name of the place.")]
 
+_NAME = {"type": "string", "minLength": 1, "maxLength": 200, "description": "Name of the place."}
+_FILE = "JPEG, PNG, WebP, BMP, TIFF or HEIC"
 _SUBJECT: dict[str, Any] = takes_json(
-    {"type": "object", "properties": {"subject": {"type": "string", "minLength": 1, "maxLength": 200}}},
+    {"type": "object", "properties": {"subject": _NAME}},
     required=True,
     example={"subject": "hall"},
 )
@@ -36,10 +39,16 @@ _IMAGE: dict[str, Any] = {
         "required": True,
         "content": {
             "multipart/form-data": {
-                "schema": {"type": "object", "properties": {"file": {"type": "string", "format": "binary"}}}
+                "schema": {
+                    "type": "object",
+                    "properties": {"file": {"type": "string", "format": "binary", "description": _FILE}},
+                }
             },
             "application/json": {
-                "schema": {"type": "object", "properties": {"file": {"type": "string", "description": "Base64."}}},
+                "schema": {
+                    "type": "object",
+                    "properties": {"file": {"type": "string", "description": f"{_FILE}, in base64."}},
+                },
                 "example": {"file": "/9j/4AAQ..."},
             },
         },
@@ -175,13 +184,15 @@ async def delete_example(name: MapName, view_id: ViewId, curator: Curates) -> sh
     "/faces/{view_id}/img",
     response_class=Response,
     dependencies=[no_parameters],
-    responses={**answers_bytes("image/*", description="The image, as enrolled."), **refusals("not-found", "damaged")},
+    responses={
+        **answers_bytes(*images.TYPES, description="The image, as `GET /views/{view_id}/image`.", etag=True),
+        **refusals("not-found"),
+    },
 )
-async def example_image(name: MapName, view_id: ViewId, curator: Curates) -> Response:
+async def example_image(name: MapName, view_id: ViewId, request: Request, curator: Curates) -> Response:
     """The image of one view."""
     await _view(curator, name, view_id)
-    data, media_type = await curator.image(view_id)
-    return Response(data, media_type=media_type)
+    return await images.image(view_id, request, curator)
 
 
 # recognition

@@ -17,7 +17,7 @@ from app.http.parameters import (
 
 router = APIRouter(tags=["images"])
 
-_TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff")
+TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff")
 _DRAWN = ("too-many-requests",)
 
 
@@ -33,7 +33,7 @@ def _responses(*types: str, description: str, drawn: bool = False) -> dict[int |
     response_class=Response,
     dependencies=[no_parameters],
     responses=_responses(
-        *_TYPES,
+        *TYPES,
         description="The enrolled image: its pixels, orientation and colour profile, without EXIF, position, comments "
         "and whatever lies behind it. One that has none of these comes byte for byte. HEIC comes as JPEG, upright.",
     ),
