@@ -194,7 +194,8 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
     results, decision = result.results, result.decision
     recipe = results.recipe.description
     first = results.first_map
-    several = [(one, of.results) for of in result.found for one in of.results.maps]
+    searched = {one.name: (one, of.results) for of in result.found for one in of.results.maps}
+    several = [searched[name] for name in result.names]
     return wire.QueryAnswer(
         query=wire.QueryFacts(
             id=result.id,

@@ -17,7 +17,7 @@ EVERYTHING = Selection(None, np.zeros(0, np.int64))
 
 def index(vectors: Floats, seqs: list[int]) -> FlatIndex:
     made = FlatIndex(SIZES, "recipe")
-    made.apply(Changes("recipe", 7, np.array(seqs, np.int64), vectors, np.zeros(0, np.int64)))
+    made.apply(Changes(7, "recipe", np.array(seqs, np.int64), vectors, np.zeros(0, np.int64)))
     return made
 
 
@@ -41,16 +41,16 @@ def facts(found: Candidates) -> list[tuple[int, Mapping[str, float], Mapping[str
 def test_several_maps_are_searched_as_one(views: list[tuple[int, list[int]]], query: list[int], count: int) -> None:
     """Whole numbers, so that many distances are equal."""
     vectors = np.array([vector for _, vector in views], np.float32).reshape(-1, 5)
-    asked = {"semantic": np.array(query[:3], np.float32), "detail": np.array(query[3:], np.float32)}
+    wanted = {"semantic": np.array(query[:3], np.float32), "detail": np.array(query[3:], np.float32)}
     owners = [owner for owner, _ in views]
     several = []
     for owner in range(3):
         mine = [seq for seq, of in enumerate(owners) if of == owner]
-        several.append(index(vectors[mine], mine).search(asked, count, EVERYTHING))
+        several.append(index(vectors[mine], mine).search(wanted, count, EVERYTHING))
 
     joint = merged(several, count)
 
-    assert facts(joint) == facts(index(vectors, list(range(len(views)))).search(asked, count, EVERYTHING))
+    assert facts(joint) == facts(index(vectors, list(range(len(views)))).search(wanted, count, EVERYTHING))
     assert joint.searched == len(views)
     assert len(set(joint.order.tolist())) == len(joint.order)
 

@@ -47,6 +47,8 @@ class QueryResult:
         Of the query.
     image : Image
         The decoded query image.
+    names : tuple of str
+        Of the maps, as they were given.
     found : tuple of Found
         Of all maps, those that were searched as one together; the one with the first place is `leading`.
     joined : Joined
@@ -66,6 +68,7 @@ class QueryResult:
 
     id: str
     image: Image
+    names: tuple[str, ...]
     found: tuple[Found, ...]
     joined: Joined
     decision: Decision
@@ -219,6 +222,7 @@ class QueryService:
         result = QueryResult(
             id=str(uuid7()),
             image=image,
+            names=maps,
             found=tuple(found),
             joined=joined,
             decision=decision,
