@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from schemas.records import Comparison, KnownView, Position
+from schemas.comparisons import Comparison, KnownView
+from schemas.records import Position
 
 Code = Literal["twins", "duplicates", "missing-directions", "single-view", "gap"]
 

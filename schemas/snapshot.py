@@ -93,7 +93,7 @@ class SnapshotView(Line):
 
 
 class SnapshotComparison(Line):
-    """What a view found in its own map: see `schemas.records.Comparison`."""
+    """What a view found in its own map: see `schemas.comparisons.Comparison`."""
 
     number: Count
     among: Count

@@ -57,7 +57,7 @@ class NamedPlace(Parameters):
 class Examples(Parameters):
     """Parameters of a list of examples."""
 
-    page: int = Field(0, ge=0, le=1_000_000, description="From 0.")
+    page: int = Field(0, ge=0, le=1_000_000, description="Number of the page, from 0.")
     size: int = Field(20, ge=1, le=500, description="Examples a page.")
     subject: PlaceName | None = Field(None, description="Only of this place.")
 

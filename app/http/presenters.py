@@ -21,7 +21,7 @@ from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
 from worker.service.query import QueryResult
-from worker.service.results import Found, RankedResults, ScoredView, SearchedMap
+from worker.service.results import RankedResults, ScoredView, SearchedMap, SearchOutcome
 from worker.service.views import LabelledView
 
 
@@ -271,7 +271,7 @@ def match(
     rank: int,
     found: ScoredView,
     confidence: float,
-    of: Found,
+    of: SearchOutcome,
     explained: str | None,
 ) -> wire.Match:
     """One match; `explained` is the query's id when an explanation is kept, else None."""

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from lab.datasets.dataset import Dataset
 from lab.scale.cache import Cache
+from schemas.comparisons import KnownView
 from schemas.description import Appearance, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe
-from schemas.records import KnownView
 
 Rows = npt.NDArray[np.int64]
 

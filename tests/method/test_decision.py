@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from schemas.records import KnownView, MapLevels
+from schemas.comparisons import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
 from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, floor, own_share
 from worker.method.evidence import Ranking

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.records import MapLevels
+from schemas.comparisons import MapLevels
 from worker.method.calibration import Verdict
 from worker.method.decision import EMPTY, SURE, Decision, PlaceProbability, Reason
 from worker.method.joining import Joined, join, pooled

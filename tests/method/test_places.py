@@ -2,7 +2,8 @@
 
 import pytest
 
-from schemas.records import KnownView, Position
+from schemas.comparisons import KnownView
+from schemas.records import Position
 from worker.method.places import Places
 
 

@@ -6,9 +6,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from schemas.comparisons import KnownView
 from schemas.description import DETAIL, SEMANTIC, Appearance, ContextGraph, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import CellGrid, Channel, DescriptionParameters, DescriptionRecipe, RankingConfig, TermWeights
-from schemas.records import Candidates, KnownView
+from schemas.records import Candidates
 from worker.method import dense_cells
 from worker.method.byte_vectors import quantise
 from worker.method.cascade import ViewGone, rank

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from schemas.records import Comparison, Filters, Position, ViewAttributes, ViewRecord
+from schemas.comparisons import Comparison
+from schemas.records import Filters, Position, ViewAttributes, ViewRecord
 from schemas.snapshot import SnapshotRecord
 from tests.storage.material import NOW, RECIPE, Follower, describe_all, enroll
 from worker.storage.store import SqlStore

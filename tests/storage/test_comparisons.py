@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from schemas.records import Comparison, KnownView, Position
+from schemas.comparisons import Comparison, KnownView
+from schemas.records import Position
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, recipe
 from worker.storage.store import SqlStore
 

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
+from schemas.comparisons import Comparison
 from schemas.errors import Conflict, NotFound
 from schemas.recipe import MapRecipe, RankingConfig
-from schemas.records import Comparison, Filters
+from schemas.records import Filters
 from tests.storage.conftest import Open
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, recipe
 from worker.storage.store import SqlStore

@@ -15,9 +15,10 @@ from typing import Protocol
 
 import numpy as np
 
+from schemas.comparisons import KnownView
 from schemas.description import DETAIL, Appearance, Description, Floats, Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import Candidates, KnownView
+from schemas.records import Candidates
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, shortlist, verification
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking

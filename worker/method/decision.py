@@ -5,7 +5,7 @@ little by itself. Two features say more, and mean the same in every map:
 
 - ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
   wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
-  out (`schemas.records.Comparison`).
+  out (`schemas.comparisons.Comparison`).
 - ``level``: by how much the score falls short of what wrong answers get in this map.
 """
 
@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from schemas.records import MapLevels
+from schemas.comparisons import MapLevels
 from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS

@@ -12,7 +12,7 @@ The probabilities of all places and of none of them sum to 1. Another search can
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from schemas.records import MapLevels
+from schemas.comparisons import MapLevels
 from worker.method.calibration import Verdict
 from worker.method.decision import Decision, PlaceProbability, Reason
 

@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from math import inf
 
-from schemas.records import KnownView, Position
+from schemas.comparisons import KnownView
+from schemas.records import Position
 from worker.method.estimate import distance
 
 NEIGHBOURHOOD = 4.0

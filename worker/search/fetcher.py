@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
+from schemas.comparisons import KnownView
 from schemas.description import Appearance, Int8s, LocalFeatures
-from schemas.records import KnownView
 from worker.method.cascade import ViewGone
 from worker.search.ports import ComparisonReader, DescriptionReader
 

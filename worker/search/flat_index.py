@@ -10,9 +10,7 @@ import numpy.typing as npt
 from schemas.description import Floats
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Changes, Selection, Sequence64
-
-DECIMALS = 6
-"""Distances are ranked after rounding to this many decimals, so that equal vectors keep their enrolment order."""
+from worker.search.merging import DECIMALS
 
 SPARE = 8
 """Extra neighbours searched beyond `count`, so that ties at the limit are broken by enrolment order."""

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from schemas.records import Candidates
-from worker.search.flat_index import DECIMALS
+
+DECIMALS = 6
+"""Distances are ranked after rounding to this many decimals, so that equal vectors keep their enrolment order."""
 
 
 def merged(several: Sequence[Candidates], count: int) -> Candidates:

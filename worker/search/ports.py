@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
+from schemas.comparisons import KnownView
 from schemas.description import Appearance, Floats, Int8s, LocalFeatures
-from schemas.records import Candidates, Changes, KnownView, MapRecord, Selection
+from schemas.records import Candidates, Changes, MapRecord, Selection
 
 
 class Index(Protocol):

@@ -7,9 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from schemas.comparisons import KnownView
 from schemas.errors import Conflict, InvalidParameters, NotFound, ParameterError, Unavailable
 from schemas.recipe import MapRecipe
-from schemas.records import Filters, KnownView, MapRecord, Position, Selection, ViewRecord
+from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration

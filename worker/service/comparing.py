@@ -9,11 +9,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from schemas.comparisons import Comparison
 from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.health import Uncompared
 from schemas.recipe import DescriptionRecipe, RankingConfig
-from schemas.records import Candidates, Comparison, Selection
+from schemas.records import Candidates, Selection
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone

@@ -11,9 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
+from schemas.comparisons import MapLevels
 from schemas.description import Appearance, Floats
 from schemas.health import CODES, HealthFinding, HealthReport, SurveyedView
-from schemas.records import MapLevels, MapRecord, Position
+from schemas.records import MapRecord, Position
 from worker.method import coverage
 from worker.method.calibration import Calibration
 from worker.method.estimate import is_known, metres

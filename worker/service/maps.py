@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
+from schemas.comparisons import MapLevels
 from schemas.recipe import DescriptionRecipe, MapRecipe
-from schemas.records import JobRecord, MapCounts, MapLevels, MapRecord, Meaning, Removal
+from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Removal
 from worker.description.describers import Describers
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, changed_ranking, make_recipe

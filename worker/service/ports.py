@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import Protocol
 
+from schemas.comparisons import MapLevels
 from schemas.description import Floats
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe, RankingConfig
@@ -14,7 +15,6 @@ from schemas.records import (
     JobRecord,
     JobState,
     MapCounts,
-    MapLevels,
     MapRecord,
     Position,
     Removal,

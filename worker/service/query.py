@@ -22,7 +22,7 @@ from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.inbox import KeptQueries
 from worker.service.ports import Views
-from worker.service.results import Found, RankedResults, ScoredView
+from worker.service.results import RankedResults, ScoredView, SearchOutcome
 from worker.service.searching import Searcher
 from worker.service.sheets import cells_of
 
@@ -49,7 +49,7 @@ class QueryResult:
         The decoded query image.
     names : tuple of str
         Of the maps, as they were given.
-    found : tuple of Found
+    found : tuple of SearchOutcome
         Of all maps, those that were searched as one together; the one with the first place is `leading`.
     joined : Joined
         What they say together.
@@ -69,7 +69,7 @@ class QueryResult:
     id: str
     image: Image
     names: tuple[str, ...]
-    found: tuple[Found, ...]
+    found: tuple[SearchOutcome, ...]
     joined: Joined
     decision: Decision
     top: int
@@ -79,7 +79,7 @@ class QueryResult:
     timing_ms: Mapping[str, float]
 
     @property
-    def leading(self) -> Found:
+    def leading(self) -> SearchOutcome:
         """What has the first place."""
         return self.found[self.joined.leading]
 

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from schemas.comparisons import MapLevels
 from schemas.description import Description
 from schemas.recipe import MapRecipe
-from schemas.records import MapLevels, ViewRecord
+from schemas.records import ViewRecord
 from worker.method.calibration import Calibration
 from worker.method.evidence import RankedCandidate, Ranking
 
@@ -85,7 +86,7 @@ class RankedResults:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchOutcome:
     """What maps of one recipe say of an image.
 
     Parameters

@@ -5,11 +5,12 @@ from datetime import datetime
 
 import numpy as np
 
+from schemas.comparisons import MapLevels
 from schemas.description import Description
 from schemas.errors import Unavailable
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
-from schemas.records import Candidates, Filters, MapLevels, MapRecord, Selection
+from schemas.records import Candidates, Filters, MapRecord, Selection
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
@@ -23,7 +24,7 @@ from worker.search.fetcher import Fetcher
 from worker.search.merging import merged
 from worker.search.ports import DescriptionReader
 from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
-from worker.service.results import Found, RankedResults, ScoredView, SearchedMap
+from worker.service.results import RankedResults, ScoredView, SearchedMap, SearchOutcome
 from worker.service.stopwatch import Stopwatch
 
 ROUNDS = 5
@@ -81,7 +82,7 @@ class Searcher:
 
     def describe_and_search(
         self, image: Image, maps: Mapping[str, Filters], *, top: int, candidates: int | None
-    ) -> tuple[list[Found], list[Timed[Description]]]:
+    ) -> tuple[list[SearchOutcome], list[Timed[Description]]]:
         """Describe an image by each recipe of some maps, and search; repeated when a recipe changes in between.
 
         Parameters
@@ -92,7 +93,7 @@ class Searcher:
 
         Returns
         -------
-        found : list of Found
+        found : list of SearchOutcome
             Of maps with one recipe, ranking and calibration, in the order of the first of them.
         described : list of Timed Description
             One for each recipe.
@@ -108,7 +109,7 @@ class Searcher:
                         described[recipe.id] = self.describe(image, describer)
                     description = described[recipe.id].value
                     results = self.search(together, recipe, description, top=top, candidates=candidates)
-                    found.append(Found(description, results))
+                    found.append(SearchOutcome(description, results))
                 return found, list(described.values())
             except RecipeChanged:
                 continue

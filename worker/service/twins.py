@@ -4,8 +4,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from schemas.comparisons import MapLevels
 from schemas.health import HealthFinding, SurveyedView
-from schemas.records import MapLevels
 from worker.method.calibration import Calibration
 from worker.method.decision import expected_levels, features, floor
 from worker.method.estimate import distance

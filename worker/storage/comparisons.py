@@ -8,8 +8,8 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from schemas.comparisons import Comparison, KnownView, MapLevels
 from schemas.health import SurveyedView, Uncompared
-from schemas.records import Comparison, KnownView, MapLevels
 from worker.storage import checksums, clock
 from worker.storage.part import Part
 from worker.storage.rows import attributes_of, batches, find_map, has_whole_attributes, log

@@ -156,7 +156,7 @@ APPEARANCES = _part_of_a_description("appearances")  # this and the following: s
 CELLS = _part_of_a_description("cells")
 KEYPOINTS = _part_of_a_description("keypoints")
 
-COMPARISONS = sa.Table(  # of a view with the other views of its map; see schemas.records.Comparison
+COMPARISONS = sa.Table(  # of a view with the other views of its map; see schemas.comparisons.Comparison
     "comparisons",
     METADATA,
     sa.Column("seq", sa.BigInteger, primary_key=True),
