@@ -1,6 +1,6 @@
 // The service: whether it is well, what is loaded, its queue, its figures, and the problems of this tab.
 
-import { call, key, recentProblems, send } from "./api.js";
+import { call, recentProblems, send, service } from "./api.js";
 import { count, facts, h, problemBox, size } from "./dom.js";
 import { jobList } from "./jobs.js";
 
@@ -69,7 +69,7 @@ async function shown(element, make) {
 }
 
 async function checks() {
-  const response = await fetch("/readyz", { headers: key.headers(), credentials: "omit" }); // 503 has the checks too
+  const response = await fetch("/readyz", { headers: service.headers(), credentials: "omit" }); // 503 has the checks too
   const { ready, checks: states, maps, age_s } = await response.json();
   const behind = Object.entries(maps).filter(([, one]) => one.state !== "ok");
   return h(

@@ -1,0 +1,122 @@
+// By client/typescript/generate.py, from 11bff0b686fa2294f72d974186975e8452a5e9fd37f0e5759fa782807bf40281
+// A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
+//
+//   const revisit = new Revisit("http://localhost:8000", { key: "rv_..." });
+//   const answer = await revisit.query(photo, { map: "campus" });
+//   if (answer.status === "matched") console.log(answer.places[0].place, answer.confidence);
+/** An error of the service (RFC 9457); `status` is 0 where there was no answer. */
+export class Problem extends Error {
+    status;
+    /** The last part of `type`, as docs/errors.md lists them. */
+    code;
+    title;
+    detail;
+    errors;
+    requestId;
+    /** Seconds after which to try again. */
+    retryAfter;
+    constructor(status, body, retryAfter = null) {
+        super(body.detail);
+        this.status = status;
+        this.code = (body.type ?? "").split(":").pop() ?? "";
+        this.title = body.title ?? "";
+        this.detail = body.detail ?? "";
+        this.errors = body.errors ?? [];
+        this.requestId = body.request_id ?? null;
+        this.retryAfter = retryAfter;
+    }
+    /** The problem that a response says; of one that says none, its status. */
+    static async of(response) {
+        const retry = Number(response.headers.get("Retry-After")) || null;
+        try {
+            return new Problem(response.status, (await response.json()), retry);
+        }
+        catch {
+            const detail = "the answer was no problem+json; is there a proxy between?";
+            return new Problem(response.status, { title: `Status ${response.status}`, detail }, retry);
+        }
+    }
+    /** That no answer came. */
+    static silence(detail = "the service cannot be reached; is it running?") {
+        return new Problem(0, { title: "No answer", detail });
+    }
+}
+/** A path with parameters; those that are null, undefined or "" are left out. */
+export function address(path, query = {}) {
+    const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
+    return given.length ? `${path}?${new URLSearchParams(given.map(([name, value]) => [name, String(value)]))}` : path;
+}
+/** A service. Every call rejects with a Problem, or as fetch does when its signal aborts it. */
+export class Revisit {
+    #url;
+    #settings;
+    /** `url`: where the service is, without a slash at the end; "" for that of the page. */
+    constructor(url = "", settings = {}) {
+        this.#url = url;
+        this.#settings = settings;
+    }
+    /** Headers that carry the key, if there is one. */
+    headers() {
+        const { key } = this.#settings;
+        const given = typeof key === "function" ? key() : key;
+        return given ? { "X-Api-Key": given } : {};
+    }
+    /** Which views of a map, or of several, show the place of this image? */
+    query(image, query = {}) {
+        return this.post("/query", { query, body: form(image) });
+    }
+    /** Enrol an image: 201 once it can be found, 202 where that will take longer. */
+    async enroll(image, query = {}) {
+        return (await this.send("POST", "/enroll", { query, body: form(image) })).json();
+    }
+    get(path, options) {
+        return this.#call("GET", path, options);
+    }
+    put(path, options) {
+        return this.#call("PUT", path, options);
+    }
+    post(path, options) {
+        return this.#call("POST", path, options);
+    }
+    patch(path, options) {
+        return this.#call("PATCH", path, options);
+    }
+    delete(path, options) {
+        return this.#call("DELETE", path, options);
+    }
+    /** Any request by its address, for images and files; gives the response once its headers are there. */
+    async send(method, path, options = {}) {
+        const { query = {}, json = null, type = json === null ? null : "application/json", signal = null } = options;
+        const headers = this.headers();
+        if (type !== null)
+            headers["Content-Type"] = type;
+        let response;
+        try {
+            response = await (this.#settings.fetch ?? fetch)(this.#url + address(path, query), {
+                method,
+                headers,
+                signal,
+                body: options.body ?? (json === null ? null : JSON.stringify(json)),
+                credentials: "omit",
+            });
+        }
+        catch (error) {
+            if (error instanceof DOMException && error.name === "AbortError")
+                throw error;
+            throw Problem.silence();
+        }
+        if (response.ok)
+            return response;
+        throw await Problem.of(response);
+    }
+    async #call(method, path, options = {}) {
+        const values = (options.path ?? {});
+        const filled = path.replace(/\{(\w+)\}/g, (_, name) => encodeURIComponent(String(values[name])));
+        return (await this.send(method, filled, options)).json();
+    }
+}
+function form(image) {
+    const sent = new FormData();
+    sent.append("image", image, "name" in image ? String(image.name) : "image");
+    return sent;
+}

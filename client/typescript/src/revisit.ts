@@ -1,0 +1,187 @@
+// A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
+//
+//   const revisit = new Revisit("http://localhost:8000", { key: "rv_..." });
+//   const answer = await revisit.query(photo, { map: "campus" });
+//   if (answer.status === "matched") console.log(answer.places[0].place, answer.confidence);
+
+import type { components, operations, paths } from "./openapi.js";
+
+export type Schemas = components["schemas"];
+export type View = Schemas["View"];
+export type Enrolled = Schemas["Enrolled"];
+export type QueryAnswer = Schemas["QueryAnswer"];
+export type EnrollParameters = Query<operations["enroll_enroll_post"]>;
+export type QueryParameters = Query<operations["query_query_post"]>;
+
+type Method = "get" | "put" | "post" | "patch" | "delete";
+type Operation<M extends Method, P extends keyof paths> = NonNullable<paths[P][M]>;
+type Metadata = { [name: `metadata.${string}`]: string | undefined };
+type Query<O> = O extends { parameters: { query?: infer Q } } ? NonNullable<Q> & Metadata : never;
+type InPath<O> = O extends { parameters: { path: infer I } } ? I : never;
+type Content<R> = R extends { content: { "application/json": infer J } } ? J : never;
+type Answer<O> = O extends { responses: infer R } ? Content<R[keyof R]> : never;
+
+/** Paths that have a method. */
+type PathWith<M extends Method> = { [P in keyof paths]: paths[P][M] extends object ? P : never }[keyof paths];
+
+/** What can be sent along; `path` has the values of the names in braces. */
+type Typed<O> = Omit<Options, "query"> & { query?: Query<O> } & ([InPath<O>] extends [never]
+    ? { path?: undefined }
+    : { path: InPath<O> });
+
+export interface Options {
+  /** Parameters of the URL; those that are null, undefined or "" are left out. */
+  query?: Record<string, unknown>;
+  /** Body of another kind than JSON: a form, a file. */
+  body?: BodyInit | null;
+  /** Body as JSON. */
+  json?: unknown;
+  /** Media type of the body; of JSON application/json, of a form what the browser makes of it. */
+  type?: string;
+  signal?: AbortSignal | null;
+}
+
+export interface Settings {
+  /** A key, or what gives it before each request; null for none. */
+  key?: string | (() => string | null);
+  /** Another fetch, for tests. */
+  fetch?: typeof fetch;
+}
+
+/** An error of the service (RFC 9457); `status` is 0 where there was no answer. */
+export class Problem extends Error {
+  readonly status: number;
+  /** The last part of `type`, as docs/errors.md lists them. */
+  readonly code: string;
+  readonly title: string;
+  readonly detail: string;
+  readonly errors: { parameter: string; detail: string }[];
+  readonly requestId: string | null;
+  /** Seconds after which to try again. */
+  readonly retryAfter: number | null;
+
+  constructor(status: number, body: Partial<Schemas["Problem"]>, retryAfter: number | null = null) {
+    super(body.detail);
+    this.status = status;
+    this.code = (body.type ?? "").split(":").pop() ?? "";
+    this.title = body.title ?? "";
+    this.detail = body.detail ?? "";
+    this.errors = body.errors ?? [];
+    this.requestId = body.request_id ?? null;
+    this.retryAfter = retryAfter;
+  }
+
+  /** The problem that a response says; of one that says none, its status. */
+  static async of(response: Response): Promise<Problem> {
+    const retry = Number(response.headers.get("Retry-After")) || null;
+    try {
+      return new Problem(response.status, (await response.json()) as Schemas["Problem"], retry);
+    } catch {
+      const detail = "the answer was no problem+json; is there a proxy between?";
+      return new Problem(response.status, { title: `Status ${response.status}`, detail }, retry);
+    }
+  }
+
+  /** That no answer came. */
+  static silence(detail = "the service cannot be reached; is it running?"): Problem {
+    return new Problem(0, { title: "No answer", detail });
+  }
+}
+
+/** A path with parameters; those that are null, undefined or "" are left out. */
+export function address(path: string, query: Record<string, unknown> = {}): string {
+  const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return given.length ? `${path}?${new URLSearchParams(given.map(([name, value]) => [name, String(value)]))}` : path;
+}
+
+/** A service. Every call rejects with a Problem, or as fetch does when its signal aborts it. */
+export class Revisit {
+  readonly #url: string;
+  readonly #settings: Settings;
+
+  /** `url`: where the service is, without a slash at the end; "" for that of the page. */
+  constructor(url = "", settings: Settings = {}) {
+    this.#url = url;
+    this.#settings = settings;
+  }
+
+  /** Headers that carry the key, if there is one. */
+  headers(): Record<string, string> {
+    const { key } = this.#settings;
+    const given = typeof key === "function" ? key() : key;
+    return given ? { "X-Api-Key": given } : {};
+  }
+
+  /** Which views of a map, or of several, show the place of this image? */
+  query(image: Blob, query: QueryParameters = {}): Promise<QueryAnswer> {
+    return this.post("/query", { query, body: form(image) });
+  }
+
+  /** Enrol an image: 201 once it can be found, 202 where that will take longer. */
+  async enroll(image: Blob, query: EnrollParameters = {}): Promise<Enrolled> {
+    return (await this.send("POST", "/enroll", { query, body: form(image) })).json() as Promise<Enrolled>;
+  }
+
+  get<P extends PathWith<"get">>(path: P, options?: Typed<Operation<"get", P>>): Promise<Answer<Operation<"get", P>>> {
+    return this.#call("GET", path, options);
+  }
+
+  put<P extends PathWith<"put">>(path: P, options: Typed<Operation<"put", P>>): Promise<Answer<Operation<"put", P>>> {
+    return this.#call("PUT", path, options);
+  }
+
+  post<P extends PathWith<"post">>(
+    path: P,
+    options: Typed<Operation<"post", P>>,
+  ): Promise<Answer<Operation<"post", P>>> {
+    return this.#call("POST", path, options);
+  }
+
+  patch<P extends PathWith<"patch">>(
+    path: P,
+    options: Typed<Operation<"patch", P>>,
+  ): Promise<Answer<Operation<"patch", P>>> {
+    return this.#call("PATCH", path, options);
+  }
+
+  delete<P extends PathWith<"delete">>(
+    path: P,
+    options: Typed<Operation<"delete", P>>,
+  ): Promise<Answer<Operation<"delete", P>>> {
+    return this.#call("DELETE", path, options);
+  }
+
+  /** Any request by its address, for images and files; gives the response once its headers are there. */
+  async send(method: string, path: string, options: Options = {}): Promise<Response> {
+    const { query = {}, json = null, type = json === null ? null : "application/json", signal = null } = options;
+    const headers = this.headers();
+    if (type !== null) headers["Content-Type"] = type;
+    let response: Response;
+    try {
+      response = await (this.#settings.fetch ?? fetch)(this.#url + address(path, query), {
+        method,
+        headers,
+        signal,
+        body: options.body ?? (json === null ? null : JSON.stringify(json)),
+        credentials: "omit",
+      });
+    } catch (error) {
+      if (error instanceof DOMException && error.name === "AbortError") throw error;
+      throw Problem.silence();
+    }
+    if (response.ok) return response;
+    throw await Problem.of(response);
+  }
+
+  async #call<T>(method: string, path: string, options: Options & { path?: unknown } = {}): Promise<T> {
+    const values = (options.path ?? {}) as Record<string, unknown>;
+    const filled = path.replace(/\{(\w+)\}/g, (_, name: string) => encodeURIComponent(String(values[name])));
+    return (await this.send(method, filled, options)).json() as Promise<T>;
+  }
+}
+
+function form(image: Blob): FormData {
+  const sent = new FormData();
+  sent.append("image", image, "name" in image ? String(image.name) : "image");
+  return sent;
+}
