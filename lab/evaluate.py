@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from lab.baselines.baseline import Baseline
+from lab.baselines.from_files import Descriptors, Ranked, named
 from lab.baselines.known import NAMES, PLAIN, Needs, baselines
 from lab.datasets import aligned, folder, kitti, pairs, pitts30k
 from lab.datasets.dataset import Dataset
@@ -147,6 +148,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset", action="append", help="preset to measure, may be repeated (default: default and paper)"
     )
     parser.add_argument("--baselines", default=",".join(PLAIN), help=f"comma-separated, of {', '.join(NAMES)}; or none")
+    parser.add_argument(
+        "--ranked",
+        action="append",
+        default=[],
+        metavar="NAME=FILE",
+        help="ranked lists of another method (text)",
+    )
+    parser.add_argument(
+        "--descriptors", action="append", default=[], metavar="NAME=FILE", help="descriptors of another method (npz)"
+    )
     parser.add_argument("--netvlad", type=Path, help="published weights for the baseline netvlad")
     parser.add_argument("--device", default="cpu", help="where networks run")
     parser.add_argument("--url", help="measure the service that runs there")
@@ -206,6 +217,7 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
     outcomes = []
     with services(options, connect) as (contenders, needs):
         rivals = baselines(names, needs, options.seed)
+        rivals += [*named(options.ranked, Ranked), *named(options.descriptors, Descriptors)]
         for dataset in datasets:
             with progress_bar(dataset.name) as progress:
                 outcome = run(

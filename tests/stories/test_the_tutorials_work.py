@@ -1,6 +1,7 @@
 """What the tutorials show is run as it stands there."""
 
 import csv
+import json
 import math
 import os
 import re
@@ -97,33 +98,68 @@ def furthest(found: Sequence[tuple[float, float]], true: Sequence[tuple[float, f
     return max(math.dist((x + shift[0], y + shift[1]), there) for (x, y), there in zip(found, true, strict=True))
 
 
-def test_an_operator_loses_a_disk_and_nothing_else(tmp_path: Path) -> None:
-    blocks = re.findall(r"```sh\n(.*?)```", (TUTORIALS / "operator.md").read_text(), re.DOTALL)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    (tmp_path / "revisit").write_text(f'#!/bin/sh\nexec {sys.executable} -m app.cli "$@"\n')
-    (tmp_path / "revisit").chmod(0o755)
-    (tmp_path / "photos").mkdir()
-    for number in range(6):
-        (tmp_path / "photos" / f"{number}.jpg").write_bytes(small_photo(number))
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
-    environment |= {"PYTHONPATH": f"{ROOT}:{ROOT / 'client'}", "REVISIT_ENCODER": "color", "REVISIT_PORT": port}
-    environment["REVISIT_URL"] = f"http://127.0.0.1:{port}"
-
+def shell(page: str, folder: Path, **environment: str) -> str:
+    """What the lines of a page for a shell print, all of them run in one folder."""
+    blocks = re.findall(r"```sh\n(.*?)```", (TUTORIALS / page).read_text(), re.DOTALL)
+    commands = folder / "commands"
+    commands.mkdir()
+    (folder / "revisit").write_text(f'#!/bin/sh\nexec {sys.executable} -m app.cli "$@"\n')
+    (commands / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    for program in (folder / "revisit", commands / "python"):
+        program.chmod(0o755)
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
+    clean |= {"PYTHONPATH": f"{ROOT}:{ROOT / 'client'}", "PATH": f"{commands}:{os.environ['PATH']}"}
+    port = environment.get("REVISIT_PORT", "8000")
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", "".join(blocks).replace("localhost:8000", f"localhost:{port}")],
-        cwd=tmp_path,
-        env=environment,
+        cwd=folder,
+        env=clean | environment,
         capture_output=True,
         text=True,
         check=False,
         timeout=180,
     )
-
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "6 enrolled, 0 already there, 0 failed" in done.stdout
-    assert "401" in done.stdout.splitlines()
-    assert 'revisit_views{map="campus",state="ready"} 6.0' in done.stdout
-    assert len(re.findall(r"\d\.jpg", done.stdout.rpartition("doctor")[2])) == 6
+    return done.stdout
+
+
+def test_an_operator_loses_a_disk_and_nothing_else(tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    (tmp_path / "photos").mkdir()
+    for number in range(6):
+        (tmp_path / "photos" / f"{number}.jpg").write_bytes(small_photo(number))
+
+    told = shell(
+        "operator.md",
+        tmp_path,
+        REVISIT_ENCODER="color",
+        REVISIT_PORT=port,
+        REVISIT_URL=f"http://127.0.0.1:{port}",
+    )
+
+    assert "6 enrolled, 0 already there, 0 failed" in told
+    assert "401" in told.splitlines()
+    assert 'revisit_views{map="campus",state="ready"} 6.0' in told
+    assert len(re.findall(r"\d\.jpg", told.rpartition("doctor")[2])) == 6
     assert (tmp_path / "robot-7.key").stat().st_mode & 0o077 == 0
+
+
+def test_a_researcher_measures_a_method_of_their_own(tmp_path: Path) -> None:
+    [program] = programs("researcher.md")
+    (tmp_path / "colours.py").write_text(program)
+
+    told = shell("researcher.md", tmp_path)
+
+    runs = {
+        name: json.loads((tmp_path / "runs" / name / "evaluation.json").read_text())[0]["methods"]
+        for name in ("evaluation", "mine", "perfect")
+    }
+    names = {name: [method["method"] for method in methods] for name, methods in runs.items()}
+    assert names["mine"] == ["random", "colour histogram"]
+    assert names["perfect"] == ["ground truth"]
+    assert names["evaluation"] == ["default", "default, histograms alone", "tiny image", "hog"]
+    assert runs["perfect"][0]["recall"][0]["value"] == 1
+    assert (tmp_path / "runs" / "evaluation" / "report.html").stat().st_size > 10_000
+    assert "query_folder,query_file" in told
