@@ -39,12 +39,13 @@ def test_enrolments_that_wait_are_answered_at_once_and_kept(tmp_path: Path) -> N
     """The only worker hangs: all wait. The stop wakes them, and what 202 acknowledged is there after it."""
     callers = 100
     with (
-        RunningService(tmp_path, False, **NO_WORKER, REVISIT_WAIT="600", REVISIT_LEASE_S="600") as service,
+        # The worker first: with so long a lease the service looks for workers at its start and then every two minutes.
         worker(tmp_path, REVISIT_LEASE_S="600") as describing,
+        RunningService(tmp_path, False, **NO_WORKER, REVISIT_WAIT="600", REVISIT_LEASE_S="600") as service,
         ThreadPoolExecutor(callers) as threads,
     ):
-        while httpx.post(f"{service.url}/enroll", content=image(callers), headers=JPEG, timeout=60).status_code != 201:
-            pass  # the service has not heard of the worker yet
+        first = httpx.post(f"{service.url}/enroll", content=image(callers), headers=JPEG, timeout=60)
+        assert first.status_code == 201, first.text
         describing.send_signal(signal.SIGSTOP)
 
         def enroll(seed: int) -> httpx.Response:
