@@ -250,6 +250,33 @@ class Views(Answer):
     next: str | None = Field(description="Cursor of the next page; null on the last.")
 
 
+class DroppedLabel(Answer):
+    """A label that would be dynamic."""
+
+    label: str
+    share: float = Field(description="Of the area of all views.", ge=0, le=1)
+    views: int = Field(description="That show it.")
+
+
+class DroppedView(Answer):
+    """A view, and how much of it would be left out at most."""
+
+    view: View
+    share: float = Field(ge=0, le=1)
+
+
+class DynamicPreview(Answer):
+    """What would be left out of a map's views if other labels were dynamic; shares are upper bounds."""
+
+    map: str
+    views: int = Field(description="That are described.")
+    before: float = Field(description="Mean share left out by the present labels.", ge=0, le=1)
+    after: float = Field(description="Mean share left out by these labels.", ge=0, le=1)
+    nothing_left: int = Field(description="Views that nothing would be left of: describing them would fail.")
+    labels: list[DroppedLabel]
+    most: list[DroppedView] = Field(description="Views that would lose most, most first.")
+
+
 class Place(Answer):
     """A user's own name for a spot, and its views."""
 

@@ -4,11 +4,11 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Verbs, job_progress, json_object, say, show, show_json, speaks, table
+from app.cli.console import DONE, Verbs, job_progress, json_object, say, show, show_json, speaks, table, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
-    from revisit_client.wire import Job
+    from revisit_client.wire import DynamicPreview, Job
 
 EXAMPLE = '{"candidates": 50}'
 
@@ -34,6 +34,7 @@ def add(verbs: Verbs) -> None:
     recipe.add_argument("--dynamic", metavar="LABEL,...", help="labels of things that move; empty: none")
     recipe.add_argument("--parameters", metavar="JSON", help="description parameters that differ from the preset's")
     recipe.add_argument("--ranking", metavar="JSON", help="ranking parameters that differ from the preset's")
+    recipe.add_argument("--preview", action="store_true", help="show what --dynamic would leave out, change nothing")
     _waits(recipe)
     recipe.set_defaults(run=run_recipe)
 
@@ -59,7 +60,11 @@ def run_recipe(arguments: argparse.Namespace) -> int:
     ranking = json_object("--ranking", arguments.ranking, EXAMPLE)
     labels, dynamic = _labels(arguments.labels), _labels(arguments.dynamic)
     describes = not (arguments.preset is None and labels is None and dynamic is None and parameters is None)
+    if arguments.preview and dynamic is None:
+        wrong_use("--preview needs --dynamic")
     with Revisit(arguments.url, key=arguments.key) as revisit:
+        if arguments.preview:
+            return _previewed(revisit.preview_dynamic(arguments.map, dynamic or ()), arguments)
         if describes:
             job = revisit.switch_recipe(
                 arguments.map,
@@ -77,6 +82,23 @@ def run_recipe(arguments: argparse.Namespace) -> int:
         show(f"map {facts.name}, preset {facts.ranking.get('preset')}")
         for title, fields in (("described by", facts.recipe), ("ranked by", facts.ranking)):
             show(f"\n{title}\n" + table(("parameter", "value"), list(_lines(fields))))
+    return DONE
+
+
+def _previewed(preview: "DynamicPreview", arguments: argparse.Namespace) -> int:
+    if arguments.json:
+        show_json(preview.model_dump(mode="json"))
+        return DONE
+    left_out = f"at most {preview.after:.1%} of their area would be left out, {preview.before:.1%} are now"
+    show(f"{preview.views} views; {left_out}")
+    if preview.nothing_left:
+        several = "s" * (preview.nothing_left != 1)
+        show(f"{preview.nothing_left} view{several} would have nothing left, and could not be described")
+    if preview.labels:
+        show(table(("label", "share", "views"), [(one.label, f"{one.share:.1%}", one.views) for one in preview.labels]))
+    if preview.most:
+        rows = [(one.view.filename or one.view.id, one.view.place, f"{one.share:.1%}") for one in preview.most]
+        show("\nthose that would lose most\n" + table(("view", "place", "share"), rows))
     return DONE
 
 

@@ -95,6 +95,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for group in (enroll, query):
         app.include_router(group.router)
+    app.include_router(maps.previews, dependencies=[once_each, documented_body])
     of_maps = (views, images, maps, imports, map_health, unknown, places, jobs, snapshots)
     for group in (localize, *of_maps, compreface, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])

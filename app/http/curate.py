@@ -1,7 +1,7 @@
 """Use-cases for views, images, maps and jobs: each runs in a thread, and its result becomes an answer."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Collection, Mapping
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -121,6 +121,11 @@ class Curator:
         page = partial(self._views.with_words, map_name, filters, words, cursor=cursor, limit=limit)
         views, following = await asyncio.to_thread(page)
         return wire.Views(views=[presenters.labelled_view(view) for view in views], next=following)
+
+    async def dynamic_preview(self, map_name: str, labels: Sequence[str], limit: int) -> wire.DynamicPreview:
+        """What would be left out of a map's views if these labels were dynamic."""
+        preview = await asyncio.to_thread(self._views.preview_dynamic, map_name, labels, limit)
+        return presenters.dynamic_preview(map_name, preview)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
         """Replace the attributes of a view by `change` of them; the store does both in one transaction."""

@@ -22,7 +22,7 @@ from worker.service.explanations import point
 from worker.service.maps import MapState
 from worker.service.query import QueryResult
 from worker.service.results import RankedResults, ScoredView, SearchedMap, SearchOutcome
-from worker.service.views import LabelledView
+from worker.service.views import DynamicPreview, LabelledView
 
 
 def position(position: Position) -> wire.Position | None:
@@ -175,6 +175,19 @@ def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
 def labelled_view(labelled: LabelledView) -> wire.View:
     """A view, with the labels of its map's recipe."""
     return view(labelled.record, labelled.labels)
+
+
+def dynamic_preview(map_name: str, preview: DynamicPreview) -> wire.DynamicPreview:
+    """What would be left out of a map's views."""
+    return wire.DynamicPreview(
+        map=map_name,
+        views=preview.views,
+        before=preview.before,
+        after=preview.after,
+        nothing_left=preview.nothing_left,
+        labels=[wire.DroppedLabel(label=name, share=share, views=views) for name, share, views in preview.labels],
+        most=[wire.DroppedView(view=labelled_view(one), share=share) for one, share in preview.most],
+    )
 
 
 def enrolled(outcome: Enrolled) -> wire.Enrolled:

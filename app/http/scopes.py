@@ -34,6 +34,7 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/maps"),
     ("GET", "/maps/{map}"),
     ("GET", "/maps/{map}/health"),
+    ("GET", "/maps/{map}/dynamic"),
     ("GET", "/maps/{map}/unknown"),
     ("GET", "/maps/{map}/unknown/{place_id}/image"),
     ("GET", "/places"),

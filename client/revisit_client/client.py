@@ -295,6 +295,11 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
 
+    def preview_dynamic(self, name: str, dynamic: Sequence[str], *, limit: int | None = None) -> wire.DynamicPreview:
+        """What `switch_recipe` with these dynamic labels would leave out of a map's views; shares are upper bounds."""
+        given = texts({"dynamic": ",".join(dynamic), "limit": limit})
+        return self._connection.receive(wire.DynamicPreview, "GET", f"/maps/{name}/dynamic", params=given)
+
     def change_ranking(self, name: str, **ranking: Any) -> wire.MapFacts:
         """Change fields of a map's ranking config, from the next query on; the others stay."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"ranking": ranking})

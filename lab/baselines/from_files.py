@@ -54,7 +54,7 @@ class Ranked:
             if i is not None and j is not None:
                 found[i, j] = min(found[i, j], number if distance is None else distance)
                 listed[i] += 1
-        missing = [str(queries[i]) for i in np.flatnonzero(listed == 0)]
+        missing = [str(image) for image, count in zip(queries, listed, strict=True) if not count]
         _refuse_missing(self.path, "lists nothing for", missing, len(queries))
         for _ in (*database, *queries):
             tick()
@@ -112,7 +112,7 @@ class Descriptors:
             if (found := place(name)) is not None:
                 rows[found] = row
                 tick()
-        missing = [str(images[i]) for i in np.flatnonzero(rows < 0)]
+        missing = [str(image) for image, row in zip(images, rows, strict=True) if row < 0]
         _refuse_missing(self.path, "has no descriptors of", missing, len(images))
         return descriptors[rows]
 

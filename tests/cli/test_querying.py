@@ -34,6 +34,21 @@ def test_a_known_place(service: FakeService, image: Path, capsys: Out) -> None:
     assert b"1.0,2.0,30.0" in service.requests[0][1]
 
 
+def test_several_maps_are_told_apart(service: FakeService, image: Path, capsys: Out) -> None:
+    facts = {"revision": 3, "recipe": "r", "ranking": "k", "searched": 3, "pending": 0}
+    maps = [{"map": "floor1", "probability": 0.02, **facts}, {"map": "default", "probability": 0.93, **facts}]
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match()) | {"maps": maps}
+
+    assert main(["query", str(image), "--maps", "floor1,default"]) == 0
+
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split() for line in lines[3:5]] == [["floor1", "0.020", "3"], ["default", "0.930", "3"]]
+    assert [line.split()[-1] for line in lines if "square" in line] == ["default"]
+    assert b"floor1,default" in service.requests[0][1]
+    with pytest.raises(SystemExit):
+        main(["query", str(image), "--maps", "a,b", "--map", "c"])
+
+
 def test_an_unknown_place_is_an_answer_too(service: FakeService, image: Path, capsys: Out) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(status="no_match")
 
@@ -200,6 +215,24 @@ def test_a_recipe_is_shown_or_switched_and_waited_for(service: FakeService, caps
     assert main(["recipe", "--preset", "paper", "--dynamic", "car, bus"]) == 0
     assert capsys.readouterr().out == "recipe of map default: done\n"
     assert json.loads(service.requests[2][1]) == {"preset": "paper", "dynamic": ["car", "bus"]}
+
+
+def test_dynamic_labels_are_tried_first(service: FakeService, capsys: Out) -> None:
+    most = [{"view": answers.view(filename="a.jpg"), "share": 0.4}]
+    labels = [{"label": "car", "share": 0.1, "views": 2}]
+    preview = {"map": "default", "views": 3, "before": 0.01, "after": 0.1, "nothing_left": 1}
+    service.replies["GET /maps/default/dynamic"] = 200, preview | {"labels": labels, "most": most}
+
+    assert main(["recipe", "--dynamic", "car", "--preview"]) == 0
+
+    text = capsys.readouterr().out
+    assert text.startswith("3 views; at most 10.0% of their area would be left out, 1.0% are now\n1 view would have")
+    assert "car" in text
+    assert "a.jpg" in text
+    assert [line for line, _ in service.requests] == ["GET /maps/default/dynamic?dynamic=car"]
+    assert main(["recipe", "--dynamic", "car", "--preview", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["nothing_left"] == 1
+    assert main(["recipe", "--preview"]) == 2
 
 
 def test_a_ranking_alone_changes_at_once(service: FakeService, capsys: Out) -> None:

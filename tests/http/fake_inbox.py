@@ -1,12 +1,17 @@
 """Unknown places of a runtime that keeps no queries."""
 
+from collections.abc import Sequence
+
 from schemas import wire
 from schemas.errors import NotFound
 from schemas.records import ViewAttributes
 
 
 class FakeInbox:
-    """No unknown place of any map but ``nowhere``, which does not exist."""
+    """No unknown place, and nothing to be left out, of any map but ``nowhere``, which does not exist."""
+
+    async def dynamic_preview(self, name: str, labels: Sequence[str], limit: int) -> wire.DynamicPreview:
+        return wire.DynamicPreview(map=name, views=0, before=0, after=0, nothing_left=0, labels=[], most=[])
 
     async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
         if name == "nowhere":

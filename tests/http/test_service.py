@@ -235,9 +235,8 @@ def test_every_route_refuses_repeated_parameters(client: CheckedClient) -> None:
             url = path.replace("{map}", "m") + "?no=such&no=such"
             answer = client.request(method, url, content=photo() if path in ("/enroll", "/query") else None)
             told = {f"{e['parameter']} {e['detail']}".partition(";")[0] for e in answer.json()["errors"]}
-            assert told - {"map is required", "subject is required"} == {"no was given 2 times", "no is unknown"}, (
-                f"{method} {path}"
-            )
+            told -= {one for one in told if one.endswith(" is required")}
+            assert told == {"no was given 2 times", "no is unknown"}, f"{method} {path}"
 
 
 def test_the_documentation_of_errors_is_the_table() -> None:

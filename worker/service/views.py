@@ -4,9 +4,12 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+import numpy as np
+
 from schemas.description import Floats
+from schemas.errors import Conflict, InvalidParameters
 from schemas.records import Filters, Position, Removal, ViewAttributes, ViewRecord
-from worker.method.label_terms import presence
+from worker.method.label_terms import dropped, presence
 from worker.service.label_search import terms_of
 from worker.service.ports import Listings, Maps, Removals, Views
 
@@ -17,6 +20,32 @@ class LabelledView:
 
     record: ViewRecord
     labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicPreview:
+    """What a map's descriptions would leave out if other labels were dynamic; shares are upper bounds, 0..1.
+
+    Parameters
+    ----------
+    views : int
+        Described views of the map.
+    before, after : float
+        Mean share that is left out, by the present and by the other labels.
+    nothing_left : int
+        Views that would be left without anything static, and could not be described.
+    labels : tuple of (label, mean share, number of views that show it)
+        The other labels.
+    most : tuple of (view, share)
+        Those that would lose most.
+    """
+
+    views: int
+    before: float
+    after: float
+    nothing_left: int
+    labels: tuple[tuple[str, float, int], ...]
+    most: tuple[tuple[LabelledView, float], ...]
 
 
 class ViewService:
@@ -69,6 +98,53 @@ class ViewService:
         records, following = self._views.ranked(map_name, filters, score, cursor=cursor, limit=limit)
         labels = self._maps.get(map_name).description.labels
         return [LabelledView(record, labels) for record in records], following
+
+    def preview_dynamic(self, map_name: str, wanted: Sequence[str], limit: int) -> DynamicPreview:
+        """What would be left out of the views of a map if these labels were dynamic, without describing anything.
+
+        Raises
+        ------
+        NotFound
+        InvalidParameters
+            A label is none of the map's.
+        """
+        recipe = self._maps.get(map_name).description
+        index = {label.casefold(): number for number, label in enumerate(recipe.labels)}
+        unknown = [label for label in wanted if label.casefold() not in index]
+        if unknown:
+            raise InvalidParameters.of(
+                "dynamic",
+                f"{', '.join(map(repr, unknown))}: no label of the map, whose labels are {', '.join(recipe.labels)}",
+            )
+        numbers = sorted({index[label.casefold()] for label in wanted})
+        present = [index[label.casefold()] for label in recipe.dynamic]
+        limit_share = recipe.parameters.dynamic.most
+        every = np.zeros((0, len(recipe.labels)), np.float32)
+
+        def score(labels: Sequence[str], shares: Floats) -> Floats:
+            nonlocal every
+            if tuple(labels) != recipe.labels:
+                raise Conflict(f"the labels of the map {map_name!r} were changed meanwhile; try again")
+            every = shares
+            return dropped(shares, numbers, limit_share)
+
+        records, _ = self._views.ranked(map_name, Filters(), score, limit=limit)
+        after = dropped(every, numbers, limit_share)
+        count = max(len(every), 1)
+        described = [(one, one.description.label_shares) for one in records if one.description is not None]
+        return DynamicPreview(
+            views=len(every),
+            before=float(dropped(every, present, limit_share).sum() / count),
+            after=float(after.sum() / count),
+            nothing_left=int((after == 1).sum()),
+            labels=tuple(
+                (recipe.labels[n], float(every[:, n].sum() / count), int((every[:, n] > 0).sum())) for n in numbers
+            ),
+            most=tuple(
+                (LabelledView(one, recipe.labels), float(dropped(shares[None], numbers, limit_share)[0]))
+                for one, shares in described
+            ),
+        )
 
     def change(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> LabelledView:
         """Replace a view's attributes in one transaction; raises NotFound, and what `change` raises."""

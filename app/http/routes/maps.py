@@ -1,29 +1,43 @@
 """`/maps`: make, show, change, re-describe and delete maps."""
 
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from app.http.body import LARGEST_JSON, json_object
 from app.http.dependencies import Curates, MapName, no_parameters
 from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
-from app.http.validation import validated
+from app.http.validation import Parameters, validated
 from schemas.errors import InvalidParameters
 from schemas.requests import PatchMap, PostCalibration, PutMap
-from schemas.wire import CalibrationReport, Deleted, Job, MapFacts, Maps
+from schemas.wire import CalibrationReport, Deleted, DynamicPreview, Job, MapFacts, Maps
 
 M = TypeVar("M", bound=BaseModel)
 
+previews = APIRouter(tags=["maps"])
 router = APIRouter(tags=["maps"], dependencies=[no_parameters])
 
 MOST_LABELS = 2 * 1024 * 1024
 """Bytes of the largest body with labelled queries: 5,000 take some 500 kB."""
 
 _STARTED: dict[str, Any] = {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}}
+
+
+class PreviewParameters(Parameters):
+    """Parameters of `GET /maps/{map}/dynamic`."""
+
+    dynamic: str = Field(
+        max_length=2000, description="Labels of the map, with commas between; empty: none.", examples=["car,person"]
+    )
+    limit: int = Field(10, ge=1, le=100, description="Views that would lose most, at most so many.")
+
+    def labels(self) -> tuple[str, ...]:
+        """The labels."""
+        return tuple(name.strip() for name in self.dynamic.split(",") if name.strip())
 
 
 async def _body(request: Request, model: type[M], largest: int = LARGEST_JSON) -> M:
@@ -99,6 +113,14 @@ async def delete_map(name: MapName, curator: Curates) -> Deleted:
 async def switch_recipe(name: MapName, request: Request, curator: Curates) -> Response:
     """Describe all views of a map by another recipe; until that is done, queries use the old one."""
     return _started(await curator.switch_recipe(name, await _body(request, PutMap)))
+
+
+@previews.get("/maps/{map}/dynamic", response_model=DynamicPreview, responses=refusals("not-found", "conflict"))
+async def preview_dynamic(
+    name: MapName, params: Annotated[PreviewParameters, Query()], curator: Curates
+) -> DynamicPreview:
+    """What other dynamic labels would leave out of the map's views; `POST /maps/{map}/recipe` describes them so."""
+    return await curator.dynamic_preview(name, params.labels(), params.limit)
 
 
 @router.post(
