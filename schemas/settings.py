@@ -1,5 +1,7 @@
 """Settings: environment variables ``REVISIT_*``, read once into a frozen object."""
 
+import base64
+import binascii
 import difflib
 import os
 import re
@@ -13,6 +15,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from schemas.errors import SetupError
 
 MEGA = 1_000_000
+
+SECRET_BYTES = 16
+"""Of the shortest secret that webhooks are signed with."""
 
 IMAGES_ADDRESS = (
     r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[A-Za-z0-9._-]+(?:/[A-Za-z0-9._-]+)*))?/?"
@@ -80,6 +85,13 @@ class Settings(BaseSettings):
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level of log lines.")
     slow_s: float = Field(5, gt=0, description="Seconds after which a request is logged as slow.")
     traces: bool = Field(False, description="Send OpenTelemetry traces, as the variables OTEL_* say.")
+    webhook: str | None = Field(None, description="Address that what queries found is sent to, as webhooks.")
+    webhook_secret: SecretStr | None = Field(
+        None, description="Secret that webhooks are signed with: `whsec_` and base64, or any text."
+    )
+    webhook_events: str = Field(
+        "matched,no_match,look-alike", description="What is sent, with commas between: matched, no_match, look-alike."
+    )
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
     key: SecretStr | None = Field(None, description="Key that the command line sends; a service does not read it.")
 
@@ -97,6 +109,38 @@ class Settings(BaseSettings):
             if origin != "*" and not re.fullmatch(_ORIGIN, origin):
                 raise ValueError(f"{origin!r} is no origin such as https://museum.example or http://localhost:5173")
         return text
+
+    @field_validator("webhook")
+    @classmethod
+    def _receiver(cls, text: str | None) -> str | None:
+        if text is not None and not re.fullmatch(r"https?://[^\s/?#@]+([/?][^\s#]*)?", text):
+            raise ValueError("is no address such as https://app.example/hooks/revisit")
+        return text
+
+    @field_validator("webhook_secret")
+    @classmethod
+    def _secret(cls, secret: SecretStr | None) -> SecretStr | None:
+        text = "" if secret is None else secret.get_secret_value()
+        try:
+            key = base64.b64decode(text.removeprefix("whsec_"), validate=True) if text.startswith("whsec_") else text
+        except binascii.Error:
+            raise ValueError("is no base64 after whsec_") from None
+        if secret is not None and len(key) < SECRET_BYTES:
+            raise ValueError(f"is too short: {SECRET_BYTES} bytes are needed")
+        return secret
+
+    @field_validator("webhook_events")
+    @classmethod
+    def _events(cls, text: str) -> str:
+        unknown = set(_listed(text)) - {"matched", "no_match", "look-alike"}
+        if unknown or not _listed(text):
+            raise ValueError("needs some of matched, no_match, look-alike, with commas between")
+        return text
+
+    @property
+    def webhook_kinds(self) -> tuple[str, ...]:
+        """Which events webhooks tell."""
+        return _listed(self.webhook_events)
 
     @property
     def cors_origins(self) -> tuple[str, ...]:
@@ -130,4 +174,6 @@ def read_settings(environment: Mapping[str, str] | None = None, **overrides: obj
     except ValidationError as error:
         first = error.errors()[0]
         name = f"REVISIT_{'_'.join(map(str, first['loc']))}".upper()
-        raise SetupError(f"{name}={first['input']!r}: {first['msg']}") from None
+        secret = "Secret" in str(Settings.model_fields[str(first["loc"][0])].annotation)
+        shown = "***" if secret else repr(first["input"])
+        raise SetupError(f"{name}={shown}: {first['msg']}") from None

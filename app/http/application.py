@@ -76,6 +76,8 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
             yield
         finally:
             await service.lifecycle.stop()
+            if service.webhooks is not None:
+                await asyncio.to_thread(service.webhooks.close)
             if tracer_provider is not None:  # sends what is left
                 await asyncio.to_thread(finish, tracer_provider)
 
@@ -93,6 +95,8 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     app.state.service = service
     app.state.metrics = metrics = Metrics()
     metrics.statistics.settings = service.settings
+    if service.webhooks is not None:
+        service.webhooks.on_outcome(metrics.webhook)
     for group in (enroll, query):
         app.include_router(group.router)
     app.include_router(maps.previews, dependencies=[once_each, documented_body])

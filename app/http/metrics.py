@@ -63,6 +63,9 @@ class Metrics:
             buckets=_SECONDS,
             registry=registry,
         )
+        self._webhooks = Counter(
+            "revisit_webhooks", "Webhooks, by what became of them.", ["outcome"], registry=registry
+        )
         self._verdicts = Counter(
             "revisit_query_verdicts", "Queries answered, by verdict.", ["status", "reason"], registry=registry
         )
@@ -104,6 +107,10 @@ class Metrics:
     def verdict(self, status: str, reason: str) -> None:
         """Count the answer to a query."""
         self._verdicts.labels(status, reason).inc()
+
+    def webhook(self, outcome: str) -> None:
+        """Count what became of a webhook."""
+        self._webhooks.labels(outcome).inc()
 
     def stages(self, operation: str, timing_ms: Mapping[str, float]) -> None:
         """Record the time of each stage of an answer, in ms."""

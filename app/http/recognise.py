@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import replace
@@ -33,13 +33,21 @@ class Recogniser:
         Most queries that may wait for the encoder; each waits in a thread of its own.
     wait_s : float
         Seconds that an enrolment waits at most for its description, all its images together.
+    tell : function
+        Called with the answer to each query.
     """
 
     def __init__(
-        self, enroll: EnrollService, query: QueryService, settlements: Settlements, queries: int, wait_s: float
+        self,
+        enroll: EnrollService,
+        query: QueryService,
+        settlements: Settlements,
+        queries: int,
+        wait_s: float,
+        tell: Callable[[wire.QueryAnswer], None] = lambda answer: None,
     ) -> None:
         self._enroll, self._query = enroll, query
-        self._settlements, self._wait_s = settlements, wait_s
+        self._settlements, self._wait_s, self._tell = settlements, wait_s, tell
         self._threads = ThreadPoolExecutor(queries + SEARCHING, "revisit-query")
 
     def drain(self) -> None:
@@ -133,4 +141,6 @@ class Recogniser:
             keep=keep,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)
-        return presenters.query_answer(result)
+        answer = presenters.query_answer(result)
+        self._tell(answer)
+        return answer

@@ -7,6 +7,7 @@ from app.http.curate import Curator
 from app.http.keys import Keys, NoKeys
 from app.http.lifecycle import Lifecycle
 from app.http.recognise import Recogniser
+from app.http.webhooks import Webhooks
 from schemas.settings import Settings
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ class Service:
     settings : Settings
     keys : Keys
         Who may call.
+    webhooks : Webhooks or None
+        Who is told what queries found.
     """
 
     recogniser: Recogniser
@@ -35,13 +38,16 @@ class Service:
     lifecycle: Lifecycle
     settings: Settings
     keys: Keys = field(default_factory=NoKeys)
+    webhooks: Webhooks | None = None
 
     @classmethod
     def of(cls, runtime: "Runtime") -> "Service":
         """The use-cases of a runtime."""
-        services = runtime.services
+        services, settings = runtime.services, runtime.settings
+        webhooks = Webhooks.of(settings)
+        tell = () if webhooks is None else (webhooks.tell,)
         recogniser = Recogniser(
-            services.enroll, services.query, runtime.settlements, runtime.settings.queries, runtime.settings.wait
+            services.enroll, services.query, runtime.settlements, settings.queries, settings.wait, *tell
         )
         lifecycle = Lifecycle(runtime)
         lifecycle.on_drain(recogniser.drain)
@@ -60,6 +66,7 @@ class Service:
                 services.imports,
             ),
             lifecycle,
-            runtime.settings,
+            settings,
             services.keys,
+            webhooks,
         )

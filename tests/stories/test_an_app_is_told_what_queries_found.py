@@ -1,0 +1,211 @@
+"""Webhooks: an app is told what a robot recognised, by messages that are signed, repeated and never delay a query."""
+
+import base64
+import hashlib
+import hmac
+import json
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.http import webhooks
+from app.http.examples import QUERY_ANSWER
+from app.http.webhooks import Webhooks, signature
+from schemas.errors import SetupError
+from schemas.settings import read_settings
+from schemas.wire import QueryAnswer
+from tests.sample_images import photo
+from tests.stories.running import RunningService
+
+JPEG = {"content-type": "image/jpeg"}
+SECRET = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
+SOON = (0.05, 0.05)
+EVERYTHING = ("matched", "no_match", "look-alike")
+
+
+@dataclass
+class Receiver:
+    """An app that is told; `statuses` are its first answers, then it answers 204."""
+
+    url: str
+    statuses: list[int] = field(default_factory=list)
+    messages: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
+
+    def bodies(self, count: int) -> list[dict[str, Any]]:
+        """The first messages, once so many have come."""
+        until = time.monotonic() + 20
+        while len(self.messages) < count:
+            assert time.monotonic() < until, self.messages
+            time.sleep(0.01)
+        return [json.loads(body) for _, body in self.messages]
+
+
+@contextmanager
+def receiving(*statuses: int) -> Iterator[Receiver]:
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["content-length"]))
+            got.messages.append(({name.lower(): value for name, value in self.headers.items()}, body))
+            self.send_response(got.statuses.pop(0) if got.statuses else 204)
+            self.send_header("content-length", "0")
+            self.end_headers()
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        got = Receiver(f"http://127.0.0.1:{server.server_port}/hook", list(statuses))
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            yield got
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def answer(query: str = "q1", **changes: Any) -> QueryAnswer:
+    return QueryAnswer.model_validate({**QUERY_ANSWER, "query": {**QUERY_ANSWER["query"], "id": query}, **changes})
+
+
+def look_alike(query: str) -> QueryAnswer:
+    view = QUERY_ANSWER["matches"][0]["view"]
+    rival = {"view": {**view, "id": "r1", "map": "floor2", "place": "lift"}, "score": 0.5, "differs": None}
+    reason = {"code": "look-alike", "detail": "as good", "remedy": "look", "rival": rival}
+    return answer(query, status="ambiguous", reason=reason)
+
+
+@contextmanager
+def telling(
+    url: str, kinds: tuple[str, ...] = ("matched", "no_match", "look-alike")
+) -> Iterator[tuple[Webhooks, list[str]]]:
+    made, outcomes = Webhooks(url, SECRET, kinds, SOON), list[str]()
+    made.on_outcome(outcomes.append)
+    try:
+        yield made, outcomes
+    finally:
+        made.close()
+
+
+def settled(outcomes: list[str], count: int) -> list[str]:
+    until = time.monotonic() + 20
+    while len(outcomes) < count:
+        assert time.monotonic() < until, outcomes
+        time.sleep(0.01)
+    return outcomes
+
+
+def test_the_signature_is_that_of_the_standard() -> None:
+    """The example of the specification's own libraries."""
+    said = signature(SECRET, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}')
+    assert said == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
+
+
+def test_a_query_is_told_and_can_be_verified(tmp_path: Path) -> None:
+    with (
+        receiving() as app,
+        RunningService(tmp_path, REVISIT_WEBHOOK=app.url, REVISIT_WEBHOOK_SECRET=SECRET) as service,
+        httpx.Client(base_url=service.url, timeout=30) as client,
+    ):
+        assert client.post("/enroll?map=town&place=gate", content=photo(), headers=JPEG).status_code == 201
+        found = client.post("/query?map=town", content=photo(), headers=JPEG).json()
+        assert client.get("/metrics").status_code == 200
+        [body] = app.bodies(1)
+        until = time.monotonic() + 10
+        while 'revisit_webhooks_total{outcome="delivered"} 1.0' not in client.get("/metrics").text:
+            assert time.monotonic() < until
+        assert service.stop() == 0
+    assert body["type"] == f"query.{'look-alike' if found['reason']['code'] == 'look-alike' else found['status']}"
+    told = body["data"]
+    assert (told["query"], told["map"], told["status"]) == (found["query"]["id"], "town", found["status"])
+    assert (told["place"], told["view"]) == ("gate", found["matches"][0]["view"]["id"])
+    headers, raw = app.messages[0]
+    assert headers["webhook-id"] == found["query"]["id"]
+    assert abs(int(headers["webhook-timestamp"]) - time.time()) < 60
+    signed = f"{headers['webhook-id']}.{headers['webhook-timestamp']}.".encode() + raw
+    key = base64.b64decode(SECRET.removeprefix("whsec_"))
+    digest = base64.b64encode(hmac.digest(key, signed, hashlib.sha256)).decode()
+    assert headers["webhook-signature"] == f"v1,{digest}"
+    assert SECRET not in "".join(service.output)
+
+
+def test_only_what_is_wanted_is_told() -> None:
+    with receiving() as app, telling(app.url, ("look-alike",)) as (hooks, _):
+        hooks.tell(answer("a"))
+        hooks.tell(answer("b", status="no_match"))
+        hooks.tell(answer("c", status="ambiguous", reason={"code": "weak", "detail": "", "remedy": "", "rival": None}))
+        hooks.tell(look_alike("d"))
+        [told] = app.bodies(1)
+    assert told["type"] == "query.look-alike"
+    assert told["data"]["rival"] == {"map": "floor2", "place": "lift", "view": "r1"}
+
+
+def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
+    with receiving(503, 429) as app, telling(app.url) as (hooks, outcomes):
+        hooks.tell(answer("first"))
+        hooks.tell(answer("second"))
+        assert settled(outcomes, 2) == ["delivered", "delivered"]
+        ids = [headers["webhook-id"] for headers, _ in app.messages]
+    assert sorted(ids) == ["first", "first", "second", "second"]
+    bodies: dict[str, set[bytes]] = {headers["webhook-id"]: set() for headers, _ in app.messages}
+    for headers, body in app.messages:
+        bodies[headers["webhook-id"]].add(body)
+    assert [len(of) for of in bodies.values()] == [1, 1]  # the same message each time
+
+
+@pytest.mark.parametrize(
+    ("statuses", "outcome", "attempts"), [((410,), "refused", 1), ((302,), "refused", 1), ((500,) * 3, "given_up", 3)]
+)
+def test_what_is_refused_or_never_taken_is_said(
+    statuses: tuple[int, ...], outcome: str, attempts: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING), receiving(*statuses) as app, telling(app.url) as (hooks, outcomes):
+        hooks.tell(answer("lost"))
+        assert settled(outcomes, 1) == [outcome]
+        assert len(app.messages) == attempts
+    assert f"webhook lost is lost: answered {statuses[-1]} to attempt {attempts}" in caplog.text
+
+
+def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(webhooks, "WAITING", 50)
+    hooks = Webhooks("http://127.0.0.1:9/", None, ("matched",))  # nobody listens there
+    outcomes: list[str] = []
+    hooks.on_outcome(outcomes.append)
+    began = time.monotonic()
+    for number in range(200):
+        hooks.tell(answer(str(number)))
+    assert time.monotonic() - began < 2
+    hooks.close(1)
+    assert time.monotonic() - began < 5
+    hooks.tell(answer("late"))
+    assert 195 <= len(outcomes) <= 200  # one may be on its way
+    assert set(outcomes) <= {"dropped", "given_up"}
+    assert "more than 50 wait" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("REVISIT_WEBHOOK", "app.example/hook"),
+        ("REVISIT_WEBHOOK", "https://key@app.example/hook"),
+        ("REVISIT_WEBHOOK_SECRET", "whsec_not base64 at all"),
+        ("REVISIT_WEBHOOK_SECRET", "too-short"),
+        ("REVISIT_WEBHOOK_EVENTS", "matched,found"),
+        ("REVISIT_WEBHOOK_EVENTS", ","),
+    ],
+)
+def test_settings_that_cannot_be_used_are_named_and_secrets_are_not_told(setting: str, value: str) -> None:
+    with pytest.raises(SetupError, match=setting) as refused:
+        read_settings({setting: value})
+    assert ("SECRET" not in setting) or value not in str(refused.value)
