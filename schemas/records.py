@@ -77,6 +77,7 @@ class MapRecord:
     created_at: datetime
     calibration: str | None = None
     keep_queries: int = 0  # at most, of those that matched nothing
+    refuse_poor: bool = False  # images that are dark, overexposed, covered or blurred
 
     @property
     def recipe(self) -> MapRecipe:

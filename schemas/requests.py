@@ -33,7 +33,7 @@ class PutMap(BaseModel):
 
 
 class PatchMap(BaseModel):
-    """Changes of a map that take effect at once: its ranking, or how many queries are kept."""
+    """Changes of a map that take effect at once: its ranking, how many queries are kept, which images are refused."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -44,6 +44,11 @@ class PatchMap(BaseModel):
         None,
         description="How many queries that matched nothing are kept at most, with a small image of each, for "
         "`GET /maps/{map}/unknown`; the oldest are dropped. 0 deletes those that are kept.",
+    )
+    refuse_poor: bool | None = Field(
+        None,
+        description="Refuse to enrol images that are dark, overexposed, covered or blurred, where a request does not "
+        "say otherwise.",
     )
 
 

@@ -231,6 +231,7 @@ class MapFacts(Answer):
     ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
     decision: MapDecision
     keep_queries: int = Field(0, description="How many queries that matched nothing are kept at most.")
+    refuse_poor: bool = Field(False, description="Whether poor images are refused, unless a request says otherwise.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None

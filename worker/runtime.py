@@ -368,6 +368,7 @@ def _services(
             jobs=store.jobs,
             limits=Limits.of(settings),
             default_recipe=default_recipe,
+            refuses_poor=store.maps.refuses_poor,
             wake=_nothing if loop is None else loop.wake_all,
         ),
         calibration=CalibrationService(

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
                 manifest=arguments.manifest,
                 exif=arguments.exif,
                 panorama=arguments.panorama,
-                refuse_poor=arguments.refuse_poor,
+                refuse_poor=arguments.refuse_poor or None,
                 every=arguments.every,
                 image_topic=arguments.image_topic,
                 pose_topic=arguments.pose_topic,

@@ -225,6 +225,10 @@ class Curator:
         """What a map lacks or suffers from: at most `limit` findings of each kind, or of the kind `code`."""
         return map_health(await asyncio.to_thread(self._health.of, name), code, limit)
 
+    async def refuse_poor(self, name: str, wanted: bool) -> wire.MapFacts:
+        """Refuse poor images of a map from now on, or no longer."""
+        return presenters.map_facts(await asyncio.to_thread(self._maps.refuse_poor, name, wanted))
+
     async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         """Keep at most `count` of a map's queries that matched nothing."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count))

@@ -26,8 +26,10 @@ class ImportParameters(Parameters):
     panorama: bool = Field(
         False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."
     )
-    refuse_poor: bool = Field(
-        False, description="Leave out images that are dark, overexposed, covered or blurred, as errors of their own."
+    refuse_poor: bool | None = Field(
+        None,
+        description="Leave out images that are dark, overexposed, covered or blurred, as errors of their own. Default: "
+        "the map's.",
     )
     image_topic: Topic = Field(None, description="Topic of the images, of a ROS 2 recording (MCAP) with several.")
     pose_topic: Topic = Field(None, description="Topic of the poses, of a ROS 2 recording (MCAP) with several.")

@@ -44,6 +44,17 @@ A service that has keys asks for one on every route but `/livez`, `/readyz`, `/v
 read, write or admin, each with those before it."""
 
 
+OF_IMAGES = (
+    "body-too-large",
+    "not-a-picture",
+    "undecodable-picture",
+    "picture-too-large",
+    "picture-too-small",
+    "nothing-static",
+)
+"""Problems of an image that was sent."""
+
+
 def refusals(*codes: str, always_open: bool = False) -> dict[int | str, Json]:
     """The `responses` of a route: these problems, and those of every route.
 

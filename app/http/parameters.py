@@ -100,10 +100,10 @@ class EnrollParameters(PositionParameters):
         description="File name to show, for an image that is the body, or instead of the name of its part. Folders and "
         "control characters are left out, and it is cut to 255 characters.",
     )
-    refuse_poor: bool = Field(
-        False,
-        description="Refuse an image that is dark, overexposed, covered or blurred; otherwise it is enrolled, and "
-        "`warnings` says so.",
+    refuse_poor: bool | None = Field(
+        None,
+        description="Refuse an image that is dark, overexposed, covered or blurred; false: enrol it, and say so in "
+        "`warnings`. Default: the map's.",
     )
     wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")
 

@@ -61,7 +61,7 @@ class Recogniser:
         attributes: ViewAttributes,
         wait: bool,
         *,
-        refuse_poor: bool,
+        refuse_poor: bool | None,
     ) -> list[wire.Enrolled | RevisitError]:
         """Keep images and describe them.
 
@@ -74,8 +74,8 @@ class Recogniser:
         wait : bool
             Whether to wait until the views are described, within a bound; otherwise, or where the queue says that this
             bound is too short, return once the images are durable.
-        refuse_poor : bool
-            Whether images that are dark, overexposed, covered or blurred are refused.
+        refuse_poor : bool or None
+            Whether images that are dark, overexposed, covered or blurred are refused; None: as the map says.
 
         Returns
         -------
@@ -91,7 +91,7 @@ class Recogniser:
         return [one if isinstance(one, RevisitError) else await self._outcome(one, wait, until) for one in accepted]
 
     async def _submit(
-        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool
+        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool | None
     ) -> Accepted | RevisitError:
         try:
             return await asyncio.to_thread(

@@ -102,7 +102,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         captured_at: Time | None = None,
         metadata: Mapping[str, Any] | None = None,
         filename: str | None = None,
-        refuse_poor: bool = False,
+        refuse_poor: bool | None = None,
         wait: bool = True,
         idempotency_key: str | None = None,
     ) -> wire.Enrolled:
@@ -127,8 +127,9 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
             Any JSON object; at most 16 KB, 8 levels.
         filename : str or None
             File name to show with the view; None: the last part of the path, none for bytes.
-        refuse_poor : bool
-            Refuse an image that is dark, overexposed, covered or blurred, instead of enrolling it with a warning.
+        refuse_poor : bool or None
+            Refuse an image that is dark, overexposed, covered or blurred, instead of enrolling it with a
+            warning. None: as the map says.
         wait : bool
             True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
         idempotency_key : str or None
@@ -136,7 +137,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         """
         attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
-        fields |= texts({"refuse_poor": refuse_poor or None})
+        fields |= texts({"refuse_poor": refuse_poor})
         # One key for all repetitions of this call: the service does the work once even when an answer is lost.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = named(image)

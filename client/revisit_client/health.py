@@ -17,6 +17,10 @@ class HealthCalls:
         params = texts({"code": code, "limit": limit})
         return self._connection.receive(wire.MapHealth, "GET", f"/maps/{name}/health", params=params)
 
+    def refuse_poor(self, name: str, wanted: bool = True) -> wire.MapFacts:
+        """Refuse to enrol images that are dark, overexposed, covered or blurred, or no longer."""
+        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"refuse_poor": wanted})
+
     def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         """Keep at most `count` queries of a map that matched nothing; 0 deletes those that are kept."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"keep_queries": count})

@@ -34,7 +34,7 @@ class JobCalls:
         manifest: str | os.PathLike[str] | None = None,
         exif: bool = False,
         panorama: bool = False,
-        refuse_poor: bool = False,
+        refuse_poor: bool | None = None,
         every: str | None = None,
         image_topic: str | None = None,
         pose_topic: str | None = None,
@@ -57,8 +57,9 @@ class JobCalls:
             Take place and time from the images where the manifest says nothing of them.
         panorama : bool
             Every image is an equirectangular panorama, and is enrolled as eight views.
-        refuse_poor : bool
-            Leave out images that are dark, overexposed, covered or blurred, as errors of their own.
+        refuse_poor : bool or None
+            Leave out images that are dark, overexposed, covered or blurred, as errors of their own. None: as the map
+            says.
         every : str or None
             Least time (``2s``, ``1min``) or way (``1m``: metres) from one image to the next. None: all images, and of
             a video one a second.
@@ -86,7 +87,7 @@ class JobCalls:
                 {
                     "exif": exif or None,
                     "panorama": panorama or None,
-                    "refuse_poor": refuse_poor or None,
+                    "refuse_poor": refuse_poor,
                     "every": every,
                     "image_topic": image_topic,
                     "pose_topic": pose_topic,

@@ -10,6 +10,15 @@ from schemas.records import ViewAttributes
 class FakeInbox:
     """No unknown place, and nothing to be left out, of any map but ``nowhere``, which does not exist."""
 
+    async def map(self, name: str) -> wire.MapFacts:
+        raise NotImplementedError
+
+    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"keep_queries": count})
+
+    async def refuse_poor(self, name: str, wanted: bool) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"refuse_poor": wanted})
+
     async def dynamic_preview(self, name: str, labels: Sequence[str], limit: int) -> wire.DynamicPreview:
         return wire.DynamicPreview(map=name, views=0, before=0, after=0, nothing_left=0, labels=[], most=[])
 

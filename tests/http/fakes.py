@@ -262,9 +262,6 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
         self.given = {"map": name, "code": code, "limit": limit}
         return wire.MapHealth.model_validate({**MAP_HEALTH, "map": name})
 
-    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"keep_queries": count})
-
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         if any(kept.map == name for kept in self.kept.values()):
             raise Conflict(f"the map {name!r} has views; POST /maps/{name}/recipe describes them anew")

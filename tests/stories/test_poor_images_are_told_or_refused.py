@@ -58,6 +58,29 @@ def test_a_poor_image_is_refused_on_request_and_leaves_nothing(client: httpx.Cli
     assert [one["type"] for one in some.json()["errors"]] == ["urn:revisit:problem:poor-picture"]
 
 
+def test_a_map_refuses_poor_images_where_nothing_else_is_said(client: httpx.Client) -> None:
+    assert client.put("/maps/gate", json={}).json()["refuse_poor"] is False
+    assert client.patch("/maps/gate", json={"refuse_poor": True}).json()["refuse_poor"] is True
+    assert client.get("/maps/gate").json()["refuse_poor"] is True
+    assert client.post("/enroll?map=gate", content=sharp(1), headers=JPEG).status_code == 201
+    refused = client.post("/enroll?map=gate", content=DARK, headers=JPEG)
+    assert (refused.status_code, refused.json()["type"]) == (422, "urn:revisit:problem:poor-picture")
+    compatible = client.post(
+        "/compat/compreface/gate/api/v1/recognition/faces?subject=a", files={"file": ("a.jpg", DARK)}
+    )
+    assert compatible.status_code == 422
+    answer = client.post("/maps/gate/imports", content=zipped({"0.jpg": sharp(2), "1.jpg": COVERED}), headers=ZIP)
+    result = ended(client, answer.json()["id"])["result"]
+    assert (result["enrolled"], result["failed"]) == (1, 1)
+    # Whoever sends one may still say otherwise.
+    assert client.post("/enroll?map=gate&refuse_poor=false", content=DARK, headers=JPEG).status_code == 201
+    assert client.patch("/maps/gate", json={"refuse_poor": False}).json()["refuse_poor"] is False
+    assert client.post("/enroll?map=gate", content=COVERED, headers=JPEG).json()["warnings"]
+    for wrong in ({"refuse_poor": "yes"}, {"refuse_poor": None}, {}):
+        assert client.patch("/maps/gate", json=wrong).status_code == 422
+    assert client.patch("/maps/nowhere", json={"refuse_poor": True}).status_code == 404
+
+
 @pytest.mark.parametrize(("refused", "counts"), [("false", (3, 0, 1)), ("true", (2, 1, 0))])
 def test_an_import_counts_poor_images_or_leaves_them_out(
     client: httpx.Client, refused: str, counts: tuple[int, ...]

@@ -127,7 +127,7 @@ class EnrollService:
         attributes: ViewAttributes,
         *,
         waits: bool = False,
-        refuse_poor: bool = False,
+        refuse_poor: bool | None = None,
     ) -> Accepted:
         """Store an image durably and queue its description.
 
@@ -138,8 +138,8 @@ class EnrollService:
         attributes : ViewAttributes
         waits : bool
             Whether the caller wants to wait for the description, which is refused when no worker is alive.
-        refuse_poor : bool
-            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled.
+        refuse_poor : bool, optional
+            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled; None: as the map says.
 
         Raises
         ------
@@ -149,7 +149,7 @@ class EnrollService:
         began = time.perf_counter()
         image = self._decode(data)
         problem = self._look_for_problem(image)
-        if problem is not None and refuse_poor:
+        if problem is not None and (self._maps.refuses_poor(map_name) if refuse_poor is None else refuse_poor):
             raise PoorImage(problem)
         decoded = time.perf_counter()
         waiting = self._queue.count_waiting()

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -64,6 +64,8 @@ class ImportService:
     limits : Limits
     default_recipe : MapRecipe
         Recipe of a map that an import creates.
+    refuses_poor : function
+        Whether a map refuses poor images.
     wake : function
         Called when a job was queued.
     """
@@ -75,10 +77,11 @@ class ImportService:
         jobs: ImportJobs,
         limits: Limits,
         default_recipe: MapRecipe,
+        refuses_poor: Callable[[str], bool],
         wake: Callable[[], None],
     ) -> None:
         self._uploads, self._jobs, self._limits = uploads, jobs, limits
-        self._default_recipe, self._wake = default_recipe, wake
+        self._default_recipe, self._refuses_poor, self._wake = default_recipe, refuses_poor, wake
 
     def receive(self, announced: int) -> Upload:
         """Begin to receive a recording of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
@@ -105,6 +108,8 @@ class ImportService:
         DiskFull, StorageFailed
         """
         job_id = str(uuid7())
+        if options.refuse_poor is None:
+            options = replace(options, refuse_poor=self._refuses_poor(name))
         self._uploads.keep(upload, job_id, asdict(options))
         try:
             job = self._jobs.queue_import(job_id, name, self._default_recipe, datetime.now(UTC))
@@ -201,7 +206,7 @@ class Importer:
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
                 exif = wanted_of_exif(items) if options.exif else frozenset()
-                _Run(self, claim, stopping, report, exif, options.refuse_poor).all(items)
+                _Run(self, claim, stopping, report, exif, bool(options.refuse_poor)).all(items)
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
         except _Stop:
             self._jobs.release_map_job(claim)

@@ -101,6 +101,10 @@ class MapService:
         """Keep at most `count` of a map's queries that matched nothing, 0 for none; raises NotFound."""
         return self._state(self._maps.keep_queries(name, count))
 
+    def refuse_poor(self, name: str, wanted: bool) -> MapState:
+        """Refuse images that are dark, overexposed, covered or blurred, or no longer; raises NotFound."""
+        return self._state(self._maps.set_refuse_poor(name, wanted))
+
     def delete(self, name: str) -> Removal:
         """Remove a map and all its views; raises NotFound."""
         imports = self._jobs.unfinished_imports(name)

@@ -45,6 +45,14 @@ class Maps(Protocol):
         """Keep at most `count` queries that matched nothing; raises NotFound."""
         ...
 
+    def refuses_poor(self, name: str) -> bool:
+        """Whether a map refuses poor images; False where there is no such map."""
+        ...
+
+    def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:
+        """Refuse poor images from now on, or no longer; raises NotFound."""
+        ...
+
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
         """Create a map, or replace the recipe of an empty one; raises Conflict when it has views and another recipe."""
         ...

@@ -129,6 +129,20 @@ class Maps(Part):
             drop_oldest(connection, row.id, count)
             return map_record(connection, find_map(connection, name))
 
+    def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:
+        """Refuse poor images of a map from now on, or no longer; raises NotFound."""
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(refuse_poor=wanted or None))
+            return map_record(connection, find_map(connection, name))
+
+    def refuses_poor(self, name: str) -> bool:
+        """Whether a map refuses poor images; False where there is no such map."""
+        try:
+            return self.get(name).refuse_poor
+        except NotFound:
+            return False
+
     def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:
         """Give a map a calibration of its own, as JSON, or the shipped one again (None), as of its next revision.
 

@@ -103,16 +103,17 @@ def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
 def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
     """A map from its row and its description recipe."""
     ranking, calibration, keep = ranking_of(row.ranking), row.calibration, row.keep_queries or 0
+    refuse_poor = bool(row.refuse_poor)
     if not checksums.is_whole(MAPS, row, row.checksum):
         calibration = None  # the shipped one is right for every map, if less sharp
-        keep = 0
+        keep, refuse_poor = 0, False
         log.error(
             "map %s: its stored settings do not fit their checksum; it is searched with %s, without a calibration of "
             "its own; `./revisit doctor` says more",
             row.name,
             ranking,
         )
-    return MapRecord(row.name, row.revision, recipe, ranking, row.created_at, calibration, keep)
+    return MapRecord(row.name, row.revision, recipe, ranking, row.created_at, calibration, keep, refuse_poor)
 
 
 @lru_cache(maxsize=64)

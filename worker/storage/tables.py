@@ -66,6 +66,7 @@ MAPS = sa.Table(
     sa.Column("created_at", UtcDateTime, nullable=False),
     sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
     sa.Column("keep_queries", sa.Integer),  # how many queries are kept at most; NULL: none
+    sa.Column("refuse_poor", sa.Boolean),  # whether poor images are refused; NULL: no
     _seal(),
     _unsealed("maps", "id"),
     sqlite_autoincrement=True,

@@ -1,4 +1,5 @@
-// Calls of the public API, by its client. The key lives in this tab's sessionStorage and goes nowhere but into the header.
+// Calls of the public API, by its client. The key lives in this tab's sessionStorage, and goes nowhere but into the
+// header.
 
 import { Problem, Revisit, address } from "./revisit.js";
 

@@ -1,7 +1,7 @@
-// By client/typescript/generate.py, from 11bff0b686fa2294f72d974186975e8452a5e9fd37f0e5759fa782807bf40281
+// By client/typescript/generate.py, from 777de16df4bd97d620901019edb0ba6fd36e88083eb4429d55ba9cbcb5ae0937
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
-//   const revisit = new Revisit("http://localhost:8000", { key: "rv_..." });
+//   const revisit = new Revisit(address, { key });
 //   const answer = await revisit.query(photo, { map: "campus" });
 //   if (answer.status === "matched") console.log(answer.places[0].place, answer.confidence);
 /** An error of the service (RFC 9457); `status` is 0 where there was no answer. */

@@ -69,7 +69,8 @@ async function shown(element, make) {
 }
 
 async function checks() {
-  const response = await fetch("/readyz", { headers: service.headers(), credentials: "omit" }); // 503 has the checks too
+  // 503 has the checks too
+  const response = await fetch("/readyz", { headers: service.headers(), credentials: "omit" });
   const { ready, checks: states, maps, age_s } = await response.json();
   const behind = Object.entries(maps).filter(([, one]) => one.state !== "ok");
   return h(

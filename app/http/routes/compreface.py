@@ -10,7 +10,7 @@ from app.http import compreface as shapes
 from app.http.body import json_object
 from app.http.curate import Curator
 from app.http.dependencies import Curates, MapName, Measures, Recognises, ViewId, no_parameters
-from app.http.openapi import answers_bytes, refusals, takes_json
+from app.http.openapi import OF_IMAGES, answers_bytes, refusals, takes_json
 from app.http.recognise import Recogniser
 from app.http.routes import images
 from app.http.scopes import COMPREFACE
@@ -54,16 +54,11 @@ _IMAGE: dict[str, Any] = {
         },
     }
 }
-_OF_IMAGES = (
+_QUERIED = (
     "no-picture",
     "malformed-body",
     "not-found",
-    "body-too-large",
-    "not-a-picture",
-    "undecodable-picture",
-    "picture-too-large",
-    "picture-too-small",
-    "nothing-static",
+    *OF_IMAGES,
     "too-many-requests",
 )
 
@@ -127,7 +122,9 @@ async def delete_subjects(name: MapName, curator: Curates) -> shapes.Count:
 # examples
 
 
-@router.post("/faces", status_code=201, openapi_extra=_IMAGE, responses=refusals(*_OF_IMAGES, "disk-full"))
+@router.post(
+    "/faces", status_code=201, openapi_extra=_IMAGE, responses=refusals(*_QUERIED, "poor-picture", "disk-full")
+)
 async def add_example(
     name: MapName,
     params: Annotated[shapes.Example, Query()],
@@ -138,7 +135,7 @@ async def add_example(
     """Enrol an image of a place."""
     image = await shapes.one_image(request)
     attributes = ViewAttributes(place=params.subject, position=Position())
-    [outcome] = await recogniser.enroll([image], name, attributes, True, refuse_poor=False)
+    [outcome] = await recogniser.enroll([image], name, attributes, True, refuse_poor=None)
     if isinstance(outcome, RevisitError):
         raise outcome
     metrics.stages("enroll", outcome.timing_ms)
@@ -198,7 +195,7 @@ async def example_image(name: MapName, view_id: ViewId, request: Request, curato
 # recognition
 
 
-@router.post("/recognize", openapi_extra=_IMAGE, responses=refusals(*_OF_IMAGES))
+@router.post("/recognize", openapi_extra=_IMAGE, responses=refusals(*_QUERIED))
 async def recognize(
     name: MapName,
     params: Annotated[shapes.Recognition, Query()],
@@ -210,7 +207,7 @@ async def recognize(
     return shapes.recognised(await _query(request, name, recogniser, metrics), params, VERSION)
 
 
-@router.post("/faces/{view_id}/verify", openapi_extra=_IMAGE, responses=refusals(*_OF_IMAGES))
+@router.post("/faces/{view_id}/verify", openapi_extra=_IMAGE, responses=refusals(*_QUERIED))
 async def verify(
     name: MapName,
     view_id: ViewId,

@@ -12,7 +12,7 @@ from app.http.examples import ENROLLED
 from app.http.idempotency import HEADER, fingerprint, key_of, once
 from app.http.keys import Accesses, check_map
 from app.http.notes import note, note_problem
-from app.http.openapi import refusals, takes_images
+from app.http.openapi import OF_IMAGES, refusals, takes_images
 from app.http.parameters import EnrollParameters
 from app.http.problems import KINDS, URN, code_of
 from app.http.rate_limits import charge_images
@@ -51,13 +51,8 @@ _ANY = Enrolled | EnrolledMany
             "no-picture",
             "malformed-body",
             "conflict",
-            "body-too-large",
-            "not-a-picture",
-            "undecodable-picture",
-            "picture-too-large",
-            "picture-too-small",
+            *OF_IMAGES,
             "poor-picture",
-            "nothing-static",
             "idempotency-key-reused",
             "too-many-requests",
             "disk-full",

@@ -13,7 +13,7 @@ from app.http.body import json_object
 from app.http.dependencies import Measures, Recognises
 from app.http.geopose import OSCP, OSCP_VERSION, GeoPoseRequest, oscp_answer, speaks_oscp
 from app.http.keys import Accesses, check_map
-from app.http.openapi import refusals, takes_json
+from app.http.openapi import OF_IMAGES, refusals, takes_json
 from app.http.parameters import LocalizeParameters
 from app.http.rate_limits import charge_images
 from app.http.validation import in_words
@@ -46,12 +46,7 @@ _REFUSALS = refusals(
     "not-found",
     "malformed-body",
     "bad-request",
-    "body-too-large",
-    "not-a-picture",
-    "undecodable-picture",
-    "picture-too-large",
-    "picture-too-small",
-    "nothing-static",
+    *OF_IMAGES,
     "too-many-requests",
 )
 _REFUSALS[404]["content"][OSCP] = {"schema": {"type": "object"}, "example": {"ERROR": "no place stands out"}}

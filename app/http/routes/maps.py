@@ -86,14 +86,16 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
     responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
 )
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
-    """Change the ranking of a map, or how many of its queries are kept, from the next query on."""
+    """Change the ranking of a map, how many of its queries are kept, or whether it refuses poor images."""
     changes = await _body(request, PatchMap)
-    if changes.ranking is None and changes.keep_queries is None:
-        raise InvalidParameters.of("ranking", "is missing: ranking, keep_queries or both are needed")
+    if changes.ranking is None and changes.keep_queries is None and changes.refuse_poor is None:
+        raise InvalidParameters.of("ranking", "is missing: some of ranking, keep_queries and refuse_poor are needed")
     if changes.ranking is not None:  # first: it may be refused
         facts = await curator.change_ranking(name, changes.ranking)
     if changes.keep_queries is not None:
         facts = await curator.keep_queries(name, changes.keep_queries)
+    if changes.refuse_poor is not None:
+        facts = await curator.refuse_poor(name, changes.refuse_poor)
     return facts
 
 

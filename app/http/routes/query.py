@@ -10,7 +10,7 @@ from app.http.dependencies import Measures, Recognises
 from app.http.examples import QUERY_ANSWER
 from app.http.geopose import OGC, basic_ypr, wants_geopose
 from app.http.keys import Accesses, check_map
-from app.http.openapi import refusals, takes_images
+from app.http.openapi import OF_IMAGES, refusals, takes_images
 from app.http.parameters import QueryParameters
 from app.http.rate_limits import charge_images
 from app.http.validation import read
@@ -31,12 +31,7 @@ router = APIRouter(tags=["enrol and query"])
             "malformed-body",
             "not-found",
             "no-pose",
-            "body-too-large",
-            "not-a-picture",
-            "undecodable-picture",
-            "picture-too-large",
-            "picture-too-small",
-            "nothing-static",
+            *OF_IMAGES,
             "too-many-requests",
         ),
     },

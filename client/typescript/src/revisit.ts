@@ -1,6 +1,6 @@
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
-//   const revisit = new Revisit("http://localhost:8000", { key: "rv_..." });
+//   const revisit = new Revisit(address, { key });
 //   const answer = await revisit.query(photo, { map: "campus" });
 //   if (answer.status === "matched") console.log(answer.places[0].place, answer.confidence);
 
