@@ -190,13 +190,12 @@ class QueryService:
             raise InvalidParameters.of("drive", "goes with one map")
         began = time.perf_counter()
         # Unknown maps and views are refused before any work is done.
-        for name in maps:
-            self._searcher.describer(name)
+        describers = {name: self._searcher.describer(name) for name in maps}
         wanted = self._filters(filters or Filters(), maps)
         image = self._decode(data)
         decoded = time.perf_counter()
         found, described = self._searcher.describe_and_search(
-            image, wanted, top=max(top, GROUPED if drive is None else DRIVEN), candidates=candidates
+            image, wanted, describers, top=max(top, GROUPED if drive is None else DRIVEN), candidates=candidates
         )
         decisions = [
             decide(

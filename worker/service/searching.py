@@ -81,7 +81,13 @@ class Searcher:
         return self._scheduler.submit(image, describer.describe, urgent=True, parallel=describer.keypoints).result()
 
     def describe_and_search(
-        self, image: Image, maps: Mapping[str, Filters], *, top: int, candidates: int | None
+        self,
+        image: Image,
+        maps: Mapping[str, Filters],
+        describers: Mapping[str, Describer],
+        *,
+        top: int,
+        candidates: int | None,
     ) -> tuple[list[SearchOutcome], list[Timed[Description]]]:
         """Describe an image by each recipe of some maps, and search; repeated when a recipe changes in between.
 
@@ -90,6 +96,8 @@ class Searcher:
         image : Image
         maps, top, candidates
             As for `search`; the maps may have different recipes.
+        describers : mapping of str to Describer
+            By the names of the maps, as `describer` gave them.
 
         Returns
         -------
@@ -103,7 +111,7 @@ class Searcher:
             try:
                 found = []
                 for together in self._alike(maps):
-                    describer = self.describer(next(iter(together)))
+                    describer = describers[next(iter(together))]
                     recipe = describer.recipe
                     if recipe.id not in described:
                         described[recipe.id] = self.describe(image, describer)
@@ -112,7 +120,7 @@ class Searcher:
                     found.append(SearchOutcome(description, results))
                 return found, list(described.values())
             except RecipeChanged:
-                continue
+                describers = {name: self.describer(name) for name in maps}
 
     def _alike(self, maps: Mapping[str, Filters]) -> list[Mapping[str, Filters]]:
         """Maps that can be searched as one: those whose scores and probabilities mean the same."""

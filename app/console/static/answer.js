@@ -171,7 +171,7 @@ function evidence(answer, match, photo) {
       h(
         "div",
         {},
-        h("h3", {}, `The rival: ${nameOf(rival.view)}`),
+        h("h3", {}, `The rival: ${nameOf(rival.view)}${answer.maps ? ` of ${rival.view.map}` : ""}`),
         h("p", {}, `It scores ${decimals(rival.score)}, the first ${decimals(match.score)}.`),
         differences(answer.query, rival, photo),
       ),
