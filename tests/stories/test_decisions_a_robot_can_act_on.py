@@ -17,7 +17,7 @@ from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 PLACES = ("mill lane", "station road", "rose garden", "market street", "castle park", "school lane")
-PATIENCE_S = 60
+PATIENCE_S = 120
 
 
 @pytest.fixture(scope="module")
