@@ -9,7 +9,7 @@
     ├── RequestTimeout     request-timeout
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static        PoorImage   poor-picture
-    ├── NotFound           not-found
+    ├── NotFound           not-found             ImageNotKept image-not-kept
     ├── Conflict           conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden
@@ -147,6 +147,15 @@ class NoPose(RevisitError):
     """Nothing is sure, or views of the place have no geographic position."""
 
     code = "no-pose"
+
+
+class ImageNotKept(RevisitError):
+    """The image of a view whose map keeps no images."""
+
+    code = "image-not-kept"
+
+    def __init__(self, view_id: str) -> None:
+        super().__init__(f"the map of the view {view_id} keeps no images: this one was removed when it was described")
 
 
 class Conflict(RevisitError):

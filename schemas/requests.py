@@ -33,7 +33,7 @@ class PutMap(BaseModel):
 
 
 class PatchMap(BaseModel):
-    """Changes of a map that take effect at once: its ranking, how many queries are kept, which images are refused."""
+    """Changes of a map that take effect at once: its ranking, what is kept, which images are refused."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -49,6 +49,11 @@ class PatchMap(BaseModel):
         None,
         description="Refuse to enrol images that are dark, overexposed, covered or blurred, where a request does not "
         "say otherwise.",
+    )
+    keep_images: bool | None = Field(
+        None,
+        description="false removes all images of described views, for good, and each later one once it is described. "
+        "The views are found as before; they are shown without an image and cannot be described by another recipe.",
     )
 
 

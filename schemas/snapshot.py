@@ -32,8 +32,8 @@ class SnapshotFacts(Line):
         Of the job that made it.
     row_bytes : int
         Bytes of the parts besides the images.
-    ranking, calibration
-        As the map has them; calibration is the JSON of its own one, None for the shipped one.
+    ranking, calibration, keep_images, keep_queries, refuse_poor
+        As the map has them; calibration is the JSON of its own one, None for the shipped one. Kept queries stay behind.
     """
 
     format: Literal["revisit-snapshot"] = FORMAT
@@ -49,6 +49,9 @@ class SnapshotFacts(Line):
     description: DescriptionRecipe
     ranking: RankingConfig
     calibration: str | None
+    keep_images: bool = True
+    keep_queries: Annotated[int, Field(ge=0, le=10_000)] = 0
+    refuse_poor: bool = False
 
 
 class SnapshotDescription(Line):
@@ -65,7 +68,10 @@ class SnapshotDescription(Line):
 
 
 class SnapshotView(Line):
-    """A view; `number` orders views by enrolment and names them within the snapshot. `description` only when ready."""
+    """A view; `number` orders views by enrolment and names them within the snapshot. `description` only when ready.
+
+    The snapshot has its image, unless the map keeps none and the view is described.
+    """
 
     number: Count
     id: str = Field(pattern="^[0-9a-f-]{36}$")
@@ -79,6 +85,7 @@ class SnapshotView(Line):
     heading: Finite | None
     captured_at: AwareDatetime | None
     metadata: dict[str, Any]
+    filename: str | None = Field(None, max_length=1000)
     enrolled_at: AwareDatetime
     elapsed_us: Count
     sha256: Digest

@@ -226,12 +226,13 @@ class MapFacts(Answer):
     revision: int
     views: dict[Literal["pending", "ready", "failed"], int]
     places: int
-    bytes: int = Field(description="Of all images.")
+    bytes: int = Field(description="Of all images that are kept.")
     recipe: dict[str, Any] = Field(description="Description recipe, with its `id`.")
     ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
     decision: MapDecision
     keep_queries: int = Field(0, description="How many queries that matched nothing are kept at most.")
     refuse_poor: bool = Field(False, description="Whether poor images are refused, unless a request says otherwise.")
+    keep_images: bool = Field(True, description="Whether images stay once their views are described.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None

@@ -229,6 +229,10 @@ class Curator:
         """Refuse poor images of a map from now on, or no longer."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.refuse_poor, name, wanted))
 
+    async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
+        """Keep a map's images, or remove each once it is described."""
+        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_images, name, wanted))
+
     async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         """Keep at most `count` of a map's queries that matched nothing."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count))

@@ -186,6 +186,8 @@ PROBLEM_DETAILS: dict[str, str] = {
     "unauthorized": "this service needs a key",
     "forbidden": "the key reads the map 'campus' and may not write to it",
     "not-found": "there is no view '0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90'",
+    "image-not-kept": "the map of the view 0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90 keeps no images: this one was removed "
+    "when it was described",
     "no-pose": "another place is nearly as good; look at the rival",
     "method-not-allowed": "/query does not answer GET",
     "request-timeout": "the body did not arrive within 30 s; 4,096 bytes of it did",

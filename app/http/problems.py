@@ -58,6 +58,9 @@ KINDS: Mapping[str, Kind] = {
     "unauthorized": Kind(401, "A key is needed", "Send a valid key."),
     "forbidden": Kind(403, "The key does not allow this", "Use a key with the needed scope and map."),
     "not-found": Kind(404, "There is no such thing", "Check the id or name; `GET /maps` and `GET /views` list them."),
+    "image-not-kept": Kind(
+        404, "The image is not kept", "Show something else in its place; `keep_images` of the map is false."
+    ),
     "no-pose": Kind(
         404, "The image gives no geographic pose", "Follow `detail`; without the Accept header the answer says more."
     ),

@@ -17,6 +17,10 @@ class HealthCalls:
         params = texts({"code": code, "limit": limit})
         return self._connection.receive(wire.MapHealth, "GET", f"/maps/{name}/health", params=params)
 
+    def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
+        """Keep a map's images, or remove them for good: all now, and each later one once its view is described."""
+        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"keep_images": wanted})
+
     def refuse_poor(self, name: str, wanted: bool = True) -> wire.MapFacts:
         """Refuse to enrol images that are dark, overexposed, covered or blurred, or no longer."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"refuse_poor": wanted})

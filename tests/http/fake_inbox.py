@@ -16,6 +16,9 @@ class FakeInbox:
     async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"keep_queries": count})
 
+    async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"keep_images": wanted})
+
     async def refuse_poor(self, name: str, wanted: bool) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"refuse_poor": wanted})
 

@@ -294,7 +294,14 @@ LATER = ("keys", "kept_queries")
 def without_later(connection: sa.Connection) -> None:
     """Take away what came after revision 0008."""
     connection.exec_driver_sql("DROP TABLE kept_queries")
-    for column in ("views.filename", "comparisons.rival", "comparisons.own", "maps.keep_queries", "maps.refuse_poor"):
+    for column in (
+        "views.filename",
+        "comparisons.rival",
+        "comparisons.own",
+        "maps.keep_queries",
+        "maps.refuse_poor",
+        "maps.drop_images",
+    ):
         table, name = column.split(".")
         connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")
 

@@ -56,7 +56,7 @@ def cells(runtime: Runtime, *views: ScoredView) -> dict[int, Int8s]:
 
 def drawn(runtime: Runtime, result: QueryResult, scored: ScoredView, other: ScoredView | None, **options: Any) -> Sheet:
     def image(view: ScoredView) -> Any:
-        return runtime.decode(runtime.store.views.image(view.view.id))
+        return runtime.decode(runtime.store.views.image(view.view.id)).pixels
 
     views = [scored] if other is None else [scored, other]
     return sheet(

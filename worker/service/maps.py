@@ -105,6 +105,17 @@ class MapService:
         """Refuse images that are dark, overexposed, covered or blurred, or no longer; raises NotFound."""
         return self._state(self._maps.set_refuse_poor(name, wanted))
 
+    def keep_images(self, name: str, wanted: bool) -> MapState:
+        """Keep the images of a map, or remove them all now and each later one once it is described.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            A job reads the images; or images are to be kept again, but those of views are gone.
+        """
+        return self._state(self._maps.set_keep_images(name, wanted))
+
     def delete(self, name: str) -> Removal:
         """Remove a map and all its views; raises NotFound."""
         imports = self._jobs.unfinished_imports(name)

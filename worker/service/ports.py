@@ -49,6 +49,10 @@ class Maps(Protocol):
         """Whether a map refuses poor images; False where there is no such map."""
         ...
 
+    def set_keep_images(self, name: str, wanted: bool) -> MapRecord:
+        """Keep images, or remove each once it is described; raises NotFound, Conflict."""
+        ...
+
     def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:
         """Refuse poor images from now on, or no longer; raises NotFound."""
         ...

@@ -7,13 +7,14 @@ from typing import Literal
 import numpy as np
 
 from schemas.description import PixelField
-from schemas.errors import BadImage, NotFound
+from schemas.errors import BadImage, ImageNotKept, NotFound
 from schemas.image import Image
 from schemas.records import MapRecord
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler
 from worker.images import drawing, stripping
+from worker.images.drawing import Pixels
 from worker.images.explanation import explanation_png
 from worker.search.ports import DescriptionReader
 from worker.service.explanations import Explained, Explanations
@@ -149,14 +150,20 @@ class RenderingService:
 
     def draw_explanation(self, explained: Explained, scored: ScoredView) -> bytes:
         """What decided about one of a query's matches, as PNG; raises NotFound when its view was deleted."""
-        image = self._decode(self._views.image(scored.view.id))
+        image = self._photo(scored)
         against, other = explained.compared_with(scored), None
         if against is not None:
             with suppress(NotFound):  # deleted since: the match is explained without it
-                other = against, self._decode(self._views.image(against.view.id))
+                other = against, self._photo(against)
         seqs = [scored.seq] if other is None else [scored.seq, other[0].seq]
         cells = self._descriptions.cells(seqs, explained.results.recipe.description.id)
         return explanation_png(sheet(explained, scored, image, other, cells))
+
+    def _photo(self, scored: ScoredView) -> Pixels | None:
+        """The photo of a view; None where its map keeps none."""
+        with suppress(ImageNotKept):
+            return self._decode(self._views.image(scored.view.id)).pixels
+        return None
 
     def version(self, view_id: str, kind: str) -> str:
         """A version of an image made from a view, for an ETag; `kind` names the image and its options."""

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from schemas.description import Int8s
-from schemas.image import Image, extent_of
+from schemas.image import extent_of
 from schemas.records import ViewRecord
 from worker.description.describer import components
-from worker.images.drawing import is_drawn
+from worker.images.drawing import Pixels, is_drawn
 from worker.images.explanation import Part, Photo, Sheet
 from worker.method import cell_evidence, hough
 from worker.method.cell_evidence import CellEvidence, Contrast
@@ -39,6 +39,9 @@ TOLD = 0.005
 
 LONGEST = 48
 """Characters of a name within a sentence; titles have room of their own."""
+
+SHEET, GREY = 640, 214
+"""Longer side in pixels and level of what is shown where an image is not kept."""
 
 ANEW = "the cells of {} are not shown: it was described anew or deleted since"
 
@@ -74,8 +77,8 @@ def cells_of(explained: Explained, scored: ScoredView, stored: Int8s | None) -> 
 def sheet(
     explained: Explained,
     scored: ScoredView,
-    image: Image,
-    other: tuple[ScoredView, Image] | None,
+    image: Pixels | None,
+    other: tuple[ScoredView, Pixels | None] | None,
     stored: Mapping[int, Int8s],
 ) -> Sheet:
     """What the explanation of one match shows.
@@ -85,18 +88,17 @@ def sheet(
     explained : Explained
     scored : ScoredView
         The match.
-    image : Image
-        Its photo.
-    other : (ScoredView, Image), optional
-        The view that it is compared with, and its photo.
+    image : uint8 of shape (height, width, 3), or None
+        Its photo; None when its map keeps none.
+    other : (ScoredView, photo), optional
+        The view that it is compared with, and its photo or None.
     stored : mapping of sequence number to int8 of shape (rows, columns, dimensions)
         Cells of the views, by the recipe of the query; those described anew since are absent.
     """
     first = explained.is_first(scored)
     ours = cells_of(explained, scored, stored.get(scored.seq))
     match = Photo(
-        image.pixels,
-        f"enrolled: {name_of(scored.view)}",
+        *_shown(scored.view, image),
         _caption(scored, ours, "first match" if first else f"rank {explained.rank(scored)}"),
         None if ours is None else ours.of_candidate(),
     )
@@ -108,8 +110,8 @@ def sheet(
         against, photo = other
         theirs = cells_of(explained, against, stored.get(against.seq))
         role = "rival" if first else "first match"
-        title, caption = f"enrolled: {name_of(against.view)}", _caption(against, theirs, role)
-        rival = Photo(photo.pixels, title, caption, None if theirs is None else theirs.of_candidate())
+        cells = None if theirs is None else theirs.of_candidate()
+        rival = Photo(*_shown(against.view, photo), _caption(against, theirs, role), cells)
         if compared and against.dense is not None and theirs is None:
             notes.append(ANEW.format(_short(name_of(against.view))))
         if ours is not None and theirs is not None:
@@ -128,6 +130,16 @@ def sheet(
         nodes=_nodes(explained, scored),
         speaks=None if contrasted is None else _speaks(contrasted),
     )
+
+
+def _shown(view: ViewRecord, photo: Pixels | None) -> tuple[Pixels, str]:
+    """The photo of a view, or a grey sheet of its form, and the title."""
+    title = f"enrolled: {name_of(view)}"
+    if photo is not None:
+        return photo, title
+    scale = SHEET / max(view.image.width, view.image.height)
+    height, width = (max(1, round(side * scale)) for side in (view.image.height, view.image.width))
+    return np.full((height, width, 3), GREY, np.uint8), f"{title} (its image is not kept)"
 
 
 def name_of(view: ViewRecord) -> str:

@@ -123,7 +123,10 @@ class Enrolment(Part):
             view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
             if view is None:
                 return self._enrol(connection, row, facts, attributes, now, steady_s, background)
-            return self._enrol_again(connection, row, view, facts, attributes, now, background)
+            submitted = self._enrol_again(connection, row, view, facts, attributes, now, background)
+        if row.drop_images:
+            self._images.discard([facts.sha256])  # stays where the view is to be described
+        return submitted
 
     def known(self, name: str, sha256: str, attributes: ViewAttributes) -> ViewRecord | None:
         """The view that a map has of an image, if it is sound and its attributes are these; else None."""

@@ -15,6 +15,7 @@ from worker.storage import checksums, clock, damage, switching
 from worker.storage.enrolment import keep_pairs
 from worker.storage.examining import BACKUP, REPAIR, Finding, Mend
 from worker.storage.filtering import metadata_pairs
+from worker.storage.image_store import forgets
 from worker.storage.rows import VIEW_STATES, attributes_of, find_recipe, has_whole_attributes, ranking_of
 from worker.storage.tables import (
     CALLS,
@@ -162,6 +163,7 @@ def _mend_revision(row: sa.Row[Any]) -> Mend:
 
 def _views(connection: sa.Connection, owners: dict[str, str]) -> Iterator[Finding]:
     maps = {row.id: row for row in connection.execute(sa.select(MAPS))}
+    forgetting = {number for number in maps if forgets(connection, number)}
     described = {tuple(row) for row in connection.execute(sa.select(DESCRIPTIONS.c.seq, DESCRIPTIONS.c.recipe))}
     waits = sa.select(JOBS.c.seq, JOBS.c.recipe).where(JOBS.c.state.in_(switching.UNFINISHED))
     waiting = {tuple(row) for row in connection.execute(waits)}
@@ -169,8 +171,9 @@ def _views(connection: sa.Connection, owners: dict[str, str]) -> Iterator[Findin
         if isinstance(row, Finding):
             yield row
             continue
-        owners[str(row.sha256)] = f"view {row.id}"
         owner = maps.get(row.map_id)
+        if row.state != "ready" or row.map_id not in forgetting:
+            owners[str(row.sha256)] = f"view {row.id}"
         if owner is not None and owner.name is None:
             continue  # its map is being deleted
         where = f"view {row.id} of map {owner.name!r}" if owner is not None else f"view {row.id}"

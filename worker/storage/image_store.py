@@ -7,11 +7,12 @@ from typing import Protocol
 
 import sqlalchemy as sa
 
+from worker.storage import checksums
 from worker.storage.database import Database
 from worker.storage.image_files import Images
 from worker.storage.peers import image_lock
 from worker.storage.rows import batches
-from worker.storage.tables import VIEWS
+from worker.storage.tables import MAPS, VIEWS
 
 
 class ImageStore(Protocol):
@@ -50,12 +51,29 @@ class ImageStore(Protocol):
         ...
 
 
+def forgets(connection: sa.Connection, map_id: int) -> bool:
+    """Whether a map keeps no images: one whose settings are damaged keeps them."""
+    return map_id in _forgetting(connection)
+
+
+def needs_image(connection: sa.Connection) -> sa.ColumnElement[bool]:
+    """SQL condition that a view's image is kept: its map keeps images, or it is not described."""
+    return VIEWS.c.map_id.not_in(_forgetting(connection)) | (VIEWS.c.state != "ready")
+
+
+def _forgetting(connection: sa.Connection) -> list[int]:
+    """Maps that keep no images. Only whole rows count: a flipped bit must not cost a map its images."""
+    rows = connection.execute(sa.select(MAPS).where(MAPS.c.drop_images.is_(True)))
+    return [row.id for row in rows if checksums.is_whole(MAPS, row, row.checksum)]
+
+
 def needed_by_views(database: Database, digests: list[str]) -> set[str]:
     """The digests among `digests` that views need."""
     found: set[str] = set()
     with database.reading() as connection:
         for portion in batches(digests):
-            found.update(connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion))))
+            needed = sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(portion), needs_image(connection))
+            found.update(connection.scalars(needed))
     return found
 
 

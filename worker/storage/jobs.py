@@ -36,7 +36,7 @@ _OLDEST_WAITING = (
 _CLAIMED = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of")).values(attempts=JOBS.c.attempts + 1)
 _UNFINISHED = sa.select(sa.func.count()).select_from(JOBS).where(_DESCRIBES, JOBS.c.state.in_(switching.UNFINISHED))
 _ENROLMENTS = _UNFINISHED.where(JOBS.c.background.is_(False))
-_RECIPE_OF_MAP = sa.select(MAPS.c.recipe).where(MAPS.c.id == sa.bindparam("of"))
+_MAP = sa.select(MAPS.c.recipe, MAPS.c.revision, MAPS.c.drop_images).where(MAPS.c.id == sa.bindparam("of"))
 _JOB_LOCKED = sa.select(JOBS).where(JOBS.c.id == sa.bindparam("of")).with_for_update()
 _JOB_ENDS = sa.update(JOBS).where(JOBS.c.number == sa.bindparam("of"))
 _VIEW_SETTLES = sa.update(VIEWS).where(VIEWS.c.seq == sa.bindparam("of"))
@@ -82,13 +82,14 @@ class Jobs(Part):
         """Store a description and end its job; returns the revision from which it is searchable; raises LeaseLost."""
         with self._database.writing() as connection:
             job = self._held(connection, claim)
-            current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
-            if job.recipe == current:
-                revision = clock.tick(connection, job.map_id)
-            else:  # not searchable before the recipe switch ends
-                revision = int(connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == job.map_id)) or 0)
+            owner = connection.execute(_MAP, {"of": job.map_id}).one()
+            # One of a recipe switch is not searchable before the switch ends.
+            revision = clock.tick(connection, job.map_id) if job.recipe == owner.recipe else int(owner.revision)
             keep_description(connection, job, claim.recipe, description, revision)
-            return self.settle(connection, job, "done", now) or revision
+            revision = self.settle(connection, job, "done", now) or revision
+        if owner.drop_images:
+            self._images.discard([claim.view.image.sha256])
+        return revision
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
         """End a job as failed; its view stays, `failed`, with this reason; raises LeaseLost."""
@@ -118,8 +119,7 @@ class Jobs(Part):
         outcome = {"failure_code": code, "failure_detail": detail}
         ended = {"state": state, "token": None, "finished_at": now, **outcome}
         connection.execute(_JOB_ENDS, {"of": job.number, **ended})
-        current = connection.scalar(_RECIPE_OF_MAP, {"of": job.map_id})
-        if job.recipe == current:
+        if job.recipe == connection.execute(_MAP, {"of": job.map_id}).one().recipe:
             view_state = "ready" if state == "done" else "failed"
             connection.execute(_VIEW_SETTLES, {"of": job.seq, "state": view_state, **outcome})
         return switching.finish_if_done(connection, job.map_id, now)

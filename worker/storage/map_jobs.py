@@ -45,7 +45,7 @@ class MapJobs(Jobs):
         ------
         NotFound
         Conflict
-            Another job of the map has not finished.
+            Another job of the map has not finished, or its images are not kept.
         """
         with self._database.writing() as connection:
             row = find_map(connection, name)
@@ -63,6 +63,7 @@ class MapJobs(Jobs):
         with self._database.writing() as connection:
             row = find_map(connection, name)
             _refuse_second(connection, row)
+            switching.refuse_without_images(connection, row)
             return _queue(connection, row, "vocabulary", now)
 
     # snapshot

@@ -9,6 +9,7 @@ from schemas.errors import Conflict, Damaged, NotFound
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
+from worker.storage.image_store import needs_image
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
 from worker.storage.rows import COORDINATES, find_map, keep_recipe, log, map_by, map_record, recipe_of
@@ -65,16 +66,17 @@ class Maps(Part):
         """Size of a map; raises NotFound."""
         axes = COORDINATES[:-1]  # a box has no heading
         sound = sa.func.coalesce(VIEWS.c.failure_code, "") != Damaged.code
-        totals = sa.select(
-            *(sa.func.count(sa.case((VIEWS.c.state == state, 1))).label(state) for state in STATES),
-            sa.func.coalesce(sa.func.sum(VIEWS.c.byte_count), 0).label("picture_bytes"),
-            *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in axes),
-            *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in axes),
-        )
         # A query of its own: an index answers it without reading views.
         distinct = sa.select(sa.func.count(sa.distinct(VIEWS.c.place)))
         with self._database.reading() as connection:
             own = VIEWS.c.map_id == find_map(connection, name).id
+            kept = sa.case((needs_image(connection), VIEWS.c.byte_count))
+            totals = sa.select(
+                *(sa.func.count(sa.case((VIEWS.c.state == state, 1))).label(state) for state in STATES),
+                sa.func.coalesce(sa.func.sum(kept), 0).label("picture_bytes"),
+                *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in axes),
+                *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in axes),
+            )
             row = connection.execute(totals.where(own)).one()._mapping
             places = connection.execute(distinct.where(own)).scalar_one()
         return MapCounts(

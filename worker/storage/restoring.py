@@ -116,7 +116,7 @@ class Restoring(Part):
                 found = read_lines(part.name, part.body, told.description)
                 taken = taken or self._are_taken([view.id for view in found])
                 for view in found:
-                    _check_view(view, numbers, images, ids)
+                    _check_view(view, numbers, images, ids, told.keep_images)
                 views += len(found)
             elif part.name.startswith(COMPARISON_PARTS):
                 read_comparisons(part.name, part.body)
@@ -144,11 +144,13 @@ class Restoring(Part):
             log.exception("what was restored so far is removed at the next start")
 
 
-def _check_view(view: SnapshotView, numbers: list[int], images: set[bytes], ids: set[str]) -> None:
+def _check_view(view: SnapshotView, numbers: list[int], images: set[bytes], ids: set[str], keep_images: bool) -> None:
     if view.number <= numbers[-1] or view.id in ids:
         raise BadSnapshot(f"the view {view.id} is there twice, or out of order")
     numbers[-1] = view.number
     ids.add(view.id)
+    if not keep_images and view.state == "ready":
+        return
     try:
         images.remove(bytes.fromhex(view.sha256))
     except KeyError:
@@ -229,6 +231,9 @@ class _Restoration:
                 "recipe": keep_recipe(connection, self._recipe),
                 "ranking": told.ranking.model_dump_json(),
                 "calibration": told.calibration,
+                "drop_images": None if told.keep_images else True,
+                "keep_queries": told.keep_queries or None,
+                "refuse_poor": told.refuse_poor or None,
                 "created_at": told.map_created_at,
             }
             made = connection.execute(sa.insert(MAPS).values(name=None, revision=born, anew=born, **columns))

@@ -103,17 +103,19 @@ def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
 def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
     """A map from its row and its description recipe."""
     ranking, calibration, keep = ranking_of(row.ranking), row.calibration, row.keep_queries or 0
-    refuse_poor = bool(row.refuse_poor)
+    refuse_poor, keep_images = bool(row.refuse_poor), not row.drop_images
     if not checksums.is_whole(MAPS, row, row.checksum):
         calibration = None  # the shipped one is right for every map, if less sharp
-        keep, refuse_poor = 0, False
+        keep, refuse_poor, keep_images = 0, False, True
         log.error(
             "map %s: its stored settings do not fit their checksum; it is searched with %s, without a calibration of "
             "its own; `./revisit doctor` says more",
             row.name,
             ranking,
         )
-    return MapRecord(row.name, row.revision, recipe, ranking, row.created_at, calibration, keep, refuse_poor)
+    return MapRecord(
+        row.name, row.revision, recipe, ranking, row.created_at, calibration, keep, refuse_poor, keep_images
+    )
 
 
 @lru_cache(maxsize=64)

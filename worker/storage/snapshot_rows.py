@@ -78,6 +78,7 @@ def _view_line(row: sa.Row[Any], described: dict[str, bytes] | None) -> bytes:
         **{name: getattr(row, name) for name in COORDINATES},
         "captured_at": _moment(row.captured_at),
         "metadata": json.loads(row.metadata),
+        "filename": row.filename,
         "enrolled_at": _moment(row.enrolled_at),
         "elapsed_us": row.elapsed_us,
         "sha256": row.sha256,
@@ -185,7 +186,7 @@ def _check_description(description: SnapshotDescription, recipe: DescriptionReci
 def attributes(view: SnapshotView) -> ViewAttributes:
     """What the user said of a view."""
     position = Position(**{name: getattr(view, name) for name in COORDINATES})
-    return ViewAttributes(view.place, position, view.captured_at, view.metadata)
+    return ViewAttributes(view.place, position, view.captured_at, view.metadata, view.filename)
 
 
 def facts(view: SnapshotView) -> ImageFacts:

@@ -14,9 +14,9 @@ from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
 from worker.storage.image_files import sync_folder
-from worker.storage.image_store import ImageStore
+from worker.storage.image_store import ImageStore, needs_image
 from worker.storage.part import Part
-from worker.storage.rows import find_map, find_recipe, log, ranking_of
+from worker.storage.rows import find_map, find_recipe, log, map_record
 from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotReader, SnapshotWriter
 from worker.storage.snapshot_rows import comparison_lines, view_lines
 from worker.storage.tables import CELLS, JOBS, VOCABULARIES
@@ -92,6 +92,7 @@ class Snapshots(Part):
         tell: Callable[[int, int], None],
     ) -> None:
         row = find_map(connection, name)
+        record = map_record(connection, row)
         recipe = find_recipe(connection, row.recipe)
         own = VIEW_ROWS.c.map_id == row.id
         seqs = list(connection.scalars(sa.select(VIEW_ROWS.c.seq).where(own).order_by(VIEW_ROWS.c.seq)))
@@ -106,8 +107,11 @@ class Snapshots(Part):
             image_bytes=0,
             row_bytes=0,
             description=recipe,
-            ranking=ranking_of(row.ranking),
-            calibration=row.calibration,
+            ranking=record.ranking,
+            calibration=record.calibration,
+            keep_images=record.keep_images,
+            keep_queries=record.keep_queries,
+            refuse_poor=record.refuse_poor,
         )
         writer = SnapshotWriter(file, facts)
         try:
@@ -135,9 +139,12 @@ class Snapshots(Part):
             tell(start, len(seqs))
             portion = seqs[start : start + PORTION]
             kept = []
+            forgotten = sa.select(VIEW_ROWS.c.seq).where(VIEW_ROWS.c.seq.in_(portion), ~needs_image(connection))
+            without_image = set(connection.scalars(forgotten))
             for seq, (digest, line) in zip(portion, view_lines(connection, portion, recipe), strict=True):
-                image = self._image(seq, digest)
-                if image is None:
+                if seq in without_image:
+                    kept.append(line)
+                elif (image := self._image(seq, digest)) is None:
                     left_out.add(seq)
                 else:
                     writer.add(f"{IMAGE}{digest}", image, digest)
@@ -161,8 +168,8 @@ class Snapshots(Part):
         """Raise DiskFull unless there is room for all of it."""
         if self._database.space is None:
             return
-        own = VIEW_ROWS.c.map_id == row.id
-        images = connection.scalar(sa.select(sa.func.sum(VIEW_ROWS.c.byte_count)).where(own)) or 0
+        own = VIEW_ROWS.c.map_id == row.id, needs_image(connection)
+        images = connection.scalar(sa.select(sa.func.sum(VIEW_ROWS.c.byte_count)).where(*own)) or 0
         some = sa.select(sa.func.length(CELLS.c.body)).where(CELLS.c.recipe == row.recipe).limit(PORTION)
         sizes = list(connection.scalars(some))
         # Cells are the largest part of a description; Base64 makes 4 bytes of 3.

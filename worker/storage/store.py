@@ -15,12 +15,12 @@ from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
+from worker.storage.forgetting import ForgettingMaps
 from worker.storage.image_store import ImageStore, open_images
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.keys import Keys
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
-from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
 from worker.storage.peers import Peers
 from worker.storage.pruning import Pruning
@@ -69,7 +69,7 @@ class SqlStore:
         self._share = share
         self._images = images
         self._peers = Peers(database)
-        self.maps = Maps(database, images)
+        self.maps = ForgettingMaps(database, images)
         self.enrolment = Enrolment(database, images)
         self.jobs = self.workers = Workers(database, images)
         self.views = Views(database, images)

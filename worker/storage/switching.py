@@ -10,12 +10,19 @@ from typing import Any
 import sqlalchemy as sa
 from uuid6 import uuid7
 
+from schemas.errors import Conflict
 from schemas.recipe import MapRecipe, RankingConfig
 from worker.storage import clock
-from worker.storage.rows import as_json, inserting, ranking_of
+from worker.storage.image_store import forgets
+from worker.storage.rows import as_json, batches, inserting, ranking_of
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, JOBS, MAPS, VIEWS
 
 UNFINISHED = ("waiting", "running")
+
+NO_IMAGES = (
+    "the map {!r} keeps no images, so that its views can neither be described anew nor learned from; enrol the images "
+    "in a map that has the recipe from the start"
+)
 
 
 _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
@@ -71,7 +78,7 @@ def is_described(recipe: str) -> sa.ColumnElement[bool]:
 def begin(
     connection: sa.Connection, row: sa.Row[Any], recipe: str, ranking: str, job: str | None, now: datetime
 ) -> int:
-    """Begin a recipe switch; returns how many views must be described first.
+    """Begin a recipe switch; returns how many views must be described first; raises Conflict if images are gone.
 
     Parameters
     ----------
@@ -91,6 +98,7 @@ def begin(
     under_way = sa.exists().where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED))
     lacking = [VIEWS.c.map_id == row.id, ~is_described(recipe), ~under_way]
     seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*lacking).order_by(VIEWS.c.seq)))
+    refuse_without_images(connection, row, seqs)
     queue(connection, row.id, seqs, recipe, now, background=True)
     if recipe == row.recipe:  # the recipe stays: only failed views are described again
         settle(connection, row.id, recipe)
@@ -101,6 +109,16 @@ def begin(
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**following))
     finish_if_done(connection, row.id, now)
     return len(seqs)
+
+
+def refuse_without_images(connection: sa.Connection, row: sa.Row[Any], seqs: list[int] | None = None) -> None:
+    """Raise Conflict when the images of views of a map, or of those in `seqs`, are no longer kept."""
+    if not forgets(connection, row.id):
+        return
+    gone = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id, VIEWS.c.state == "ready").limit(1)
+    some = [gone] if seqs is None else [gone.where(VIEWS.c.seq.in_(portion)) for portion in batches(seqs)]
+    if any(connection.scalar(one) is not None for one in some):
+        raise Conflict(NO_IMAGES.format(row.name))
 
 
 def set_ranking(connection: sa.Connection, row: sa.Row[Any], ranking: str) -> None:

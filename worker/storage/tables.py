@@ -67,6 +67,7 @@ MAPS = sa.Table(
     sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
     sa.Column("keep_queries", sa.Integer),  # how many queries are kept at most; NULL: none
     sa.Column("refuse_poor", sa.Boolean),  # whether poor images are refused; NULL: no
+    sa.Column("drop_images", sa.Boolean),  # whether images are removed once they are described; NULL: no
     _seal(),
     _unsealed("maps", "id"),
     sqlite_autoincrement=True,

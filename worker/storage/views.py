@@ -7,12 +7,13 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.description import Floats
-from schemas.errors import Damaged, InvalidParameters
+from schemas.errors import Damaged, ImageNotKept, InvalidParameters
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock
 from worker.storage.damage import ATTRIBUTES
 from worker.storage.enrolment import keep_pairs
 from worker.storage.filtering import fitting
+from worker.storage.image_store import needs_image
 from worker.storage.packing import unpack_floats
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
@@ -167,12 +168,15 @@ class Views(Part):
 
         Raises
         ------
-        NotFound
+        NotFound, ImageNotKept
         Damaged
             The file is missing or is not what was enrolled.
         """
         with self._database.reading() as connection:
             digest = str(find_view(connection, view_id).sha256)
+            kept = sa.select(VIEWS.c.seq).where(VIEWS.c.id == view_id, needs_image(connection))
+            if connection.scalar(kept) is None:
+                raise ImageNotKept(view_id)
         try:
             return self._images.read(digest)
         except Damaged as error:

@@ -183,7 +183,7 @@ async def delete_example(name: MapName, view_id: ViewId, curator: Curates) -> sh
     dependencies=[no_parameters],
     responses={
         **answers_bytes(*images.TYPES, description="The image, as `GET /views/{view_id}/image`.", etag=True),
-        **refusals("not-found"),
+        **refusals("not-found", "image-not-kept"),
     },
 )
 async def example_image(name: MapName, view_id: ViewId, request: Request, curator: Curates) -> Response:

@@ -24,7 +24,7 @@ _DRAWN = ("too-many-requests",)
 def _responses(*types: str, description: str, drawn: bool = False) -> dict[int | str, dict[str, Any]]:
     return {
         **answers_bytes(*types, description=description, etag=True, drawn=drawn),
-        **refusals("not-found", *(_DRAWN if drawn else ())),
+        **refusals("not-found", "image-not-kept", *(_DRAWN if drawn else ())),
     }
 
 

@@ -83,15 +83,17 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
         required=True,
         example={"ranking": {"candidates": 100}},
     ),
-    responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
+    responses=refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full"),
 )
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
-    """Change the ranking of a map, how many of its queries are kept, or whether it refuses poor images."""
+    """Change the ranking of a map, what it keeps of images and queries, or whether it refuses poor images."""
     changes = await _body(request, PatchMap)
-    if changes.ranking is None and changes.keep_queries is None and changes.refuse_poor is None:
-        raise InvalidParameters.of("ranking", "is missing: some of ranking, keep_queries and refuse_poor are needed")
-    if changes.ranking is not None:  # first: it may be refused
+    if changes == PatchMap():
+        raise InvalidParameters.of("ranking", f"is missing: some of {', '.join(PatchMap.model_fields)} are needed")
+    if changes.ranking is not None:  # first, as the next: they may be refused
         facts = await curator.change_ranking(name, changes.ranking)
+    if changes.keep_images is not None:
+        facts = await curator.keep_images(name, changes.keep_images)
     if changes.keep_queries is not None:
         facts = await curator.keep_queries(name, changes.keep_queries)
     if changes.refuse_poor is not None:

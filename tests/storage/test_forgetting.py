@@ -1,0 +1,183 @@
+"""A map that keeps no images: each is removed once its view is described, and nothing else is."""
+
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from schemas.errors import BadSnapshot, Conflict, Damaged, ImageNotKept, NotFound
+from schemas.records import ViewRecord
+from tests.storage.carried import made, views
+from tests.storage.conftest import Open
+from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, image, recipe
+from worker.storage.examining import examine
+from worker.storage.store import SqlStore
+from worker.storage.tables import CELLS, MAPS, VIEWS
+
+
+def files(data: Path) -> set[str]:
+    """SHA-256 of the images that lie in a data folder."""
+    return {path.name for path in data.glob("pictures/*/*/*")}
+
+
+def digests(*names: str) -> set[str]:
+    return {facts(image(name)).sha256 for name in names}
+
+
+@pytest.fixture
+def forgetful(store: SqlStore) -> SqlStore:
+    """A map that keeps no images, with two described views."""
+    store.maps.put("campus", RECIPE, NOW)
+    assert store.maps.set_keep_images("campus", False).keep_images is False
+    enroll(store, "gate")
+    enroll(store, "yard")
+    describe_all(store)
+    return store
+
+
+def test_an_image_is_removed_once_its_view_is_described(store: SqlStore, data: Path) -> None:
+    store.maps.put("campus", RECIPE, NOW)
+    store.maps.set_keep_images("campus", False)
+    view = enroll(store, "gate").view
+    assert store.views.image(view.id) == image("gate")
+    describe_all(store)
+    assert files(data) == set()
+    assert store.views.get(view.id).state == "ready"
+    assert store.maps.counts("campus").image_bytes == 0
+    with pytest.raises(ImageNotKept, match="keeps no images"):
+        store.views.image(view.id)
+    with pytest.raises(NotFound):
+        store.views.image("0" * 36)
+
+
+def test_images_that_are_there_go_at_once_and_those_that_are_needed_stay(store: SqlStore, data: Path) -> None:
+    for name in ("gate", "yard", "shared"):
+        enroll(store, name)
+    enroll(store, "shared", map="other")
+    describe_all(store)
+    pending = enroll(store, "pending").view
+    store.maps.set_keep_images("campus", False)
+    assert files(data) == digests("shared", "pending")
+    assert store.views.image(pending.id) == image("pending")
+    describe_all(store)
+    assert files(data) == digests("shared")
+
+
+def test_what_could_not_be_described_keeps_its_image_until_it_is(forgetful: SqlStore, data: Path) -> None:
+    view = enroll(forgetful, "fog").view
+    [claim] = forgetful.jobs.claim("worker", 1)
+    forgetful.jobs.fail(claim, "nothing-static", "only fog", NOW)
+    assert files(data) == digests("fog")
+    assert enroll(forgetful, "fog").view.id == view.id
+    describe_all(forgetful)
+    assert files(data) == set()
+
+
+def test_the_same_image_again_is_its_view_and_leaves_no_file(forgetful: SqlStore, data: Path) -> None:
+    again = enroll(forgetful, "gate")
+    assert (again.created, again.view.state) == (False, "ready")
+    assert files(data) == set()
+
+
+def test_a_crash_in_between_is_made_good_at_the_next_start(store: SqlStore, data: Path, reopen: Open) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    with store._database.writing() as connection:
+        connection.execute(sa.update(MAPS).values(drop_images=True))
+    assert files(data) == digests("gate")
+    store.close()
+    reopen().recover()
+    assert files(data) == set()
+
+
+def test_a_flipped_bit_costs_no_images(store: SqlStore, data: Path, reopen: Open) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    with store._database.writing() as connection:
+        connection.execute(sa.update(MAPS).values(drop_images=True, checksum=MAPS.c.checksum))
+    store.close()
+    damaged = reopen()
+    damaged.recover()
+    assert damaged.maps.get("campus").keep_images
+    assert files(data) == digests("gate")
+
+
+def test_doctor_misses_no_image_that_was_not_to_be_kept(forgetful: SqlStore, data: Path, database_url: str) -> None:
+    view = enroll(forgetful, "pending").view
+    forgetful.close()
+    assert list(examine(database_url, data)) == []
+    [path] = [path for path in data.glob("pictures/*/*/*") if path.name in digests("pending")]
+    path.unlink()
+    [found] = examine(database_url, data)
+    assert view.id in found.what
+
+
+def test_views_cannot_be_described_anew_nor_learned_from(forgetful: SqlStore) -> None:
+    with pytest.raises(Conflict, match="keeps no images"):
+        forgetful.jobs.switch_recipe("campus", recipe("other"), NOW)
+    with pytest.raises(Conflict, match="keeps no images"):
+        forgetful.jobs.queue_vocabulary("campus", NOW)
+    assert forgetful.maps.get("campus").recipe == RECIPE
+    assert forgetful.jobs.switch_recipe("campus", RECIPE, NOW).state == "done"
+    forgetful.removals.delete_view(views(forgetful)[0].id)
+    forgetful.removals.delete_view(views(forgetful)[0].id)
+    assert forgetful.jobs.switch_recipe("campus", recipe("other"), NOW).state == "done"
+
+
+def test_a_job_that_reads_images_is_waited_for(store: SqlStore) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    job = store.jobs.queue_vocabulary("campus", NOW)
+    with pytest.raises(Conflict, match=job.id):
+        store.maps.set_keep_images("campus", False)
+    store.jobs.cancel(job.id, NOW)
+    assert store.maps.set_keep_images("campus", False).keep_images is False
+
+
+def test_images_are_kept_again_only_while_none_is_gone(forgetful: SqlStore) -> None:
+    assert forgetful.maps.set_keep_images("campus", False).keep_images is False
+    with pytest.raises(Conflict, match="images are gone"):
+        forgetful.maps.set_keep_images("campus", True)
+    for view in views(forgetful):
+        forgetful.removals.delete_view(view.id)
+    assert forgetful.maps.set_keep_images("campus", True).keep_images
+    with pytest.raises(NotFound):
+        forgetful.maps.set_keep_images("moon", False)
+
+
+def test_a_damaged_description_asks_for_the_image_again(forgetful: SqlStore) -> None:
+    view: ViewRecord = views(forgetful)[0]
+    with forgetful._database.writing() as connection:
+        connection.execute(sa.update(CELLS).where(CELLS.c.seq == view.seq).values(body=b"damaged"))
+    assert forgetful.descriptions.cells([view.seq], RECIPE.description.id) == {}
+    with pytest.raises(Damaged, match="enrol the image again"):
+        forgetful.views.image(view.id)
+    assert enroll(forgetful, "gate").view.id == view.id
+    describe_all(forgetful)
+    assert forgetful.views.get(view.id).state == "ready"
+
+
+def test_a_snapshot_carries_the_map_without_its_images(forgetful: SqlStore, elsewhere: SqlStore) -> None:
+    forgetful.maps.keep_queries("campus", 7)
+    forgetful.maps.set_refuse_poor("campus", True)
+    pending = enroll(forgetful, "pending").view
+    elsewhere.restoring.restore(made(forgetful), None, NOW)
+    record = elsewhere.maps.get("campus")
+    assert (record.keep_images, record.keep_queries, record.refuse_poor) == (False, 7, True)
+    assert [view.id for view in views(elsewhere)] == [view.id for view in views(forgetful)]
+    assert elsewhere.views.image(pending.id) == image("pending")
+    describe_all(elsewhere)
+    describe_all(forgetful)
+    assert elsewhere.maps.counts("campus").image_bytes == 0
+    for view in views(elsewhere):
+        with pytest.raises(ImageNotKept):
+            elsewhere.views.image(view.id)
+
+
+def test_a_snapshot_that_lacks_the_image_of_a_pending_view_is_refused(forgetful: SqlStore, elsewhere: SqlStore) -> None:
+    view = enroll(forgetful, "pending").view
+    with forgetful._database.writing() as connection:  # as a file would be that was made by hand
+        connection.execute(sa.update(VIEWS).where(VIEWS.c.id == view.id).values(state="ready"))
+    with pytest.raises(BadSnapshot, match="is missing"):
+        elsewhere.restoring.restore(made(forgetful), None, NOW)
+    assert elsewhere.maps.all() == []

@@ -1,0 +1,74 @@
+"""Maps that keep no images: an image is removed once its view is described.
+
+A view that is not described, or whose description was damaged, keeps its image, for it is needed. Which images are
+removed is decided by `image_store.needs_image` alone, so that what a crash leaves is swept at the next start.
+"""
+
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.errors import Conflict
+from schemas.records import MapRecord
+from worker.storage.maps import Maps
+from worker.storage.rows import find_map, map_record
+from worker.storage.switching import UNFINISHED
+from worker.storage.tables import JOBS, MAPS, VIEWS
+
+PORTION = 1000
+"""Images removed at a time."""
+
+READING = ("recipe", "vocabulary", "snapshot")
+"""Kinds of jobs that read the images of a map."""
+
+
+class ForgettingMaps(Maps):
+    """Maps by name; they may keep no images."""
+
+    def set_keep_images(self, name: str, wanted: bool) -> MapRecord:
+        """Keep a map's images, or remove them all now and each later one once its view is described.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            A job that reads the images has not finished; or images are to be kept again, but those of views are gone.
+        """
+        with self._database.writing(frees=not wanted) as connection:
+            row = find_map(connection, name)
+            if wanted != bool(row.drop_images):
+                return map_record(connection, row)
+            if wanted and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
+                raise Conflict(
+                    f"the map {name!r} has views whose images are gone; a new map keeps the images enrolled in it"
+                )
+            if not wanted:
+                _refuse_while_read(connection, row)
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(drop_images=None if wanted else True))
+            record = map_record(connection, find_map(connection, name))
+        if not wanted:
+            self._forget_all(row.id)
+        return record
+
+    def _forget_all(self, map_id: int) -> None:
+        """Remove the images of a map's described views; the next start goes on where a crash stopped it."""
+        last = -1
+        described = sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(VIEWS.c.map_id == map_id, VIEWS.c.state == "ready")
+        while True:
+            with self._database.reading() as connection:
+                page = described.where(VIEWS.c.seq > last).order_by(VIEWS.c.seq).limit(PORTION)
+                rows = connection.execute(page).all()
+            if not rows:
+                return
+            self._images.discard([row.sha256 for row in rows])
+            last = rows[-1].seq
+
+
+def _refuse_while_read(connection: sa.Connection, row: sa.Row[Any]) -> None:
+    reads = JOBS.c.map_id == row.id, JOBS.c.kind.in_(READING), JOBS.c.state.in_(UNFINISHED)
+    job = connection.execute(sa.select(JOBS.c.id, JOBS.c.kind).where(*reads).limit(1)).one_or_none()
+    if job is not None:
+        raise Conflict(
+            f"the images of the map {row.name!r} are being read by the {job.kind} job {job.id}; wait until it has "
+            f"finished, or DELETE /jobs/{job.id}"
+        )
