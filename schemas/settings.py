@@ -92,6 +92,9 @@ class Settings(BaseSettings):
     webhook_events: str = Field(
         "matched,no_match,look-alike", description="What is sent, with commas between: matched, no_match, look-alike."
     )
+    mqtt: str | None = Field(None, description="Broker that what queries found is published to: mqtt://user@host:1883.")
+    mqtt_password: SecretStr | None = Field(None, description="Password of the user in REVISIT_MQTT.")
+    mqtt_topic: str = Field("revisit", description="First levels of the topics that are published.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
     key: SecretStr | None = Field(None, description="Key that the command line sends; a service does not read it.")
 
@@ -115,6 +118,22 @@ class Settings(BaseSettings):
     def _receiver(cls, text: str | None) -> str | None:
         if text is not None and not re.fullmatch(r"https?://[^\s/?#@]+([/?][^\s#]*)?", text):
             raise ValueError("is no address such as https://app.example/hooks/revisit")
+        return text
+
+    @field_validator("mqtt")
+    @classmethod
+    def _broker(cls, text: str | None) -> str | None:
+        if text is not None and not re.fullmatch(r"mqtts?://([^\s:/?#@]+@)?[A-Za-z0-9.-]+(:[0-9]{1,5})?", text):
+            raise ValueError(
+                "is no address such as mqtt://robot@broker.example:1883 (a password: REVISIT_MQTT_PASSWORD)"
+            )
+        return text
+
+    @field_validator("mqtt_topic")
+    @classmethod
+    def _topic(cls, text: str) -> str:
+        if not re.fullmatch(r"[^\s/+#$\x00]+(/[^\s/+#$\x00]+)*", text):
+            raise ValueError("is no topic such as revisit or building/3: no +, #, $, blanks or empty levels")
         return text
 
     @field_validator("webhook_secret")

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from fastapi import FastAPI
@@ -72,12 +73,13 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         await service.lifecycle.start()
+        for teller in service.tellers:
+            teller.start()
         try:
             yield
         finally:
             await service.lifecycle.stop()
-            if service.webhooks is not None:
-                await asyncio.to_thread(service.webhooks.close)
+            await asyncio.gather(*(asyncio.to_thread(teller.close) for teller in service.tellers))
             if tracer_provider is not None:  # sends what is left
                 await asyncio.to_thread(finish, tracer_provider)
 
@@ -95,8 +97,8 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     app.state.service = service
     app.state.metrics = metrics = Metrics()
     metrics.statistics.settings = service.settings
-    if service.webhooks is not None:
-        service.webhooks.on_outcome(metrics.webhook)
+    for teller in service.tellers:
+        teller.on_outcome(partial(metrics.event, teller.name))
     for group in (enroll, query):
         app.include_router(group.router)
     app.include_router(maps.previews, dependencies=[once_each, documented_body])

@@ -63,9 +63,12 @@ class Metrics:
             buckets=_SECONDS,
             registry=registry,
         )
-        self._webhooks = Counter(
-            "revisit_webhooks", "Webhooks, by what became of them.", ["outcome"], registry=registry
-        )
+        self._events = {
+            "webhooks": Counter(
+                "revisit_webhooks", "Webhooks, by what became of them.", ["outcome"], registry=registry
+            ),
+            "mqtt": Counter("revisit_mqtt", "Events for MQTT, by what became of them.", ["outcome"], registry=registry),
+        }
         self._verdicts = Counter(
             "revisit_query_verdicts", "Queries answered, by verdict.", ["status", "reason"], registry=registry
         )
@@ -108,9 +111,9 @@ class Metrics:
         """Count the answer to a query."""
         self._verdicts.labels(status, reason).inc()
 
-    def webhook(self, outcome: str) -> None:
-        """Count what became of a webhook."""
-        self._webhooks.labels(outcome).inc()
+    def event(self, teller: str, outcome: str) -> None:
+        """Count what became of an event that a teller was given."""
+        self._events[teller].labels(outcome).inc()
 
     def stages(self, operation: str, timing_ms: Mapping[str, float]) -> None:
         """Record the time of each stage of an answer, in ms."""

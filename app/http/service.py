@@ -1,14 +1,18 @@
 """What the routes share: the use-cases of one runtime."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from app.http.curate import Curator
 from app.http.keys import Keys, NoKeys
 from app.http.lifecycle import Lifecycle
+from app.http.mqtt import Mqtt
+from app.http.query_events import Teller
 from app.http.recognise import Recogniser
 from app.http.webhooks import Webhooks
 from schemas.settings import Settings
+from schemas.wire import QueryAnswer
 
 if TYPE_CHECKING:
     from worker.runtime import Runtime
@@ -29,8 +33,8 @@ class Service:
     settings : Settings
     keys : Keys
         Who may call.
-    webhooks : Webhooks or None
-        Who is told what queries found.
+    tellers : sequence of Teller
+        Tell others what queries found.
     """
 
     recogniser: Recogniser
@@ -38,16 +42,25 @@ class Service:
     lifecycle: Lifecycle
     settings: Settings
     keys: Keys = field(default_factory=NoKeys)
-    webhooks: Webhooks | None = None
+    tellers: Sequence[Teller] = ()
 
     @classmethod
     def of(cls, runtime: "Runtime") -> "Service":
         """The use-cases of a runtime."""
         services, settings = runtime.services, runtime.settings
-        webhooks = Webhooks.of(settings)
-        tell = () if webhooks is None else (webhooks.tell,)
+        tellers = [teller for teller in (Webhooks.of(settings), Mqtt.of(settings)) if teller is not None]
+
+        def tell(answer: QueryAnswer) -> None:
+            for teller in tellers:
+                teller.tell(answer)
+
         recogniser = Recogniser(
-            services.enroll, services.query, runtime.settlements, settings.queries, settings.wait, *tell
+            services.enroll,
+            services.query,
+            runtime.settlements,
+            settings.queries,
+            settings.wait,
+            *[one.tell for one in tellers],
         )
         lifecycle = Lifecycle(runtime)
         lifecycle.on_drain(recogniser.drain)
@@ -68,5 +81,5 @@ class Service:
             lifecycle,
             settings,
             services.keys,
-            webhooks,
+            tellers,
         )

@@ -1,8 +1,8 @@
 """Webhooks: what queries found, sent to an address of the operator's, signed, and again until it is taken.
 
 As Standard Webhooks 1.0 says (headers ``webhook-id``, ``webhook-timestamp``, ``webhook-signature``), so that its
-libraries verify them. Sending never delays a caller: events wait in memory, bounded, and are lost when the service
-ends before they are taken.
+libraries verify them. Sending never delays a caller: events wait in memory, and are lost when the service ends before
+they are taken, or when too many wait: the oldest first.
 """
 
 import base64
@@ -17,26 +17,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Literal
 
 import httpx
 
+from app.http.query_events import PATIENCE_S, WAITING, Outcome, event, kind_of
 from schemas.settings import Settings
-from schemas.wire import QueryAnswer, rfc3339
+from schemas.wire import QueryAnswer
 
 logger = logging.getLogger("revisit.http")
-
-Outcome = Literal["delivered", "refused", "given_up", "dropped"]
-
-WAITING = 1000
-"""Events that wait at most; the oldest is dropped for a newer one."""
 
 DELAYS_S = (5.0, 30.0, 120.0, 600.0, 1800.0)
 """Seconds before each further attempt, give or take a tenth."""
 
 TIMEOUT_S = 10.0
-PATIENCE_S = 3.0
-"""Seconds that a stop waits for events to be taken."""
 
 PREFIX = "whsec_"
 """Of a secret that is base64."""
@@ -68,6 +61,8 @@ class Webhooks:
         Before each further attempt.
     """
 
+    name = "webhooks"
+
     def __init__(
         self, url: str, secret: str | None, kinds: Sequence[str], delays_s: Sequence[float] = DELAYS_S
     ) -> None:
@@ -91,9 +86,14 @@ class Webhooks:
         """Have `count` called with what becomes of each event."""
         self._count = count
 
+    def start(self) -> None:
+        """Begin to send what waits and what comes."""
+        self._thread = threading.Thread(target=self._run, name="revisit-webhooks", daemon=True)
+        self._thread.start()
+
     def tell(self, answer: QueryAnswer) -> None:
         """Send what a query found, if such events are wanted; returns at once."""
-        kind = "look-alike" if answer.reason.code == "look-alike" else answer.status
+        kind = kind_of(answer)
         if kind not in self._kinds:
             return
         body = json.dumps(event(kind, answer, datetime.now(UTC)), separators=(",", ":")).encode()
@@ -107,9 +107,6 @@ class Webhooks:
                 dropped = min(self._waiting, key=lambda one: one.number)
                 self._waiting.remove(dropped)
                 heapq.heapify(self._waiting)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="revisit-webhooks", daemon=True)
-                self._thread.start()
             self._changed.set()
         if dropped is not None:
             self._settle(dropped, "dropped", f"more than {WAITING} wait")
@@ -182,28 +179,6 @@ class Webhooks:
 class _Failure:
     text: str
     final: bool = False
-
-
-def event(kind: str, answer: QueryAnswer, now: datetime) -> dict[str, Any]:
-    """The body of a webhook: no image, and of views their ids alone."""
-    first = answer.places[0] if answer.places else None
-    rival = None if answer.reason.rival is None else answer.reason.rival.view
-    where = None if answer.estimate is None else answer.estimate.model_dump(mode="json", exclude={"views"})
-    return {
-        "type": f"query.{kind}",
-        "timestamp": rfc3339(now),
-        "data": {
-            "query": answer.query.id,
-            "map": answer.map,
-            "status": answer.status,
-            "reason": answer.reason.code,
-            "confidence": answer.confidence,
-            "place": None if first is None else first.place,
-            "view": answer.matches[0].view.id if answer.matches else None,
-            "estimate": where,
-            "rival": None if rival is None else {"map": rival.map, "place": rival.place, "view": rival.id},
-        },
-    }
 
 
 def signature(secret: str, id: str, timestamp: int, body: bytes) -> str:

@@ -53,8 +53,8 @@ def test_no_photo_lies_in_the_data_folder(client: httpx.Client, data: Path) -> N
 
 
 def test_a_room_is_recognised_and_explained_all_the_same(client: httpx.Client) -> None:
-    asked = photo(scene("mill lane").seen_from(dx=0.3, turn=-2))
-    answer = client.post("/query?map=home&explain=true", content=asked, headers=JPEG).json()
+    taken = photo(scene("mill lane").seen_from(dx=0.3, turn=-2))
+    answer = client.post("/query?map=home&explain=true", content=taken, headers=JPEG).json()
     assert (answer["status"], answer["places"][0]["place"]) == ("matched", "mill lane")
     drawn = client.get(f"/queries/{answer['query']['id']}/explanation.png")
     assert drawn.status_code == 200

@@ -90,6 +90,7 @@ def telling(
 ) -> Iterator[tuple[Webhooks, list[str]]]:
     made, outcomes = Webhooks(url, SECRET, kinds, SOON), list[str]()
     made.on_outcome(outcomes.append)
+    made.start()
     try:
         yield made, outcomes
     finally:
@@ -182,6 +183,7 @@ def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
     hooks = Webhooks("http://127.0.0.1:9/", None, ("matched",))  # nobody listens there
     outcomes: list[str] = []
     hooks.on_outcome(outcomes.append)
+    hooks.start()
     began = time.monotonic()
     for number in range(200):
         hooks.tell(answer(str(number)))

@@ -98,8 +98,9 @@ def sheet(
     first = explained.is_first(scored)
     ours = cells_of(explained, scored, stored.get(scored.seq))
     match = Photo(
-        *_shown(scored.view, image),
-        _caption(scored, ours, "first match" if first else f"rank {explained.rank(scored)}"),
+        _pixels(scored.view, image),
+        f"enrolled: {name_of(scored.view)}",
+        _caption(scored, ours, image, "first match" if first else f"rank {explained.rank(scored)}"),
         None if ours is None else ours.of_candidate(),
     )
     notes, rival, contrasted = _notes(explained, scored, ours), None, None
@@ -111,7 +112,8 @@ def sheet(
         theirs = cells_of(explained, against, stored.get(against.seq))
         role = "rival" if first else "first match"
         cells = None if theirs is None else theirs.of_candidate()
-        rival = Photo(*_shown(against.view, photo), _caption(against, theirs, role), cells)
+        title, caption = f"enrolled: {name_of(against.view)}", _caption(against, theirs, photo, role)
+        rival = Photo(_pixels(against.view, photo), title, caption, cells)
         if compared and against.dense is not None and theirs is None:
             notes.append(ANEW.format(_short(name_of(against.view))))
         if ours is not None and theirs is not None:
@@ -132,14 +134,13 @@ def sheet(
     )
 
 
-def _shown(view: ViewRecord, photo: Pixels | None) -> tuple[Pixels, str]:
-    """The photo of a view, or a grey sheet of its form, and the title."""
-    title = f"enrolled: {name_of(view)}"
+def _pixels(view: ViewRecord, photo: Pixels | None) -> Pixels:
+    """The photo of a view, or a grey sheet of its form."""
     if photo is not None:
-        return photo, title
+        return photo
     scale = SHEET / max(view.image.width, view.image.height)
     height, width = (max(1, round(side * scale)) for side in (view.image.height, view.image.width))
-    return np.full((height, width, 3), GREY, np.uint8), f"{title} (its image is not kept)"
+    return np.full((height, width, 3), GREY, np.uint8)
 
 
 def name_of(view: ViewRecord) -> str:
@@ -155,12 +156,14 @@ def _short(name: str) -> str:
     return name if len(name) <= LONGEST else f"{name[:half]}…{name[-half:]}"
 
 
-def _caption(scored: ScoredView, cells: CellEvidence | None, role: str) -> str:
+def _caption(scored: ScoredView, cells: CellEvidence | None, photo: Pixels | None, role: str) -> str:
     told = [role, f"score {scored.score:.3f}"]
     if cells is not None:
         told.append(f"{len(cells.weight)} cells agree")
     if scored.verified is not None:
         told.append(f"{scored.verified.inliers} keypoints fit")
+    if photo is None:
+        told.append("image not kept")
     return " · ".join(told)
 
 

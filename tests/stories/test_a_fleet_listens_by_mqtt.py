@@ -1,0 +1,220 @@
+"""MQTT: a fleet manager hears of what its robots found, through a real broker, and no query waits for that."""
+
+import json
+import logging
+import os
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.http import mqtt
+from app.http.examples import QUERY_ANSWER
+from app.http.mqtt import Mqtt
+from schemas.errors import SetupError
+from schemas.settings import read_settings
+from schemas.wire import QueryAnswer
+from tests.sample_images import photo
+from tests.stories.running import RunningService
+
+JPEG = {"content-type": "image/jpeg"}
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+broker_needed = pytest.mark.skipif(MOSQUITTO is None, reason="needs mosquitto: apt-get install mosquitto")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def broker(folder: Path, port: int, password: str | None = None) -> Iterator[None]:
+    """mosquitto on a port, for anyone or for the user ``robot``."""
+    lines = [f"listener {port} 127.0.0.1", f"allow_anonymous {str(password is None).lower()}"]
+    if os.geteuid() == 0:
+        lines.append("user root")
+    if password is not None:
+        users = folder / "users"
+        subprocess.run(["mosquitto_passwd", "-b", "-c", users, "robot", password], check=True, capture_output=True)
+        users.chmod(0o600)
+        lines.append(f"password_file {users}")
+    settings = folder / "mosquitto.conf"
+    settings.write_text("\n".join(lines) + "\n")
+    assert MOSQUITTO is not None
+    process = subprocess.Popen([MOSQUITTO, "-c", settings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        soon(lambda: not _refused(port))
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _refused(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+def soon(true: Callable[[], bool], seconds: float = 20) -> None:
+    until = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+class Listener:
+    """A subscriber to everything, by the same library that the service uses; mosquitto stands between."""
+
+    def __init__(self, port: int, password: str | None = None) -> None:
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        self.messages: list[tuple[str, bytes]] = []
+        subscribed = threading.Event()
+        self._client = Client(CallbackAPIVersion.VERSION2)
+        if password is not None:
+            self._client.username_pw_set("robot", password)
+        self._client.on_message = lambda client, data, message: self.messages.append(
+            (message.topic, bytes(message.payload))
+        )
+        self._client.on_subscribe = lambda *_: subscribed.set()
+        self._client.connect("127.0.0.1", port)
+        self._client.loop_start()
+        self._client.subscribe("#", qos=1)
+        assert subscribed.wait(10)
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+@contextmanager
+def listening(port: int, password: str | None = None) -> Iterator[Listener]:
+    one = Listener(port, password)
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+def answer(query: str) -> QueryAnswer:
+    return QueryAnswer.model_validate({**QUERY_ANSWER, "query": {**QUERY_ANSWER["query"], "id": query}})
+
+
+@broker_needed
+def test_a_query_is_published_under_its_map_and_verdict(tmp_path: Path) -> None:
+    port = free_port()
+    named = {"REVISIT_MQTT": f"mqtt://robot@127.0.0.1:{port}", "REVISIT_MQTT_TOPIC": "building/3"}
+    with broker(tmp_path, port, "let me in"), listening(port, "let me in") as fleet:
+        with (
+            RunningService(tmp_path / "data", REVISIT_MQTT_PASSWORD="let me in", **named) as service,
+            httpx.Client(base_url=service.url, timeout=30) as client,
+        ):
+            assert client.post("/enroll?map=town&place=gate", content=photo(), headers=JPEG).status_code == 201
+            found = client.post("/query?map=town", content=photo(), headers=JPEG).json()
+            soon(lambda: 'revisit_mqtt_total{outcome="delivered"} 1.0' in client.get("/metrics").text)
+            soon(lambda: len(fleet.messages) == 2)
+            assert service.stop() == 0
+        soon(lambda: len(fleet.messages) == 3)
+    (up, online), (topic, body), (down, offline) = fleet.messages
+    assert (up, online, down, offline) == ("building/3/status", b"online", "building/3/status", b"offline")
+    told: dict[str, Any] = json.loads(body)
+    kind = "look-alike" if found["reason"]["code"] == "look-alike" else found["status"]
+    assert (topic, told["type"]) == (f"building/3/town/{kind}", f"query.{kind}")
+    assert (told["data"]["query"], told["data"]["place"]) == (found["query"]["id"], "gate")
+    assert "let me in" not in "".join(service.output)
+
+
+@broker_needed
+def test_a_service_that_is_killed_is_offline(tmp_path: Path) -> None:
+    port = free_port()
+    with broker(tmp_path, port), listening(port) as fleet:
+        with RunningService(tmp_path / "data", REVISIT_MQTT=f"mqtt://127.0.0.1:{port}") as service:
+            soon(lambda: fleet.messages == [("revisit/status", b"online")])
+            service.kill()
+        soon(lambda: fleet.messages[1:] == [("revisit/status", b"offline")])
+
+
+@broker_needed
+def test_what_was_found_while_the_broker_was_away_is_published_when_it_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "AGAIN_S", (1, 1))
+    port, outcomes = free_port(), list[str]()
+    teller = Mqtt(f"mqtt://127.0.0.1:{port}", None, "revisit")
+    teller.on_outcome(outcomes.append)
+    with caplog.at_level(logging.INFO):
+        teller.start()
+        for number in range(20):
+            teller.tell(answer(str(number)))
+        soon(lambda: "cannot be reached" in caplog.text)
+        with broker(tmp_path, port), listening(port) as fleet:
+            soon(lambda: len(outcomes) == 20)
+            soon(lambda: len(fleet.messages) >= 21)
+            teller.close()
+    assert set(outcomes) == {"delivered"}
+    found = {json.loads(body)["data"]["query"] for topic, body in fleet.messages if topic != "revisit/status"}
+    assert found == {str(number) for number in range(20)}
+    assert caplog.text.count("cannot be reached") == 1
+    assert "is there again" in caplog.text
+
+
+def test_a_broker_that_never_comes_delays_no_query_and_a_stop_by_seconds(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "WAITING", 50)
+    teller, outcomes = Mqtt(f"mqtt://127.0.0.1:{free_port()}", None, "revisit"), list[str]()
+    teller.on_outcome(outcomes.append)
+    teller.start()
+    began = time.monotonic()
+    for number in range(200):
+        teller.tell(answer(str(number)))
+    assert time.monotonic() - began < 2
+    assert outcomes == ["dropped"] * 150
+    teller.close(0.5)
+    assert time.monotonic() - began < 5
+    teller.tell(answer("late"))
+    assert outcomes == ["dropped"] * 201
+    assert "more than 50 wait" in caplog.text
+
+
+@broker_needed
+def test_a_wrong_password_is_said_once_and_never_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    teller = Mqtt(f"mqtt://robot@127.0.0.1:{port}", "a guess", "revisit")
+    with caplog.at_level(logging.INFO), broker(tmp_path, port, "let me in"):
+        teller.start()
+        soon(lambda: "refuses the connection" in caplog.text)
+        teller.close(0.1)
+    assert "a guess" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("REVISIT_MQTT", "broker.example"),
+        ("REVISIT_MQTT", "mqtt://robot:secret@broker.example"),
+        ("REVISIT_MQTT", "http://broker.example"),
+        ("REVISIT_MQTT_TOPIC", "all/#"),
+        ("REVISIT_MQTT_TOPIC", "/revisit"),
+        ("REVISIT_MQTT_TOPIC", ""),
+    ],
+)
+def test_settings_that_cannot_be_used_are_named(setting: str, value: str) -> None:
+    with pytest.raises(SetupError, match=setting):
+        read_settings({setting: value})
+
+
+def test_a_service_without_the_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "paho.mqtt.client", None)
+    with pytest.raises(SetupError, match="pip install paho-mqtt"):
+        Mqtt("mqtt://127.0.0.1", None, "revisit")
