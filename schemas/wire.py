@@ -138,8 +138,12 @@ from .wire_views import (
 class EnrolmentWarning(Answer):
     """Something about an image that was enrolled."""
 
-    code: Literal["poor-picture"] = Field(description="poor-picture: it is dark, overexposed, covered or blurred.")
+    code: Literal["poor-picture", "duplicate", "look-alike"] = Field(
+        description="poor-picture: it is dark, overexposed, covered or blurred; duplicate: nearly the same image is in "
+        "the map; look-alike: the map takes it for another place. The last two are told of views described in the call."
+    )
     detail: str
+    view: str | None = Field(None, description="Id of the view that it is a duplicate of, or looks like.")
 
 
 class Enrolled(Answer):
@@ -150,7 +154,8 @@ class Enrolled(Answer):
     revision: int = Field(description="The map's revision after this enrolment.")
     job: str | None = Field(None, description="The job that describes the view, while it is pending.")
     warnings: list[EnrolmentWarning] = Field(
-        default_factory=list, description="What may keep the view from being recognised; it is enrolled all the same."
+        default_factory=list,
+        description="What may keep the view from being recognised, or others; it is enrolled all the same.",
     )
     timing_ms: dict[str, float]
 

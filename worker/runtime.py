@@ -40,6 +40,7 @@ from worker.service.maps import MapService
 from worker.service.query import QueryService
 from worker.service.recordings import Limits
 from worker.service.renderings import RenderingService
+from worker.service.resemblances import Resemblances
 from worker.service.searching import Searcher
 from worker.service.settlements import Settlements
 from worker.service.snapshots import SnapshotService
@@ -286,6 +287,19 @@ def _services(
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
+    searcher = Searcher(
+        maps=store.maps,
+        views=store.views,
+        listings=store.listings,
+        descriptions=store.descriptions,
+        comparisons=store.comparisons,
+        queue=store.jobs,
+        describers=describers,
+        scheduler=scheduler,
+        catalogue=catalogue,
+        calibration=calibration_of,
+        product=product,
+    )
     enroll = EnrollService(
         maps=store.maps,
         enrolment=store.enrolment,
@@ -300,19 +314,7 @@ def _services(
         pace_s=lambda: scheduler.pace_s,
         wake=_nothing if loop is None else loop.wake,
         workers=lambda: attendance.alive,
-    )
-    searcher = Searcher(
-        maps=store.maps,
-        views=store.views,
-        listings=store.listings,
-        descriptions=store.descriptions,
-        comparisons=store.comparisons,
-        queue=store.jobs,
-        describers=describers,
-        scheduler=scheduler,
-        catalogue=catalogue,
-        calibration=calibration_of,
-        product=product,
+        resembles=Resemblances(store.maps, store.descriptions, searcher).of,
     )
     return Services(
         enroll=enroll,

@@ -34,8 +34,8 @@ def say(text: str) -> None:
 
 
 def show(text: str) -> None:
-    """Print a result on stdout."""
-    print(text, flush=True)
+    """Print a result on stdout, in one write: lines of a log that share the terminal do not come between."""
+    print(f"{text}\n", end="", flush=True)
 
 
 def show_json(value: Any) -> None:

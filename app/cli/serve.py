@@ -193,18 +193,20 @@ def announce(runtime: "Runtime", url: str) -> None:
     views = sum(count.views.get("ready", 0) for count in counts)
     pending = sum(count.views.get("pending", 0) for count in counts)
     waiting = f", {pending} waiting to be described" if pending else ""
-    show(f"revisit serves at {url}")
-    show(f"  encoder   {runtime.encoder.name} on {settings.device}, preset {settings.preset}")
-    show(f"  data      {settings.data.resolve()}")
-    show(f"  enrolled  {views} views in {len(maps)} maps{waiting}")
-    show(f"  console   {url}/      documentation {url}/docs")
-    show(f"  try       curl -F image=@photo.jpg {url}/enroll")
+    lines = [
+        f"revisit serves at {url}",
+        f"  encoder   {runtime.encoder.name} on {settings.device}, preset {settings.preset}",
+        f"  data      {settings.data.resolve()}",
+        f"  enrolled  {views} views in {len(maps)} maps{waiting}",
+        f"  console   {url}/      documentation {url}/docs",
+        f"  try       curl -F image=@photo.jpg {url}/enroll",
+    ]
     keys = runtime.services.keys.all()
     if keys:
-        show(
-            f"  keys      {sum(key.state(datetime.now(UTC)) == 'valid' for key in keys)} in force; every call needs one"
-        )
-    elif not _is_loopback(settings.host):
+        in_force = sum(key.state(datetime.now(UTC)) == "valid" for key in keys)
+        lines.append(f"  keys      {in_force} in force; every call needs one")
+    show("\n".join(lines))
+    if not keys and not _is_loopback(settings.host):
         log.warning(
             "OPEN: listening on %s without keys; whoever can reach this port may read, enrol and delete",
             settings.host,

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from app.http import presenters, snapshot_presenters
+from app.http import enrolment_presenters, presenters, snapshot_presenters
 from app.http.calibration_report import calibration_report
 from app.http.health_report import map_health, unknown_places
 from schemas import wire
@@ -248,7 +248,7 @@ class Curator:
     async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
         """Enrol images of an unknown place as views with these attributes."""
         enrolled, removed = await asyncio.to_thread(self._inbox.name, name, place_id, attributes)
-        return wire.NamedPlace(views=[presenters.enrolled(one).view for one in enrolled], queries=removed)
+        return wire.NamedPlace(views=[enrolment_presenters.enrolled(one).view for one in enrolled], queries=removed)
 
     async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
         """Delete the queries of an unknown place."""

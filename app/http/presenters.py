@@ -17,7 +17,6 @@ from worker.method.estimate import locate
 from worker.method.evidence import GraphEvidence
 from worker.method.verification import Verified
 from worker.service.drives import Driven
-from worker.service.enroll import Enrolled
 from worker.service.explanations import point
 from worker.service.maps import MapState
 from worker.service.query import QueryResult
@@ -189,18 +188,6 @@ def dynamic_preview(map_name: str, preview: DynamicPreview) -> wire.DynamicPrevi
         nothing_left=preview.nothing_left,
         labels=[wire.DroppedLabel(label=name, share=share, views=views) for name, share, views in preview.labels],
         most=[wire.DroppedView(view=labelled_view(one), share=share) for one, share in preview.most],
-    )
-
-
-def enrolled(outcome: Enrolled) -> wire.Enrolled:
-    """The result of enrolling one image."""
-    return wire.Enrolled(
-        view=view(outcome.view, outcome.labels),
-        created=outcome.created,
-        revision=outcome.revision,
-        job=outcome.job_id,
-        warnings=[wire.EnrolmentWarning(code="poor-picture", detail=outcome.problem)] if outcome.problem else [],
-        timing_ms=outcome.timing_ms,
     )
 
 

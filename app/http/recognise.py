@@ -8,7 +8,7 @@ from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 
-from app.http import presenters
+from app.http import enrolment_presenters, presenters
 from app.http.waiter import settled
 from schemas import wire
 from schemas.errors import RevisitError
@@ -109,7 +109,7 @@ class Recogniser:
             waited_ms = (time.perf_counter() - describing) * 1000
             accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
         try:
-            return presenters.enrolled(await asyncio.to_thread(self._enroll.outcome, accepted, view))
+            return enrolment_presenters.enrolled(await asyncio.to_thread(self._enroll.outcome, accepted, view))
         except RevisitError as error:
             return error
 

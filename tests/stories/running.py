@@ -14,6 +14,9 @@ from types import TracebackType
 import httpx
 
 ROOT = Path(__file__).resolve().parents[2]
+LINES = 200
+"""Last lines of a service's output that are shown when a test of it fails."""
+
 START_S = 120
 
 
@@ -114,6 +117,8 @@ class RunningService:
     ) -> None:
         if self._process.poll() is None:
             self.stop()
+        if kind is not None:
+            print("".join(self.output[-LINES:]))  # shown by pytest with the failure
 
 
 @contextmanager

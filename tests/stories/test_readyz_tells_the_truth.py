@@ -1,5 +1,6 @@
 """`/readyz` tries what it says: the encoder with an image, the worker, the disk, the index of each map."""
 
+import statistics
 import threading
 import time
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from worker.encoders.color import ColorEncoder
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
-ANSWER_S = 0.5
+ANSWER_S, PROBES = 0.5, 3
 
 
 @pytest.fixture
@@ -31,16 +32,24 @@ def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[CheckedC
 
 
 def until(client: CheckedClient, ready: bool) -> Any:
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline:
+    """The first answer that says so. Most probes are in time: a crowded machine may stop any single one."""
+    took: list[float] = []
+
+    def probe() -> Any:
         began = time.monotonic()
         answer = client.get("/readyz")
-        assert time.monotonic() - began < ANSWER_S
+        took.append(time.monotonic() - began)
         assert answer.status_code == (200 if answer.json()["ready"] else 503)
-        if answer.json()["ready"] is ready:
-            return answer.json()
+        return answer.json()
+
+    deadline = time.monotonic() + 20
+    while (answer := probe())["ready"] is not ready:
+        assert time.monotonic() < deadline, f"still {answer}"
         time.sleep(0.02)
-    raise AssertionError(f"still {answer.json()}")
+    while len(took) < PROBES:
+        probe()
+    assert statistics.median(took) < ANSWER_S
+    return answer
 
 
 def test_each_map_is_named_with_the_revision_of_its_index(client: CheckedClient) -> None:

@@ -5,6 +5,11 @@ import numpy.typing as npt
 
 from schemas.description import Floats, Int8s
 
+NEAR, SAME = 0.65, 0.94
+"""Histogram distance up to which views may be duplicates, and mean cosine of their cells from which they are. The same
+photo, saved again with much loss or at three quarters of the size, has at least .942; the next frame of a walk along a
+corridor at most .933 (encoder `compact`)."""
+
 BLOCK = 512
 """Views compared with all others at a time: bounds the memory."""
 

@@ -17,6 +17,11 @@ ENOUGH_VIEWS, ENOUGH_PLACES = 20, 10
 then neighbours are rivals too."""
 
 
+SAME_SPOT_INLIERS, SAME_SPOT_SCORE = 40, 0.55
+"""Two views show the same spot when this many keypoints agree, of 300, and they score this much. Of pairs of views of
+look-alike floors 99 in 100 have at most 31."""
+
+
 class Places:
     """Which of some views are of one place.
 
@@ -73,6 +78,14 @@ class Places:
             return True
         gap = distance(a.position, b.position)
         return gap == inf or gap > NEIGHBOURHOOD * self._within
+
+    def told_apart(self, one: int, other: int) -> bool:
+        """Whether the user says of two views that they are of different places: by their positions, else by names."""
+        a, b = self._known[one], self._known[other]
+        gap = distance(a.position, b.position)
+        named = a.name is not None and b.name is not None
+        far = gap > NEIGHBOURHOOD * self._within
+        return not self.same(one, other) and (far if gap < inf else named)
 
     def group(self, ranked: Sequence[int]) -> list[list[int]]:
         """Views by place: each place is that of its best view, and takes all later views that share it.

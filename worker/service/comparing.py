@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.comparisons import Comparison
-from schemas.description import Description
+from schemas.description import Description, Floats
 from schemas.errors import NotFound
 from schemas.health import Uncompared
 from schemas.recipe import DescriptionRecipe, RankingConfig
@@ -19,7 +19,7 @@ from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone
 from worker.method.evidence import Ranking
-from worker.method.places import ENOUGH_VIEWS, Places
+from worker.method.places import ENOUGH_VIEWS, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.ports import ComparisonReader, DescriptionReader, Index
@@ -34,10 +34,6 @@ FIRST = 32
 
 PORTION = 8
 """Views compared at a time; after each the thread rests as long as it worked."""
-
-SAME_SPOT_INLIERS, SAME_SPOT_SCORE = 40, 0.55
-"""Two views show the same spot when this many keypoints agree, of 300, and they score this much. Of pairs of views of
-look-alike floors 99 in 100 have at most 31."""
 
 WIDENED = 3
 """How often a search is repeated because too many of its candidates show the view's own place."""
@@ -61,6 +57,10 @@ class ComparisonStore(ComparisonReader, Protocol):
 
 class Descriptions(DescriptionReader, Protocol):
     """Descriptions, in parts and whole."""
+
+    def vectors(self, seqs: Sequence[int], recipe: str) -> dict[int, Floats]:
+        """Histogram vectors."""
+        ...
 
     def whole(self, seq: int, recipe: DescriptionRecipe) -> Description | None:
         """A view's whole description; None when it was deleted."""

@@ -12,6 +12,7 @@ from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.images.codec import facts
 from worker.service import steady
 from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
+from worker.service.resemblances import Resemblance
 from worker.service.settlements import Settlements
 
 NO_WORKER = (
@@ -61,6 +62,8 @@ class Enrolled:
         The job that describes the view, while the view is pending.
     problem : str or None
         What may keep the view from being recognised, in words.
+    resembles : tuple of Resemblance
+        What a view that this call created and that is described resembles.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -70,6 +73,7 @@ class Enrolled:
     revision: int
     job_id: str | None
     problem: str | None
+    resembles: tuple[Resemblance, ...]
     timing_ms: dict[str, float]
 
 
@@ -96,6 +100,8 @@ class EnrollService:
         Called when a description was queued.
     workers : function
         Returns how many workers are alive.
+    resembles : function
+        What a described view resembles in its map.
     """
 
     def __init__(
@@ -114,11 +120,13 @@ class EnrollService:
         pace_s: Callable[[], float],
         wake: Callable[[], None],
         workers: Callable[[], int] = lambda: 1,
+        resembles: Callable[[ViewRecord], tuple[Resemblance, ...]] = lambda view: (),
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
         self._decode, self._look_for_problem, self._default_recipe = decode, look_for_problem, default_recipe
         self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
+        self._resembles = resembles
 
     def submit(
         self,
@@ -203,6 +211,12 @@ class EnrollService:
             raise RevisitError(detail)
         revision = submitted.revision
         labels: tuple[str, ...] = ()
+        resembles: tuple[Resemblance, ...] = ()
+        timing_ms = accepted.timing_ms
+        if record.state == "ready" and submitted.created:
+            comparing = time.perf_counter()
+            resembles = self._resembles(record)
+            timing_ms = {**timing_ms, "compare": _since(comparing)}
         if record.state == "ready":
             owner = self._maps.get(record.map)
             revision, labels = owner.revision, owner.description.labels
@@ -213,7 +227,8 @@ class EnrollService:
             revision=revision,
             job_id=submitted.job_id if record.state == "pending" else None,
             problem=accepted.problem,
-            timing_ms={**accepted.timing_ms, "total": _since(accepted.began)},
+            resembles=resembles,
+            timing_ms={**timing_ms, "total": _since(accepted.began)},
         )
 
     def _undone(self, submitted: Submitted) -> bool:

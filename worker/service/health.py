@@ -18,18 +18,13 @@ from schemas.records import MapRecord, Position
 from worker.method import coverage
 from worker.method.calibration import Calibration
 from worker.method.estimate import is_known, metres
-from worker.method.near_duplicates import alike, similarity
+from worker.method.near_duplicates import NEAR, SAME, alike, similarity
 from worker.method.places import NEIGHBOURHOOD
 from worker.service.ports import Maps
 from worker.service.twins import SHOWN, find_twins
 
 EXAMINED = 20_000
 """Views of a map that are examined at most, the newest: bounds time and memory."""
-
-NEAR, SAME = 0.65, 0.94
-"""Histogram distance up to which views may be duplicates, and mean cosine of their cells from which they are. The same
-photo, saved again with much loss or at three quarters of the size, has at least .942; the next frame of a walk along a
-corridor at most .933 (encoder `compact`)."""
 
 NEAREST = 10
 """Later views that a view is compared with at most."""

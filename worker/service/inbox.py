@@ -12,8 +12,8 @@ from schemas.inbox import Inbox, KeptQuery, UnknownPlace
 from schemas.recipe import DescriptionRecipe
 from schemas.records import ViewAttributes
 from worker.method.near_duplicates import alike
+from worker.method.places import SAME_SPOT_INLIERS
 from worker.method.verification import verify
-from worker.service.comparing import SAME_SPOT_INLIERS
 from worker.service.enroll import Enrolled, EnrollService
 from worker.service.ports import Maps
 

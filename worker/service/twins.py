@@ -8,8 +8,7 @@ from schemas.comparisons import MapLevels
 from schemas.health import HealthFinding, SurveyedView
 from worker.method.calibration import Calibration
 from worker.method.decision import expected_levels, features, floor
-from worker.method.estimate import distance
-from worker.method.places import NEIGHBOURHOOD, Places
+from worker.method.places import Places
 
 SHOWN = 10
 """Views that a finding names at most."""
@@ -48,16 +47,9 @@ def find_twins(
     comparison says that both show one spot; or when the map, queried with one of them, finds the other before any
     further view of its own place; or when it would be `matched` with the other if its own place were not in the map.
     """
-    usual, threshold = expected_levels(levels), calibration.threshold(precision)
     of = {view.seq: view for view in views}
     places = Places({view.seq: view.known for view in views}, same_place_m)
     pairs: defaultdict[tuple[str, str], _Pair] = defaultdict(_Pair)
-
-    def told_apart(one: SurveyedView, other: SurveyedView) -> bool:
-        gap = distance(one.known.position, other.known.position)
-        named = one.known.name is not None and other.known.name is not None
-        far = gap > NEIGHBOURHOOD * same_place_m
-        return not places.same(one.seq, other.seq) and (far if gap < float("inf") else named)
 
     def pair(one: SurveyedView, other: SurveyedView) -> _Pair:
         first, second = sorted((label(one), label(other)))
@@ -69,18 +61,17 @@ def find_twins(
             continue
         for seq in compared.same_spot:
             other = of.get(seq)
-            if other is not None and told_apart(view, other):
+            if other is not None and places.told_apart(view.seq, other.seq):
                 found = pair(view, other)
                 found.one_spot += 1
                 found.add(compared.own or 0.0, view.id, other.id)
         rival = None if compared.rival is None else of.get(compared.rival)
-        if rival is None or compared.level is None or not told_apart(view, rival):
+        if rival is None or compared.level is None or not places.told_apart(view.seq, rival.seq):
             continue
         wins = compared.own is not None and compared.level >= compared.own
         if not wins:
             next_best = 0.0 if compared.gap is None else compared.level - compared.gap
-            read = features(compared.level, max(next_best, floor(compared.others, usual)), usual)
-            wins = calibration.probabilities([read])[0] >= threshold
+            wins = would_match(compared.level, next_best, compared.others, precision, levels, calibration)
         if wins:
             found = pair(view, rival)
             found.fooled += 1
@@ -97,6 +88,27 @@ def find_twins(
             tuple(found.views[:SHOWN]),
             len(found.views),
         )
+
+
+def would_match(
+    level: float, next_best: float, others: int, precision: float, levels: MapLevels, calibration: Calibration
+) -> bool:
+    """Whether a query would be `matched` with a view that scores `level`, when the next place scores `next_best`.
+
+    Parameters
+    ----------
+    level, next_best : float
+        Scores, 0..1.
+    others : int
+        Views of other places.
+    precision : float
+    levels : MapLevels
+        What wrong answers get in the map.
+    calibration : Calibration
+    """
+    usual = expected_levels(levels)
+    read = features(level, max(next_best, floor(others, usual)), usual)
+    return bool(calibration.probabilities([read])[0] >= calibration.threshold(precision))
 
 
 def _one_spot(count: int) -> str:
