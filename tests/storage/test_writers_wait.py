@@ -33,7 +33,6 @@ def test_a_writer_that_waits_too_long_is_told_that_others_write(
 
 def test_a_writer_that_falls_silent_is_passed_and_told(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As when its machine is suspended, or cut off from the network; the writers of a file are on one machine."""
-    monkeypatch.setattr(dialect, "SILENT_S", 0.3)
     stopped, wake, told = threading.Event(), threading.Event(), []
     with postgres_schema() as url, closing(open_store(url, data)) as store, closing(Database(url)) as silent:
 
@@ -45,9 +44,11 @@ def test_a_writer_that_falls_silent_is_passed_and_told(data: Path, monkeypatch: 
             except StorageFailed as error:
                 told.append(error)
 
+        monkeypatch.setattr(dialect, "SILENT_S", 1.0)
         writer = threading.Thread(target=write_and_stop)
         writer.start()
         stopped.wait(30)
+        monkeypatch.undo()
         began = time.monotonic()
         enroll(store, "hall")
         assert time.monotonic() - began < 10
