@@ -9,23 +9,28 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from lab.faults.comparing import compare_all
+from lab.faults.damaging import Damaging, has_own_disk
 from lab.faults.enrolling import MOST_VIEWS
-from lab.faults.interrupting import Interrupting
 from lab.faults.ledger import Violation
 from lab.faults.live_service import QUICK, LiveService
 from lab.faults.run import Progress, Tally, data_folder, parser, seed_of
+from lab.faults.small_disk import NotMounted, small_disk
 
 EPISODE = 1000
 """Operations in one life of a data folder."""
 
 COMPARE_EVERY = 150
 """Operations between two comparisons of everything."""
+
+DISK_MB, RESERVE_MB = 128, 4
+"""Sizes of the disk that an episode has for itself, and of what the service keeps of it for deletions."""
 
 WEIGHTS = {
     "enroll": 16.0,
@@ -52,6 +57,10 @@ WEIGHTS = {
     "kill": 0.1,
     "kill_during": 0.3,
     "set_clock": 0.3,
+    "damage_description": 0.3,
+    "damage_attributes": 0.1,
+    "damage_image": 0.1,
+    "fill_disk": 0.1,
 }
 """How often each operation is drawn, relative to the others."""
 
@@ -66,7 +75,7 @@ def live(data: Path, seed: int, operations: int, counts: Counter[str], without: 
     Parameters
     ----------
     data : Path
-        Empty.
+        Empty. The disk is filled only where this is a file system of its own (`small_disk`).
     seed : int
         Of the episode.
     operations : int
@@ -81,10 +90,11 @@ def live(data: Path, seed: int, operations: int, counts: Counter[str], without: 
         With the number of the operation and the last ones before it.
     """
     chance = np.random.default_rng(seed)
-    names = [name for name in WEIGHTS if name not in without]
+    left_out = {*without, *([] if has_own_disk(data) else ["fill_disk"])}
+    names = [name for name in WEIGHTS if name not in left_out]
     shares = np.array([WEIGHTS[name] for name in names])
-    served = LiveService(data, counts, told=True, settings=QUICK)
-    doing = Interrupting(served, chance, counts)
+    served = LiveService(data, counts, told=True, settings={**QUICK, "REVISIT_RESERVE_MB": str(RESERVE_MB)})
+    doing = Damaging(served, chance, counts)
     number = 0
     try:
         for number in range(1, operations + 1):
@@ -110,7 +120,18 @@ def live(data: Path, seed: int, operations: int, counts: Counter[str], without: 
         served.close()
 
 
-def _look(doing: Interrupting) -> None:
+@contextmanager
+def _disk(within: Path | None) -> Iterator[Path]:
+    """A data folder on a small disk of its own, or without one where none can be mounted, which is said."""
+    with data_folder(within) as data, ExitStack() as held:
+        try:
+            held.enter_context(small_disk(data, DISK_MB))
+        except NotMounted as error:
+            print(f"NOT DONE: fill_disk needs the right to mount a disk ({error})", file=sys.stderr, flush=True)
+        yield data
+
+
+def _look(doing: Damaging) -> None:
     """After every operation: one view is as acknowledged, one that was deleted is not there."""
     known = doing.some_view()
     if known is not None:
@@ -136,7 +157,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for episode in range(tally.done, episodes):
         began = time.monotonic()
         count = min(EPISODE, arguments.operations - episode * EPISODE)
-        with data_folder(arguments.folder) as data:
+        with _disk(arguments.folder) as data:
             try:
                 live(data, seed * 100_000 + episode, count, tally.counts, arguments.without)
             except Failed as failed:
@@ -154,7 +175,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _replay(arguments: argparse.Namespace) -> int:
     tally = Tally("model", arguments.episode_seed)
     began = time.monotonic()
-    with data_folder(arguments.folder) as data:
+    with _disk(arguments.folder) as data:
         try:
             live(data, arguments.episode_seed, min(EPISODE, arguments.operations), tally.counts, arguments.without)
         except Failed as failed:

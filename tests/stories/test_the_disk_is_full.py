@@ -1,8 +1,6 @@
 """The disk runs full under a real service: everybody is answered, space can be freed, and it recovers by itself."""
 
 import errno
-import os
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
+from lab.faults.small_disk import NotMounted, fill, small_disk
 from tests.failing_writes import failing_writes
 from tests.sample_images import drawn, encoded
 from tests.stories.running import RunningService
@@ -32,13 +31,11 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     """A small disk of its own."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "tmpfs", str(folder)], capture_output=True, text=True
-    )
-    if mounted.returncode != 0:
-        pytest.skip(f"NOT TRIED: a full disk needs the right to mount one ({mounted.stderr.strip()})")
-    yield folder
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+    try:
+        with small_disk(folder, DISK_MB):
+            yield folder
+    except NotMounted as error:
+        pytest.skip(f"NOT TRIED: a full disk needs the right to mount one ({error})")
 
 
 @contextmanager
@@ -49,22 +46,6 @@ def serving(disk: Path, **environment: str) -> Iterator[tuple[RunningService, ht
         httpx.Client(base_url=service.url, timeout=ANSWER_S) as client,
     ):
         yield service, client
-
-
-def fill(disk: Path, leave: int = 0) -> Path:
-    """Another program takes the space of the disk."""
-    hog = disk / "hog"
-    with hog.open("wb") as file:
-        while True:
-            found = os.statvfs(disk)
-            size = file.seek(0, os.SEEK_END) + found.f_bavail * found.f_frsize - leave
-            try:
-                os.posix_fallocate(file.fileno(), 0, size)
-                break
-            except OSError as error:  # the service took some of it meanwhile
-                if error.errno != errno.ENOSPC:
-                    raise
-    return hog
 
 
 def until(client: httpx.Client, true: Any) -> Any:

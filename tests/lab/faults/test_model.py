@@ -1,6 +1,7 @@
 """The service and a plain model of it agree; and a model that is told a lie notices it."""
 
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 from lab.faults import model
 from lab.faults.comparing import compare_all, compare_tables
-from lab.faults.interrupting import Interrupting
+from lab.faults.damaging import Damaging, has_own_disk
 from lab.faults.ledger import Violation
 from lab.faults.live_service import LiveService
 from lab.faults.run import Tally
+from lab.faults.small_disk import NotMounted, small_disk
 
 SEEDS = (1, 2, 3)
 OPERATIONS = 200
@@ -23,10 +25,38 @@ def test_a_service_and_a_plain_model_of_it_agree(seed: int, tmp_path: Path) -> N
     model.live(tmp_path, seed, OPERATIONS, Counter())
 
 
+def test_they_agree_through_damage_and_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    often = {name: 20 * weight for name, weight in model.WEIGHTS.items() if name.startswith(("damage", "fill"))}
+    monkeypatch.setattr(model, "WEIGHTS", model.WEIGHTS | often)
+    counts: Counter[str] = Counter()
+    with ExitStack() as held:
+        try:
+            held.enter_context(small_disk(tmp_path, model.DISK_MB))
+        except NotMounted as error:
+            print(f"NOT TRIED: a full disk needs the right to mount one ({error})")
+        model.live(tmp_path, 4, 100, counts)
+        done = "damage found by a query", "damage mended by doctor", "damage_attributes", "damage_image"
+        assert all(counts[name] for name in done), counts
+        assert counts["fill_disk"] or not has_own_disk(tmp_path)
+
+
+def test_damage_that_doctor_does_not_name_is_a_violation(tmp_path: Path) -> None:
+    served = LiveService(tmp_path, Counter())
+    try:
+        doing = Damaging(served, np.random.default_rng(0), Counter())
+        doing.enroll()
+        known = doing.some_view()
+        assert known is not None
+        with pytest.raises(Violation, match=f"doctor says nothing of view {known.id}"):
+            doing._repair(known)
+    finally:
+        served.close()
+
+
 def test_what_is_lost_invented_or_changed_behind_the_services_back_is_noticed(tmp_path: Path) -> None:
     served = LiveService(tmp_path, Counter())
     try:
-        doing = Interrupting(served, np.random.default_rng(0), Counter())
+        doing = Damaging(served, np.random.default_rng(0), Counter())
         for _ in range(4):
             doing.enroll()
         compare_all(served, doing.maps)
@@ -55,10 +85,10 @@ def test_what_is_lost_invented_or_changed_behind_the_services_back_is_noticed(tm
 def test_a_violation_is_told_with_what_replays_it_and_fails_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def wrong(self: Interrupting) -> None:
+    def wrong(self: Damaging) -> None:
         raise Violation("two and two are five")
 
-    monkeypatch.setattr(Interrupting, "enroll", wrong)
+    monkeypatch.setattr(Damaging, "enroll", wrong)
     checkpoint = tmp_path / "run.json"
     options = ["--operations", "40", "--seed", "3", "--checkpoint", str(checkpoint), "--folder", str(tmp_path)]
 
