@@ -12,7 +12,7 @@
     ├── NotFound           not-found             ImageNotKept image-not-kept
     ├── Conflict           conflict
     ├── KeyReused          idempotency-key-reused
-    ├── Unauthorized       unauthorized          Forbidden   forbidden
+    ├── Unauthorized       unauthorized          Forbidden   forbidden       OtherSite other-site
     ├── Busy               too-many-requests     Unavailable, StorageFailed  unavailable
     ├── DiskFull           disk-full
     ├── Damaged            damaged               (also the failure code of a view whose stored data is damaged)
@@ -180,6 +180,12 @@ class Forbidden(RevisitError):
     """The API key does not allow this."""
 
     code = "forbidden"
+
+
+class OtherSite(RevisitError):
+    """A web page of another site sent this to a service without keys."""
+
+    code = "other-site"
 
 
 class Busy(RevisitError):

@@ -16,6 +16,7 @@ from app.http.keys import KeyGate
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
 from app.http.openapi import document
+from app.http.other_sites import OtherSites
 from app.http.rate_limits import RateLimit
 from app.http.routes import (
     compreface,
@@ -108,9 +109,10 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
     # The middleware added last is outermost: RequestContext sees every answer, and no body is read before
-    # ReadinessGate, KeyGate, RateLimit and BodyLimit let the request through.
+    # ReadinessGate, KeyGate, OtherSites, RateLimit and BodyLimit let the request through.
     app.add_middleware(BodyLimit, settings=service.settings)
     app.add_middleware(RateLimit, settings=service.settings)
+    app.add_middleware(OtherSites, origins=service.settings.cors_origins, any_name=service.settings.open)
     app.add_middleware(KeyGate, keys=service.keys)
     app.add_middleware(ReadinessGate, state=lambda: (service.lifecycle.started, service.lifecycle.draining))
     if tracer_provider is not None:

@@ -185,6 +185,8 @@ PROBLEM_DETAILS: dict[str, str] = {
     "unexpected-body": "GET /views takes no body, and one of 12 bytes was sent",
     "unauthorized": "this service needs a key",
     "forbidden": "the key reads the map 'campus' and may not write to it",
+    "other-site": "a page of https://shop.example sent this, and pages of other sites may not write to a service "
+    "without keys; name its origin in REVISIT_CORS, or send a key",
     "not-found": "there is no view '0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90'",
     "image-not-kept": "the map of the view 0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90 keeps no images: this one was removed "
     "when it was described",

@@ -231,9 +231,10 @@ def _secure(operation: Json, method: str, path: str) -> None:
     scope = ROUTES.get((method, path), "admin")
     operation["security"] = [{"bearer": [scope]}, {"header": [scope]}, {}]
     responses = operation["responses"]
-    for code in ("unauthorized", "forbidden", "too-many-requests"):
-        ((status, answer),) = _answers(code).items()
-        responses.setdefault(str(status), answer)
+    for code in ("unauthorized", "forbidden", "other-site", "too-many-requests"):
+        told = responses.get(str(problems.KINDS[code].status))
+        if told is None or code not in told["content"][problems.MEDIA_TYPE]["examples"]:
+            _add_refusal(responses, code, str)
 
 
 def _definitions(model: type[BaseModel]) -> Json:

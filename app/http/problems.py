@@ -57,6 +57,9 @@ KINDS: Mapping[str, Kind] = {
     "unexpected-body": Kind(400, "This request takes no body", "Leave the body out."),
     "unauthorized": Kind(401, "A key is needed", "Send a valid key."),
     "forbidden": Kind(403, "The key does not allow this", "Use a key with the needed scope and map."),
+    "other-site": Kind(
+        403, "Pages of other sites may not do this", "Call by localhost, send a key, or see `REVISIT_CORS`."
+    ),
     "not-found": Kind(404, "There is no such thing", "Check the id or name; `GET /maps` and `GET /views` list them."),
     "image-not-kept": Kind(
         404, "The image is not kept", "Show something else in its place; `keep_images` of the map is false."

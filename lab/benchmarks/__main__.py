@@ -14,6 +14,7 @@ BENCHMARKS = {
     "kitti_protocols": "what each protocol on KITTI is worth, without looking at an image",
     "ranking": "what each part of the ranking gives, on places with ground truth",
     "geometry": "other local features, other verification, and a learned rule, on the first ten",
+    "keys": "what checking keys costs each request",
     "scale": "every set among thousands of views of other sites",
 }
 
