@@ -38,7 +38,7 @@ def label_shares(shares: Floats, labels: Sequence[str]) -> list[wire.LabelShare]
 
 
 def view(record: ViewRecord, labels: Sequence[str]) -> wire.View:
-    """A view; `labels` are those of the map's recipe."""
+    """A view; `labels` are those of the recipe that it is described by."""
     description = record.description
     base = f"/views/{record.id}"
     return wire.View(
@@ -174,7 +174,7 @@ def place(row: tuple[str, str, int, Position, datetime]) -> wire.Place:
 
 
 def labelled_view(labelled: LabelledView) -> wire.View:
-    """A view, with the labels of its map's recipe."""
+    """A view, with the labels of the recipe that it is described by."""
     return view(labelled.record, labelled.labels)
 
 

@@ -71,6 +71,25 @@ def test_other_labels_leave_the_parameters_the_ranking_and_the_views_of_a_map(cl
     assert client.get(answer["matches"][0]["links"]["explanation"]).content.startswith(b"\x89PNG")
 
 
+def test_labels_are_those_that_a_view_was_described_with_when_its_map_changes_over_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    with CheckedClient(create_app(runtime)) as client:
+        view = enroll(client, 0).json()["view"]
+        stored = runtime.store.views
+        read = stored.get(view["id"])
+        switch = client.post("/maps/default/recipe", json={"labels": ["road", "sky", "building"], "dynamic": []})
+        assert until(client, switch.headers["location"], "done", "failed")["state"] == "done"
+        assert enroll(client, 1).status_code == 201
+
+        monkeypatch.setattr(stored, "get", lambda view_id: read)  # read just before the map changed over
+        monkeypatch.setattr(stored, "list", lambda *_, **__: ([read], None))
+        answers = [client.get(f"/views/{view['id']}").json(), *client.get("/views").json()["views"]]
+
+        assert [answer["description"] in (None, view["description"]) for answer in answers] == [True] * 2
+
+
 def test_an_explanation_is_drawn_without_cells_once_the_views_were_described_anew(tmp_path: Path) -> None:
     runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
     with CheckedClient(create_app(runtime)) as client:

@@ -14,6 +14,7 @@ from worker.service import steady
 from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
 from worker.service.resemblances import Resemblance
 from worker.service.settlements import Settlements
+from worker.service.views import labelled
 
 NO_WORKER = (
     "no worker is alive to describe the image: start one with `./revisit worker`, or `serve` without "
@@ -53,7 +54,7 @@ class Enrolled:
     ----------
     view : ViewRecord
     labels : tuple of str
-        Label set of the view's map; empty while the view is not described.
+        Of the recipe that the view is described by; empty while it is not described.
     created : bool
         False when the same bytes were in the map already.
     revision : int
@@ -210,7 +211,6 @@ class EnrollService:
                 self._removals.delete_view(record.id)
             raise RevisitError(detail)
         revision = submitted.revision
-        labels: tuple[str, ...] = ()
         resembles: tuple[Resemblance, ...] = ()
         timing_ms = accepted.timing_ms
         if record.state == "ready" and submitted.created:
@@ -218,11 +218,11 @@ class EnrollService:
             resembles = self._resembles(record)
             timing_ms = {**timing_ms, "compare": _since(comparing)}
         if record.state == "ready":
-            owner = self._maps.get(record.map)
-            revision, labels = owner.revision, owner.description.labels
+            revision = self._maps.get(record.map).revision
+        [shown] = labelled([record], self._maps)
         return Enrolled(
-            view=record,
-            labels=labels,
+            view=shown.record,
+            labels=shown.labels,
             created=submitted.created,
             revision=revision,
             job_id=submitted.job_id if record.state == "pending" else None,

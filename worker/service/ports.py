@@ -37,6 +37,10 @@ class Maps(Protocol):
         """One map; raises NotFound."""
         ...
 
+    def labels(self, recipe: str) -> tuple[str, ...]:
+        """Labels of a recipe, to which the shares of its descriptions refer; empty once no map or view uses it."""
+        ...
+
     def counts(self, name: str) -> MapCounts:
         """Size of a map; raises NotFound."""
         ...

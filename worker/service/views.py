@@ -1,7 +1,7 @@
 """Views: shown, listed, changed, deleted; and their places."""
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
@@ -16,10 +16,22 @@ from worker.service.ports import Listings, Maps, Removals, Views
 
 @dataclass(frozen=True, eq=False)
 class LabelledView:
-    """A view and the label set of its map, to which its label shares refer."""
+    """A view and the labels to which its label shares refer: those of the recipe that it is described by."""
 
     record: ViewRecord
     labels: tuple[str, ...]
+
+
+def labelled(records: Sequence[ViewRecord], maps: Maps) -> list[LabelledView]:
+    """Views with their labels, which may not be their map's any more: it may have changed over since they were read."""
+    recipes = {record.description.recipe for record in records if record.description is not None}
+    labels = {recipe: maps.labels(recipe) for recipe in recipes}
+    found = []
+    for record in records:
+        own = () if record.description is None else labels[record.description.recipe]
+        # A recipe that was removed meanwhile leaves nothing to say of the description.
+        found.append(LabelledView(record if own else replace(record, description=None), own))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +91,7 @@ class ViewService:
         records, following = self._views.list(
             map_name, filters, state=state, newest_first=newest_first, cursor=cursor, limit=limit, among=among
         )
-        labels = {name: self._maps.get(name).description.labels for name in {record.map for record in records}}
-        return [LabelledView(record, labels[record.map]) for record in records], following
+        return labelled(records, self._maps), following
 
     def with_words(
         self, map_name: str, filters: Filters, words: str, *, cursor: str | None, limit: int
@@ -96,8 +107,7 @@ class ViewService:
             return presence(shares, terms_of(words, labels, map_name))
 
         records, following = self._views.ranked(map_name, filters, score, cursor=cursor, limit=limit)
-        labels = self._maps.get(map_name).description.labels
-        return [LabelledView(record, labels) for record in records], following
+        return labelled(records, self._maps), following
 
     def preview_dynamic(self, map_name: str, wanted: Sequence[str], limit: int) -> DynamicPreview:
         """What would be left out of the views of a map if these labels were dynamic, without describing anything.
@@ -165,4 +175,5 @@ class ViewService:
         return self._listings.places(map_name, cursor, limit, among)
 
     def _labelled(self, record: ViewRecord) -> LabelledView:
-        return LabelledView(record, self._maps.get(record.map).description.labels)
+        [found] = labelled([record], self._maps)
+        return found

@@ -54,6 +54,12 @@ class Maps(Part):
         with self._database.reading() as connection:
             return map_record(connection, find_map(connection, name))
 
+    def labels(self, recipe: str) -> tuple[str, ...]:
+        """Labels of a recipe, to which the shares of its descriptions refer; empty once no map or view uses it."""
+        with self._database.reading() as connection:
+            body = connection.scalar(sa.select(RECIPES.c.body).where(RECIPES.c.id == recipe))
+        return () if body is None else recipe_of(recipe, body).labels
+
     def revision(self, name: str) -> int:
         """The map's revision; raises NotFound."""
         with self._database.reading() as connection:
