@@ -86,7 +86,7 @@ class ReadinessCheck:
         store = self._runtime.store
         needed = {
             "database": store.check(),
-            "disk": store.check_space(),
+            "disk": self._disk(),
             "encoder": self._encoder(),
             "worker": self._worker(),
         }
@@ -94,6 +94,11 @@ class ReadinessCheck:
         broken = {f"map {name}": found.state for name, found in maps.items() if found.state != "ok"}
         ready = all(state == "ok" for state in needed.values())
         return wire.Readiness(ready=ready, checks=needed | broken, maps=maps)
+
+    def _disk(self) -> str:
+        state = self._runtime.store.check_space()
+        trouble = self._runtime.settlements.trouble  # callers that wait are refused until the worker has tried again
+        return trouble.detail if state == "ok" and trouble is not None else state
 
     def _encoder(self) -> str:
         scheduler = self._runtime.scheduler

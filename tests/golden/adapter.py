@@ -247,6 +247,10 @@ class Service:
             arrays["local_features.descriptors"] = found.keypoints.descriptors
         return {**arrays, "static_share": found.static_share, "sampled_descriptors": found.descriptor_count}
 
+    def forget_index(self, map_name: str) -> None:
+        """Let the next query of a map read all its views; an enrolment queries its map, and leaves it up to date."""
+        self._runtime.catalogue.forget(map_name)
+
     @contextmanager
     def interrupted(self, stage: str, action: Callable[[], None], times: int = 1) -> Iterator[list[str]]:
         """Run `action` inside the first `times` calls of a stage of STAGES, before the stage does its work.

@@ -50,6 +50,7 @@ def changed_over_meanwhile(gallery: Gallery, stage: str, options: MapOptions) ->
     """Query while the map switches to other options at the first call of a stage; the answers then, before, after."""
     service, called = gallery.fresh(BUSY)
     before = service.query(gallery.map("busy, at rest")[1], QUERY)  # another map: a query brings the index up to date
+    service.forget_index(called)
     with service.interrupted(stage, lambda: service.change_recipe(called, options)):
         answer = service.query(called, QUERY)
     return answer, before, service.query(called, QUERY)

@@ -10,24 +10,29 @@ from typing import Any
 import pytest
 
 from app.http.application import create_app
-from schemas.errors import SetupError
+from schemas.errors import DiskFull, SetupError
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from worker.description.describers import Describers
 from worker.encoders.color import ColorEncoder
-from worker.runtime import build
+from worker.runtime import Runtime, build
 
 JPEG = {"content-type": "image/jpeg"}
 ANSWER_S, PROBES = 0.5, 3
 
 
 @pytest.fixture
-def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[CheckedClient]:
+def runtime(tmp_path: Path) -> Runtime:
+    return build(Settings(data=tmp_path, encoder="color", threads=1))
+
+
+@pytest.fixture
+def client(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> Iterator[CheckedClient]:
     """A service whose every probe makes a check of its own."""
     monkeypatch.setattr("app.http.readiness.FRESH_S", 0.0)
     monkeypatch.setattr("app.http.readiness.ENCODER_PATIENCE_S", 1.0)
-    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1)))) as client:
+    with CheckedClient(create_app(runtime)) as client:
         yield client
 
 
@@ -87,6 +92,18 @@ def test_an_encoder_that_fails_is_found_out_although_nobody_queries(
         broken.setattr(ColorEncoder, "encode", fail)
         assert "RuntimeError" in until(client, False)["checks"]["encoder"]
     until(client, True)
+
+
+def test_it_is_not_ready_while_callers_are_refused_because_descriptions_could_not_be_stored(
+    runtime: Runtime, client: CheckedClient
+) -> None:
+    settlements = runtime.settlements
+    settlements.refuse(DiskFull("no room for descriptions"))
+    assert until(client, False)["checks"]["disk"] == "no room for descriptions"
+    assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 507
+    settlements.refuse(None)
+    assert until(client, True)["checks"]["disk"] == "ok"
+    assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 201
 
 
 def test_a_map_that_cannot_be_served_is_named_and_the_others_are_served(

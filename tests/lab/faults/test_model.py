@@ -14,6 +14,7 @@ from lab.faults.ledger import Violation
 from lab.faults.live_service import LiveService
 from lab.faults.run import Tally
 from lab.faults.small_disk import NotMounted, small_disk
+from worker.storage.tables import CELLS
 
 SEEDS = (1, 2, 3)
 OPERATIONS = 200
@@ -48,7 +49,7 @@ def test_damage_that_doctor_does_not_name_is_a_violation(tmp_path: Path) -> None
         known = doing.some_view()
         assert known is not None
         with pytest.raises(Violation, match=f"doctor says nothing of view {known.id}"):
-            doing._repair(known)
+            doing._repair(CELLS, known, doing._body(CELLS, known) or b"")
     finally:
         served.close()
 
