@@ -19,6 +19,7 @@ from fastapi.testclient import TestClient
 
 from app.http.application import create_app
 from scenes import scene
+from schemas.errors import Damaged
 from schemas.settings import Settings
 from tests.stories.photos import jpeg
 from worker.runtime import Runtime, build
@@ -186,6 +187,17 @@ def test_a_view_whose_image_is_damaged_as_well_stays_failed_and_says_so(town: To
     again = town.client.post("/enroll?map=town&place=rose garden", content=look("rose garden"), headers=JPEG)
     assert again.json()["view"]["state"] == "ready"
     assert town.found("rose garden")[0] == "rose garden"
+
+
+def test_an_image_is_enrolled_although_what_it_resembles_cannot_be_told(
+    town: Town, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def damaged(*_: object) -> None:
+        raise Damaged("the settings of the map are damaged")
+
+    monkeypatch.setattr(town.runtime.store.descriptions, "whole", damaged)
+    ids = town.enroll()  # each is answered 201
+    assert f"view {ids[0]} is not compared with its map: the settings of the map are damaged" in caplog.text
 
 
 def test_vectors_that_are_no_numbers(town: Town) -> None:

@@ -1,5 +1,6 @@
 """What a view that was just described resembles in its map: the same image again, or another place."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -7,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from schemas.comparisons import KnownView
-from schemas.errors import NotFound, Unavailable
+from schemas.errors import NotFound, RevisitError, Unavailable
 from schemas.records import Filters, ViewRecord
 from worker.method import near_duplicates
 from worker.method.places import SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
@@ -17,6 +18,8 @@ from worker.service.results import RankedResults, ScoredView
 from worker.service.searching import RecipeChanged, Searcher
 from worker.service.sheets import name_of
 from worker.service.twins import would_match
+
+log = logging.getLogger("revisit.service")
 
 TOP = 5
 """Best views that are looked at."""
@@ -54,7 +57,7 @@ class Resemblances:
         self._maps, self._descriptions, self._searcher = maps, descriptions, searcher
 
     def of(self, view: ViewRecord) -> tuple[Resemblance, ...]:
-        """What a described view resembles; empty also when the map changes too fast to tell."""
+        """What a described view resembles; empty also when that cannot be told: the view is enrolled all the same."""
         try:
             recipe = self._maps.get(view.map).description
             description = self._descriptions.whole(view.seq, recipe)
@@ -63,7 +66,10 @@ class Resemblances:
             others = {view.map: Filters(exclude=(view.id,))}
             found = self._searcher.search(others, recipe, description, top=TOP)
             same = self._duplicate(view, found)
-        except (NotFound, RecipeChanged, Unavailable):
+        except (NotFound, RecipeChanged, Unavailable):  # the view, or its map, changes too fast to tell
+            return ()
+        except RevisitError as error:
+            log.error("view %s is not compared with its map: %s", view.id, error.detail)
             return ()
         told = () if same is None else (same,)
         alike = _look_alike(view, found)
