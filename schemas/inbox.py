@@ -1,5 +1,6 @@
-"""Records of queries that matched nothing."""
+"""Records of queries that are kept: those that matched nothing, and those that matched a view but look unlike it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -8,7 +9,7 @@ from schemas.description import Floats, LocalFeatures
 
 @dataclass(frozen=True, eq=False)
 class KeptQuery:
-    """A query that matched nothing.
+    """A query that is kept.
 
     Parameters
     ----------
@@ -18,6 +19,10 @@ class KeptQuery:
         Histogram vectors, the channels concatenated.
     keypoints : LocalFeatures or None
         None when the recipe has no local features.
+    seq : int or None
+        Of the view that it matched; None: it matched nothing.
+    score : float or None
+        Of that match, 0..1.
     """
 
     id: str
@@ -25,6 +30,8 @@ class KeptQuery:
     queried_at: datetime
     vectors: Floats
     keypoints: LocalFeatures | None
+    seq: int | None = None
+    score: float | None = None
 
 
 @dataclass(frozen=True)
@@ -51,3 +58,42 @@ class Inbox:
     kept: int
     examined: int
     keep_queries: int
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Queries that matched views of one place although they look unlike them: views that would refresh the place.
+
+    Parameters
+    ----------
+    queries : tuple of str
+        Ids, oldest first; the first names the proposal.
+    confirmed : tuple of str
+        Those of them that another one agrees with: both show one spot.
+    matched : mapping of str to str
+        From the id of each query to that of the view that it matched.
+    place : str or None
+        Name of the place; None where the matched view has none, and stands for itself.
+    lowest_score, highest_score : float
+        Of the matches, 0..1.
+    first_at, last_at : datetime
+    """
+
+    queries: tuple[str, ...]
+    confirmed: tuple[str, ...]
+    matched: Mapping[str, str]
+    place: str | None
+    lowest_score: float
+    highest_score: float
+    first_at: datetime
+    last_at: datetime
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Proposals of a map, those that most queries confirm first, and how many queries are kept and looked at."""
+
+    proposals: tuple[Proposal, ...]
+    kept: int
+    examined: int
+    keep_matches: int

@@ -45,6 +45,11 @@ class PatchMap(BaseModel):
         description="How many queries that matched nothing are kept at most, with a small image of each, for "
         "`GET /maps/{map}/unknown`; the oldest are dropped. 0 deletes those that are kept.",
     )
+    keep_matches: Annotated[int, Field(ge=0, le=10_000)] | None = Field(
+        None,
+        description="How many queries are kept at most that matched a view although they look unlike it, with a small "
+        "image of each, for `GET /maps/{map}/proposals`; the oldest are dropped. 0 deletes those that are kept.",
+    )
     refuse_poor: bool | None = Field(
         None,
         description="Refuse to enrol images that are dark, overexposed, covered or blurred, where a request does not "
@@ -64,6 +69,17 @@ class PostUnknown(BaseModel):
 
     place: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Your own name for the place.")
     position: Position | None = None
+
+
+class PostProposal(BaseModel):
+    """How much of a proposal is taken."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    views: Annotated[int, Field(ge=1, le=10)] = Field(
+        3, description="How many of its images become views at most, spread evenly over time."
+    )
+    unconfirmed: bool = Field(False, description="Take queries too that no other one agrees with.")
 
 
 class _Label(BaseModel):

@@ -32,7 +32,7 @@ class SnapshotFacts(Line):
         Of the job that made it.
     row_bytes : int
         Bytes of the parts besides the images.
-    ranking, calibration, keep_images, keep_queries, refuse_poor
+    ranking, calibration, keep_images, keep_queries, keep_matches, refuse_poor
         As the map has them; calibration is the JSON of its own one, None for the shipped one. Kept queries stay behind.
     """
 
@@ -51,6 +51,7 @@ class SnapshotFacts(Line):
     calibration: str | None
     keep_images: bool = True
     keep_queries: Annotated[int, Field(ge=0, le=10_000)] = 0
+    keep_matches: Annotated[int, Field(ge=0, le=10_000)] = 0
     refuse_poor: bool = False
 
 

@@ -32,6 +32,12 @@ from .wire_inbox import (
     NamedPlace as NamedPlace,
 )
 from .wire_inbox import (
+    Proposal as Proposal,
+)
+from .wire_inbox import (
+    Proposals as Proposals,
+)
+from .wire_inbox import (
     UnknownPlace as UnknownPlace,
 )
 from .wire_inbox import (
@@ -236,6 +242,7 @@ class MapFacts(Answer):
     ranking: dict[str, Any] = Field(description="Ranking config, with its `id`; PATCH changes it.")
     decision: MapDecision
     keep_queries: int = Field(0, description="How many queries that matched nothing are kept at most.")
+    keep_matches: int = Field(0, description="How many that matched a view but look unlike it are kept at most.")
     refuse_poor: bool = Field(False, description="Whether poor images are refused, unless a request says otherwise.")
     keep_images: bool = Field(True, description="Whether images stay once their views are described.")
     labels: list[Label]

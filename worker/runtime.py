@@ -37,6 +37,7 @@ from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.keys import KeyService
 from worker.service.maps import MapService
+from worker.service.proposals import ProposalService
 from worker.service.query import QueryService
 from worker.service.recordings import Limits
 from worker.service.renderings import RenderingService
@@ -67,6 +68,7 @@ class Services:
     calibration: CalibrationService
     health: HealthService
     inbox: InboxService
+    proposals: ProposalService
     keys: KeyService
     snapshots: SnapshotService
     imports: ImportService
@@ -319,6 +321,7 @@ def _services(
     return Services(
         enroll=enroll,
         inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
+        proposals=ProposalService(maps=store.maps, views=store.views, kept=store.kept_queries, enroll=enroll),
         query=QueryService(
             searcher=searcher,
             views=store.views,
@@ -359,10 +362,7 @@ def _services(
         jobs=JobService(store.jobs, store.uploads),
         keys=KeyService(store.keys),
         health=HealthService(
-            maps=store.maps,
-            comparisons=store.comparisons,
-            descriptions=store.descriptions,
-            calibration=calibration_of,
+            maps=store.maps, comparisons=store.comparisons, descriptions=store.descriptions, calibration=calibration_of
         ),
         snapshots=snapshots,
         imports=ImportService(

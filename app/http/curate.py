@@ -7,9 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from app.http import enrolment_presenters, presenters, snapshot_presenters
+from app.http import presenters, snapshot_presenters
 from app.http.calibration_report import calibration_report
-from app.http.health_report import map_health, unknown_places
+from app.http.curate_kept import KeptQueryCuration
+from app.http.health_report import map_health
 from schemas import wire
 from schemas.health import Code as HealthCode
 from schemas.imports import ImportOptions
@@ -23,6 +24,7 @@ from worker.service.importing import ImportService
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.maps import MapService
+from worker.service.proposals import ProposalService
 from worker.service.renderings import RenderingService
 from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
@@ -55,7 +57,7 @@ class Calls(Protocol):
         ...
 
 
-class Curator:
+class Curator(KeptQueryCuration):
     """Everything a user does besides enrolling and querying.
 
     Parameters
@@ -67,6 +69,7 @@ class Curator:
     calibrations : CalibrationService
     health : HealthService
     inbox : InboxService
+    proposals : ProposalService
     snapshots : SnapshotService
     calls : Calls
         Answers of calls with an Idempotency-Key.
@@ -82,12 +85,13 @@ class Curator:
         calibrations: CalibrationService,
         health: HealthService,
         inbox: InboxService,
+        proposals: ProposalService,
         snapshots: SnapshotService,
         calls: Calls,
         imports: ImportService,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
-        self._calibrations, self._health, self._inbox = calibrations, health, inbox
+        self._calibrations, self._health, self._inbox, self._proposals = calibrations, health, inbox, proposals
         self._snapshots, self._imports = snapshots, imports
 
     # views
@@ -232,27 +236,6 @@ class Curator:
     async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
         """Keep a map's images, or remove each once it is described."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.keep_images, name, wanted))
-
-    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
-        """Keep at most `count` of a map's queries that matched nothing."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count))
-
-    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
-        """Queries that matched nothing, by spot: at most `limit` spots."""
-        return unknown_places(name, await asyncio.to_thread(self._inbox.of, name), limit)
-
-    async def unknown_image(self, name: str, query_id: str) -> bytes:
-        """A small JPEG of a kept query."""
-        return await asyncio.to_thread(self._inbox.image, name, query_id)
-
-    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
-        """Enrol images of an unknown place as views with these attributes."""
-        enrolled, removed = await asyncio.to_thread(self._inbox.name, name, place_id, attributes)
-        return wire.NamedPlace(views=[enrolment_presenters.enrolled(one).view for one in enrolled], queries=removed)
-
-    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
-        """Delete the queries of an unknown place."""
-        return wire.DismissedPlace(queries=await asyncio.to_thread(self._inbox.dismiss, name, place_id))
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""

@@ -3,7 +3,7 @@
 from app.http.presenters import position
 from schemas import wire
 from schemas.health import CODES, Code, HealthReport
-from schemas.inbox import Inbox
+from schemas.inbox import Inbox, Proposals
 
 SHOWN = 20
 """Queries of an unknown place that are listed at most."""
@@ -54,5 +54,35 @@ def unknown_places(name: str, inbox: Inbox, limit: int) -> wire.UnknownPlaces:
                 links={"image": f"/maps/{name}/unknown/{place.queries[0]}/image"},
             )
             for place in inbox.places[:limit]
+        ],
+    )
+
+
+def proposals(name: str, found: Proposals, limit: int) -> wire.Proposals:
+    """The proposals of a map, at most `limit`."""
+    return wire.Proposals(
+        map=name,
+        keep_matches=found.keep_matches,
+        kept=found.kept,
+        examined=found.examined,
+        count=len(found.proposals),
+        proposals=[
+            wire.Proposal(
+                id=one.queries[0],
+                place=one.place,
+                view=one.matched[one.queries[-1]],
+                count=len(one.queries),
+                confirmed=len(one.confirmed),
+                queries=list(one.queries[:SHOWN]),
+                lowest_score=one.lowest_score,
+                highest_score=one.highest_score,
+                first_at=one.first_at,
+                last_at=one.last_at,
+                links={
+                    "image": f"/maps/{name}/proposals/{one.queries[0]}/image",
+                    "view": f"/views/{one.matched[one.queries[-1]]}",
+                },
+            )
+            for one in found.proposals[:limit]
         ],
     )

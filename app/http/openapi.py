@@ -11,7 +11,7 @@ from app.http.examples import PROBLEM_DETAILS
 from app.http.parameters import METADATA_FILTER
 from app.http.scopes import OPEN_PATHS, ROUTES
 from app.http.validation import Parameters
-from schemas.requests import PatchMap, PostCalibration, PostUnknown, PutMap
+from schemas.requests import PatchMap, PostCalibration, PostProposal, PostUnknown, PutMap
 from schemas.wire import Problem
 
 Json = dict[str, Any]
@@ -205,7 +205,7 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, PutMap, PatchMap, PostCalibration, PostUnknown):
+        for model in (Problem, PutMap, PatchMap, PostCalibration, PostUnknown, PostProposal):
             schemas.update(_definitions(model))
         whole["components"]["securitySchemes"] = _SCHEMES
         for method, path, operation in (

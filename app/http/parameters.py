@@ -344,6 +344,10 @@ class UnknownParameters(Parameters):
     limit: int = Field(20, ge=1, le=500, description="Places at most.")
 
 
+class ProposalParameters(UnknownParameters):
+    """Parameters of `GET /maps/{map}/proposals`."""
+
+
 class ThumbnailParameters(Parameters):
     """Parameters of `GET /views/{id}/thumbnail`."""
 

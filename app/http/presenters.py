@@ -144,6 +144,7 @@ def map_facts(state: MapState) -> wire.MapFacts:
         },
         decision=_map_decision(state),
         keep_queries=record.keep_queries,
+        keep_matches=record.keep_matches,
         refuse_poor=record.refuse_poor,
         keep_images=record.keep_images,
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),

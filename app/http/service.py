@@ -74,6 +74,7 @@ class Service:
                 services.calibration,
                 services.health,
                 services.inbox,
+                services.proposals,
                 services.snapshots,
                 runtime.store.calls,
                 services.imports,

@@ -1,4 +1,4 @@
-"""The client's calls about the health of maps and their unknown places."""
+"""The client's calls about the health of maps and their unknown places, and proposed views."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,7 @@ from revisit_client.parameters import texts
 
 
 class HealthCalls:
-    """Calls of `Revisit` about the health of maps and their unknown places."""
+    """Calls of `Revisit` about the health of maps, their unknown places, and proposed views."""
 
     _connection: Connection
 
@@ -28,6 +28,31 @@ class HealthCalls:
     def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         """Keep at most `count` queries of a map that matched nothing; 0 deletes those that are kept."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"keep_queries": count})
+
+    def keep_matches(self, name: str, count: int) -> wire.MapFacts:
+        """Keep at most `count` queries of a map that matched a view although they look unlike it; 0 deletes them."""
+        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"keep_matches": count})
+
+    def proposals(self, name: str, *, limit: int | None = None) -> wire.Proposals:
+        """Queries that would refresh places: they matched one although they look unlike its views."""
+        return self._connection.receive(
+            wire.Proposals, "GET", f"/maps/{name}/proposals", params=texts({"limit": limit})
+        )
+
+    def proposal_image(self, name: str, query_id: str) -> bytes:
+        """A small JPEG of a query of a proposal."""
+        return self._connection.send("GET", f"/maps/{name}/proposals/{query_id}/image").content
+
+    def accept_proposal(
+        self, name: str, proposal_id: str, *, views: int = 3, unconfirmed: bool = False
+    ) -> wire.NamedPlace:
+        """Take at most `views` images of a proposal as views of its place, which are described in the background."""
+        body, path = {"views": views, "unconfirmed": unconfirmed}, f"/maps/{name}/proposals/{proposal_id}"
+        return self._connection.receive(wire.NamedPlace, "POST", path, json=body, repeat=False)
+
+    def dismiss_proposal(self, name: str, proposal_id: str) -> wire.DismissedPlace:
+        """Delete the queries of a proposal, and their images."""
+        return self._connection.receive(wire.DismissedPlace, "DELETE", f"/maps/{name}/proposals/{proposal_id}")
 
     def unknown(self, name: str, *, limit: int | None = None) -> wire.UnknownPlaces:
         """Queries that matched nothing, by spot."""

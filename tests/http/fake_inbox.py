@@ -16,6 +16,9 @@ class FakeInbox:
     async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"keep_queries": count})
 
+    async def keep_matches(self, name: str, count: int) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"keep_matches": count})
+
     async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"keep_images": wanted})
 
@@ -30,11 +33,22 @@ class FakeInbox:
             raise NotFound("map", name)
         return wire.UnknownPlaces(map=name, keep_queries=0, kept=0, examined=0, count=0, places=[])
 
-    async def unknown_image(self, name: str, query_id: str) -> bytes:
+    async def kept_image(self, name: str, query_id: str) -> bytes:
         raise NotFound("kept query", query_id)
 
     async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
         raise NotFound("unknown place", place_id)
 
     async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        return wire.DismissedPlace(queries=3)
+
+    async def proposals(self, name: str, limit: int) -> wire.Proposals:
+        if name == "nowhere":
+            raise NotFound("map", name)
+        return wire.Proposals(map=name, keep_matches=0, kept=0, examined=0, count=0, proposals=[])
+
+    async def accept_proposal(self, name: str, proposal_id: str, most: int, unconfirmed: bool) -> wire.NamedPlace:
+        raise NotFound("proposal", proposal_id)
+
+    async def dismiss_proposal(self, name: str, proposal_id: str) -> wire.DismissedPlace:
         return wire.DismissedPlace(queries=3)

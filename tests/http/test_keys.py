@@ -56,7 +56,14 @@ class Locked:
 
     def call(self, method: str, path: str, key: str | None) -> httpx.Response:
         """A call that would be answered without keys: the map is ``belfry`` wherever one can be named."""
-        ids = {"view_id": self.view, "job_id": "j1", "query_id": "q1", "place_id": "u1", "snapshot_id": "s1"}
+        ids = {
+            "view_id": self.view,
+            "job_id": "j1",
+            "query_id": "q1",
+            "place_id": "u1",
+            "snapshot_id": "s1",
+            "proposal_id": "p1",
+        }
         path = path.format(map="belfry", subject="hall", **ids)
         options: dict[str, Any] = {"headers": {} if key is None else {"authorization": f"Bearer {key}"}}
         if path in ("/enroll", "/query"):
@@ -67,7 +74,7 @@ class Locked:
             options["content"] = b"snapshot"
         if (method, path) == ("DELETE", "/views"):
             path += "?map=belfry&all=true"
-        if method in ("PUT", "PATCH") or path.endswith(("/recipe", "/calibration", "/unknown/u1")):
+        if method in ("PUT", "PATCH") or path.endswith(("/recipe", "/calibration", "/unknown/u1", "/proposals/p1")):
             options |= {"json": {}} if method != "DELETE" else {}
         response: httpx.Response = self.client.request(method, path, **options)
         return response

@@ -159,11 +159,13 @@ def test_a_damaged_description_asks_for_the_image_again(forgetful: SqlStore) -> 
 
 def test_a_snapshot_carries_the_map_without_its_images(forgetful: SqlStore, elsewhere: SqlStore) -> None:
     forgetful.maps.keep_queries("campus", 7)
+    forgetful.maps.keep_queries("campus", 8, matched=True)
     forgetful.maps.set_refuse_poor("campus", True)
     pending = enroll(forgetful, "pending").view
     elsewhere.restoring.restore(made(forgetful), None, NOW)
     record = elsewhere.maps.get("campus")
-    assert (record.keep_images, record.keep_queries, record.refuse_poor) == (False, 7, True)
+    assert (record.keep_images, record.keep_queries, record.keep_matches) == (False, 7, 8)
+    assert record.refuse_poor
     assert [view.id for view in views(elsewhere)] == [view.id for view in views(forgetful)]
     assert elsewhere.views.image(pending.id) == image("pending")
     describe_all(elsewhere)

@@ -96,3 +96,31 @@ def test_a_damaged_query_is_left_out_and_the_doctor_removes_it(store: SqlStore, 
         store.kept_queries.image("campus", "a")
     found: list[Finding] = [one for one in examine(database_url, data) if "kept_queries" in one.where]
     assert [one.where for one in found] == ["row a of kept_queries"]
+
+
+def test_queries_that_matched_a_view_are_kept_apart_and_go_with_it(store: SqlStore) -> None:
+    gate, yard = enroll(store, "gate").view, enroll(store, "yard").view
+    match(store, "0", gate.seq)
+    assert matched(store) == []
+    store.maps.keep_queries("campus", 2, matched=True)
+    store.maps.keep_queries("campus", 1)
+    keep(store, "a")
+    for query_id, view in (("b", gate), ("c", yard), ("d", gate)):
+        match(store, query_id, view.seq, 0.25)
+    assert (kept(store), matched(store)) == (["a"], [("c", yard.seq, 0.25), ("d", gate.seq, 0.25)])
+    record = store.maps.get("campus")
+    assert (record.keep_queries, record.keep_matches) == (1, 2)
+
+    store.removals.delete_view(gate.id)
+    match(store, "e", gate.seq)  # deleted while it was queried
+    assert (kept(store), matched(store)) == (["a"], [("c", yard.seq, 0.25)])
+    assert store.removals.delete_map("campus").queries == 2
+
+
+def match(store: SqlStore, query_id: str, seq: int, score: float = 0.5) -> None:
+    made = description(sum(query_id.encode()))
+    store.kept_queries.keep("campus", query_id, RECIPE.description, made, b"image", NOW, (seq, score))
+
+
+def matched(store: SqlStore) -> list[tuple[str, int | None, float | None]]:
+    return [(query.id, query.seq, query.score) for query in store.kept_queries.newest("campus", 100, matched=True)[0]]

@@ -301,6 +301,7 @@ def without_later(connection: sa.Connection) -> None:
         "maps.keep_queries",
         "maps.refuse_poor",
         "maps.drop_images",
+        "maps.keep_matches",
     ):
         table, name = column.split(".")
         connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")

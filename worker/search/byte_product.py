@@ -42,10 +42,12 @@ def fastest_product() -> Product:
 def _of_bytes(left: Int8s | Floats, right: Int8s | Floats) -> Numbers:
     """Inner products of int8 rows as int32, shape (left rows, right rows)."""
     import torch
+    from torch.utils.dlpack import from_dlpack
 
     if left.shape[1] == 1:  # PyTorch 2.13 returns uninitialised memory for one column
         return float_product(left, right)
-    products: Numbers = torch._int_mm(torch.from_numpy(left), torch.from_numpy(right).T).numpy()
+    # `from_numpy` warns of arrays that cannot be written, such as those read from the store; nothing writes to them.
+    products: Numbers = torch._int_mm(from_dlpack(left), from_dlpack(right).T).numpy()
     return products
 
 

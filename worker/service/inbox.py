@@ -31,15 +31,22 @@ ENROLLED = 10
 
 
 class KeptQueries(Protocol):
-    """Queries that matched nothing."""
+    """Queries that matched nothing, and those that matched a view that they look unlike."""
 
     def keep(
-        self, name: str, query_id: str, recipe: DescriptionRecipe, description: Description, image: bytes, now: datetime
+        self,
+        name: str,
+        query_id: str,
+        recipe: DescriptionRecipe,
+        description: Description,
+        image: bytes,
+        now: datetime,
+        match: tuple[int, float] | None = None,
     ) -> None:
-        """Keep a query, and drop the oldest beyond what the map keeps."""
+        """Keep a query, with the view that it matched and the score, and drop the oldest beyond what the map keeps."""
         ...
 
-    def newest(self, name: str, most: int) -> tuple[list[KeptQuery], int]:
+    def newest(self, name: str, most: int, *, matched: bool = False) -> tuple[list[KeptQuery], int]:
         """The newest `most` queries of a map, oldest first, and how many are kept; raises NotFound."""
         ...
 
@@ -87,14 +94,13 @@ class InboxService:
         NotFound, Busy, Conflict, DiskFull, StorageFailed
         """
         place = self._find(name, place_id)
-        count = len(place.queries)
-        spread = {place.queries[i] for i in np.linspace(0, count - 1, min(count, ENROLLED)).round().astype(int)}
+        chosen = spread(place.queries, ENROLLED)
         enrolled = []
-        for query_id in sorted(spread):
+        for query_id in chosen:
             accepted = self._enroll.submit(self._kept.image(name, query_id), name, attributes)
             enrolled.append(self._enroll.outcome(accepted))
             self._kept.delete(name, [query_id])
-        return enrolled, len(spread) + self._kept.delete(name, [one for one in place.queries if one not in spread])
+        return enrolled, len(chosen) + self._kept.delete(name, [one for one in place.queries if one not in chosen])
 
     def dismiss(self, name: str, place_id: str) -> int:
         """Remove the queries of an unknown place; returns how many; raises NotFound."""
@@ -105,6 +111,11 @@ class InboxService:
             if place.queries[0] == place_id:
                 return place
         raise NotFound("unknown place", place_id, f"GET /maps/{name}/unknown lists them")
+
+
+def spread(ids: Sequence[str], most: int) -> list[str]:
+    """At most `most` of some ids, evenly over them, in their order."""
+    return [ids[i] for i in sorted(set(np.linspace(0, len(ids) - 1, min(len(ids), most)).round().astype(int).tolist()))]
 
 
 def grouped(queries: Sequence[KeptQuery]) -> list[UnknownPlace]:

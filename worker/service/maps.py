@@ -97,9 +97,14 @@ class MapService:
         """
         return self._state(self._maps.change_ranking(name, lambda recipe: changed_ranking(recipe, changes)))
 
-    def keep_queries(self, name: str, count: int) -> MapState:
-        """Keep at most `count` of a map's queries that matched nothing, 0 for none; raises NotFound."""
-        return self._state(self._maps.keep_queries(name, count))
+    def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapState:
+        """Keep at most `count` of a map's queries that matched nothing, or a view that they look unlike; 0 for none.
+
+        Raises
+        ------
+        NotFound
+        """
+        return self._state(self._maps.keep_queries(name, count, matched=matched))
 
     def refuse_poor(self, name: str, wanted: bool) -> MapState:
         """Refuse images that are dark, overexposed, covered or blurred, or no longer; raises NotFound."""

@@ -45,8 +45,8 @@ class Maps(Protocol):
         """Size of a map; raises NotFound."""
         ...
 
-    def keep_queries(self, name: str, count: int) -> MapRecord:
-        """Keep at most `count` queries that matched nothing; raises NotFound."""
+    def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapRecord:
+        """Keep at most `count` queries that matched nothing, or a view that they look unlike; raises NotFound."""
         ...
 
     def refuses_poor(self, name: str) -> bool:

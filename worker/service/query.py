@@ -31,7 +31,10 @@ DRIVE_TIMEOUT_S = 60.0
 """Seconds of silence after which a drive begins anew."""
 
 KEPT_SIZE = 1024
-"""Longer side of the image that is kept of a query that matched nothing, pixels."""
+"""Longer side of the image of a query that is kept, pixels."""
+
+UNLIKE = 0.7
+"""Score of a match below which the image may add to what its map has: see `worker.service.proposals`."""
 
 MOSTLY_MOVES = 0.2
 """Share of static cells below which an image shows too little of its place."""
@@ -119,7 +122,7 @@ class QueryService:
     thumbnail : function
         Bytes and length of the longer side to a small JPEG.
     kept : KeptQueries
-        Where queries that matched nothing are kept, if their map says so.
+        Where queries are kept that matched nothing, or a view that they look unlike, if their map says so.
     explanations : Explanations
         Where the latest explained queries are kept.
     drives : Drives
@@ -180,7 +183,7 @@ class QueryService:
         drive_timeout_s : float
             The drive begins anew when its last image is older.
         keep : bool
-            Whether the image may be kept among the maps' unknown places.
+            Whether the image may be kept among the maps' unknown places, or as a proposed view.
 
         Raises
         ------
@@ -238,8 +241,8 @@ class QueryService:
             },
         )
         whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
-        if keep and whole and decision.status == "no_match" and decision.reason.code != "poor-picture":
-            self._keep_unknown(result, data)
+        if keep and whole:
+            self._keep(result, data)
         if explain:
             result = replace(result, differs=self._explain(result))
         return replace(result, timing_ms={**result.timing_ms, "total": (time.perf_counter() - began) * 1000})
@@ -259,18 +262,30 @@ class QueryService:
             raise InvalidParameters.of("exclude", f"no map of these has the views {', '.join(unknown)}")
         return {name: replace(filters, exclude=tuple(ids)) for name, ids in own.items()}
 
-    def _keep_unknown(self, result: QueryResult, data: bytes) -> None:
-        """Keep a query that matched nothing in each map that keeps such queries.
+    def _keep(self, result: QueryResult, data: bytes) -> None:
+        """Keep a query that matched nothing, or a view that it looks unlike, in each map that keeps such queries.
 
         That it cannot be kept is logged, and its answer is given all the same.
         """
-        keeping = [(one, of) for of in result.found for one in of.results.maps if one.keep_queries]
+        status, code, match = result.decision.status, result.decision.reason.code, None
+        keeping: list[tuple[str, SearchOutcome]] = []
+        if status == "no_match" and code != "poor-picture":
+            keeping = [(one.name, of) for of in result.found for one in of.results.maps if one.keep_queries]
+        elif status == "matched" and (first := result.results.views[0]).score < UNLIKE:
+            match = first.seq, first.score
+            keeping = [
+                (one.name, result.leading)
+                for one in result.results.maps
+                if one.name == first.view.map and one.keep_matches
+            ]
+            if keeping and self._problem(result.image, result.description) is not None:
+                return  # a poor photo refreshes no place
         try:
             small = self._thumbnail(data, KEPT_SIZE) if keeping else b""
-            for number, (one, of) in enumerate(keeping):
+            for number, (name, of) in enumerate(keeping):
                 kept_id = str(uuid7()) if number else result.id
                 recipe = of.results.recipe.description
-                self._kept.keep(one.name, kept_id, recipe, of.description, small, datetime.now(UTC))
+                self._kept.keep(name, kept_id, recipe, of.description, small, datetime.now(UTC), match)
         except RevisitError as error:
             log.error("the query %s is not kept: %s", result.id, error.detail)
 

@@ -30,8 +30,8 @@ class SearchedMap:
         Number of views searched.
     pending : int
         Views that were acknowledged and not described yet when the search began.
-    keep_queries : int
-        How many queries that matched nothing the map keeps.
+    keep_queries, keep_matches : int
+        How many queries the map keeps that matched nothing, and that matched a view although they look unlike it.
     """
 
     name: str
@@ -39,6 +39,7 @@ class SearchedMap:
     searched: int
     pending: int
     keep_queries: int = 0
+    keep_matches: int = 0
 
 
 @dataclass(frozen=True, eq=False)

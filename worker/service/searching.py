@@ -214,7 +214,9 @@ class Searcher:
                 rival=None if ranked.opposed is None else scored[-1],
                 levels=pooled([self._levels_of(record) for record in records]),
                 maps=tuple(
-                    SearchedMap(record.name, one.revision, one.searched, waiting, record.keep_queries)
+                    SearchedMap(
+                        record.name, one.revision, one.searched, waiting, record.keep_queries, record.keep_matches
+                    )
                     for record, one, waiting in zip(records, several, pending, strict=True)
                 ),
                 recipe=records[0].recipe,

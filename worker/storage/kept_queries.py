@@ -1,7 +1,8 @@
-"""Queries that matched nothing, kept with a small image of each where the map says so."""
+"""Queries that matched nothing, or a view that they look unlike, kept with a small image where the map says so."""
 
 from collections.abc import Sequence
 from datetime import datetime
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -13,12 +14,17 @@ from worker.storage import checksums
 from worker.storage.packing import pack_keypoints, pack_vectors, unpack_floats, unpack_keypoints
 from worker.storage.part import Part
 from worker.storage.rows import find_map, log
-from worker.storage.tables import KEPT_QUERIES, MAPS
+from worker.storage.tables import KEPT_QUERIES, MAPS, VIEWS
 
 
-def drop_oldest(connection: sa.Connection, map_id: int, keep: int, most: int | None = None) -> int:
-    """Delete all but the newest `keep` queries of a map, at most `most` of them; returns how many."""
-    own = KEPT_QUERIES.c.map_id == map_id
+def drop_oldest(
+    connection: sa.Connection, map_id: int, keep: int, most: int | None = None, *, matched: bool | None = False
+) -> int:
+    """Delete all but the newest `keep` queries of a map, at most `most` of them; returns how many.
+
+    `matched`: of those that matched a view, or of those that matched nothing; None: of both together.
+    """
+    own = sa.and_(KEPT_QUERIES.c.map_id == map_id, _of_kind(matched))
     newest = sa.select(KEPT_QUERIES.c.id).where(own).order_by(KEPT_QUERIES.c.id.desc())
     # In a map of thousands there is one beyond: its id bounds all that are older.
     first = connection.scalar(newest.offset(keep).limit(1))
@@ -30,14 +36,31 @@ def drop_oldest(connection: sa.Connection, map_id: int, keep: int, most: int | N
     return len(ids)
 
 
+def _of_kind(matched: bool | None) -> sa.ColumnElement[bool]:
+    if matched is None:
+        return sa.true()
+    return KEPT_QUERIES.c.seq.is_not(None) if matched else KEPT_QUERIES.c.seq.is_(None)
+
+
 class KeptQueries(Part):
-    """Kept queries of maps. They belong to their map and are deleted with it."""
+    """Kept queries of maps. They belong to their map, and to the view that they matched, and are deleted with it."""
 
     def keep(
-        self, name: str, query_id: str, recipe: DescriptionRecipe, description: Description, image: bytes, now: datetime
+        self,
+        name: str,
+        query_id: str,
+        recipe: DescriptionRecipe,
+        description: Description,
+        image: bytes,
+        now: datetime,
+        match: tuple[int, float] | None = None,
     ) -> None:
-        """Keep a query, and drop the oldest beyond what the map keeps; nothing where it keeps none or was deleted."""
-        features = description.keypoints
+        """Keep a query, and drop the oldest of its kind beyond what the map keeps.
+
+        `match`: the view that it matched, by its sequence number, and the score. Nothing is kept where the map keeps
+        none of this kind, or where the map or the view was deleted.
+        """
+        features, seq = description.keypoints, None if match is None else match[0]
         values = {
             "id": query_id,
             "recipe": recipe.id,
@@ -45,15 +68,25 @@ class KeptQueries(Part):
             "vectors": pack_vectors(description, recipe),
             "keypoints": None if features is None else pack_keypoints(features),
             "image": image,
+            "seq": seq,
+            "score": None if match is None else float(match[1]),
         }
         with self._database.writing() as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
-            if row is not None and row.keep_queries:
-                connection.execute(sa.insert(KEPT_QUERIES).values(map_id=row.id, **values))
-                drop_oldest(connection, row.id, row.keep_queries)
+            if row is None or not (most := row.keep_queries if seq is None else row.keep_matches):
+                return
+            if seq is not None and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.seq == seq)) is None:
+                return
+            connection.execute(sa.insert(KEPT_QUERIES).values(map_id=row.id, **values))
+            drop_oldest(connection, row.id, most, matched=seq is not None)
 
-    def newest(self, name: str, most: int) -> tuple[list[KeptQuery], int]:
+    def newest(self, name: str, most: int, *, matched: bool = False) -> tuple[list[KeptQuery], int]:
         """The newest `most` queries of a map, oldest first, and how many are kept; damaged ones are left out.
+
+        Parameters
+        ----------
+        matched : bool
+            Those that matched a view, or those that matched nothing.
 
         Raises
         ------
@@ -61,16 +94,13 @@ class KeptQueries(Part):
             There is no such map.
         """
         with self._database.reading() as connection:
-            own = KEPT_QUERIES.c.map_id == find_map(connection, name).id
+            own = sa.and_(KEPT_QUERIES.c.map_id == find_map(connection, name).id, _of_kind(matched))
             count = connection.scalar(sa.select(sa.func.count()).select_from(KEPT_QUERIES).where(own)) or 0
             page = sa.select(KEPT_QUERIES).where(own).order_by(KEPT_QUERIES.c.id.desc()).limit(most)
             found = []
             for row in connection.execution_options(yield_per=50).execute(page):
                 try:
-                    if not checksums.is_whole(KEPT_QUERIES, row, row.checksum):
-                        raise ValueError("the row does not fit its checksum")
-                    features = None if row.keypoints is None else unpack_keypoints(row.keypoints)
-                    found.append(KeptQuery(row.id, row.recipe, row.queried_at, unpack_floats(row.vectors), features))
+                    found.append(_kept(row))
                 except ValueError as error:
                     log.error("kept query %s is damaged and left out: %s", row.id, error)
         return found[::-1], int(count)
@@ -93,3 +123,11 @@ class KeptQueries(Part):
             return int(connection.execute(which).rowcount)
 
         return int(self._database.freeing(remove))
+
+
+def _kept(row: sa.Row[Any]) -> KeptQuery:
+    """A kept query from its row; raises ValueError when that is damaged."""
+    if not checksums.is_whole(KEPT_QUERIES, row, row.checksum):
+        raise ValueError("the row does not fit its checksum")
+    features = None if row.keypoints is None else unpack_keypoints(row.keypoints)
+    return KeptQuery(row.id, row.recipe, row.queried_at, unpack_floats(row.vectors), features, row.seq, row.score)

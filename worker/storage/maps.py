@@ -129,12 +129,16 @@ class Maps(Part):
                 connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
             return map_record(connection, find_map(connection, name))
 
-    def keep_queries(self, name: str, count: int) -> MapRecord:
-        """Keep at most `count` queries of a map from now on, and delete the oldest beyond; raises NotFound."""
+    def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapRecord:
+        """Keep at most `count` queries of a map from now on, and delete the oldest beyond; raises NotFound.
+
+        `matched`: those that matched a view although they look unlike it, or those that matched nothing.
+        """
+        column = "keep_matches" if matched else "keep_queries"
         with self._database.writing(frees=count == 0) as connection:
             row = find_map(connection, name)
-            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(keep_queries=count or None))
-            drop_oldest(connection, row.id, count)
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values({column: count or None}))
+            drop_oldest(connection, row.id, count, matched=matched)
             return map_record(connection, find_map(connection, name))
 
     def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:

@@ -13,7 +13,7 @@ from worker.storage.filtering import fitting
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_view
-from worker.storage.tables import JOBS, MAPS, VIEWS
+from worker.storage.tables import JOBS, KEPT_QUERIES, MAPS, VIEWS
 
 PORTION = 200
 """Views deleted in one transaction."""
@@ -75,6 +75,11 @@ class Removals(Part):
     def clear(self, map_id: int) -> Removal:
         """Remove a map without a name, by its number."""
         views = images = 0
+        queries = 0
+        while portion_of := self._database.freeing(
+            lambda connection: drop_oldest(connection, map_id, 0, PORTION, matched=None)
+        ):
+            queries += portion_of
         some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
         while True:
             with self._database.reading() as connection:
@@ -83,9 +88,6 @@ class Removals(Part):
                 break
             portion = self._remove(map_id, seqs)
             views, images = views + portion.views, images + portion.images
-        queries = 0
-        while portion_of := self._database.freeing(lambda connection: drop_oldest(connection, map_id, 0, PORTION)):
-            queries += portion_of
         self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
         return Removal(views, images, None, queries)
 
@@ -97,6 +99,8 @@ class Removals(Part):
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))
             if rows:
                 bury(connection, map_id, [row.seq for row in rows])
+                # SQLite adds no reference to a table that is there.
+                connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs)))
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0

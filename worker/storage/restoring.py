@@ -233,6 +233,7 @@ class _Restoration:
                 "calibration": told.calibration,
                 "drop_images": None if told.keep_images else True,
                 "keep_queries": told.keep_queries or None,
+                "keep_matches": told.keep_matches or None,
                 "refuse_poor": told.refuse_poor or None,
                 "created_at": told.map_created_at,
             }

@@ -102,11 +102,12 @@ def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
 
 def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
     """A map from its row and its description recipe."""
-    ranking, calibration, keep = ranking_of(row.ranking), row.calibration, row.keep_queries or 0
+    ranking, calibration = ranking_of(row.ranking), row.calibration
+    keep, keep_matches = row.keep_queries or 0, row.keep_matches or 0
     refuse_poor, keep_images = bool(row.refuse_poor), not row.drop_images
     if not checksums.is_whole(MAPS, row, row.checksum):
         calibration = None  # the shipped one is right for every map, if less sharp
-        keep, refuse_poor, keep_images = 0, False, True
+        keep, keep_matches, refuse_poor, keep_images = 0, 0, False, True
         log.error(
             "map %s: its stored settings do not fit their checksum; it is searched with %s, without a calibration of "
             "its own; `./revisit doctor` says more",
@@ -114,7 +115,16 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
             ranking,
         )
     return MapRecord(
-        row.name, row.revision, recipe, ranking, row.created_at, calibration, keep, refuse_poor, keep_images
+        name=row.name,
+        revision=row.revision,
+        description=recipe,
+        ranking=ranking,
+        created_at=row.created_at,
+        calibration=calibration,
+        keep_queries=keep,
+        refuse_poor=refuse_poor,
+        keep_matches=keep_matches,
+        keep_images=keep_images,
     )
 
 

@@ -111,6 +111,7 @@ class Snapshots(Part):
             calibration=record.calibration,
             keep_images=record.keep_images,
             keep_queries=record.keep_queries,
+            keep_matches=record.keep_matches,
             refuse_poor=record.refuse_poor,
         )
         writer = SnapshotWriter(file, facts)

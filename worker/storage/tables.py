@@ -65,7 +65,8 @@ MAPS = sa.Table(
     sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision is rebuilt
     sa.Column("created_at", UtcDateTime, nullable=False),
     sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
-    sa.Column("keep_queries", sa.Integer),  # how many queries are kept at most; NULL: none
+    sa.Column("keep_queries", sa.Integer),  # how many queries that matched nothing are kept at most; NULL: none
+    sa.Column("keep_matches", sa.Integer),  # and how many that matched a view although they look unlike it
     sa.Column("refuse_poor", sa.Boolean),  # whether poor images are refused; NULL: no
     sa.Column("drop_images", sa.Boolean),  # whether images are removed once they are described; NULL: no
     _seal(),
@@ -221,7 +222,7 @@ TOMBSTONES = sa.Table(
     sa.Index("tombstones_by_revision", "map_id", "revision"),
 )
 
-KEPT_QUERIES = sa.Table(  # queries that matched nothing; see kept_queries.py
+KEPT_QUERIES = sa.Table(  # queries that matched nothing, or a view that they look unlike; see kept_queries.py
     "kept_queries",
     METADATA,
     sa.Column("id", sa.Text, primary_key=True),  # of the query: sortable by time
@@ -231,9 +232,12 @@ KEPT_QUERIES = sa.Table(  # queries that matched nothing; see kept_queries.py
     sa.Column("vectors", Body, nullable=False),  # as those of views
     sa.Column("keypoints", Body),
     sa.Column("image", Body, nullable=False),  # JPEG, small
+    sa.Column("seq", sa.BigInteger),  # the view that it matched, with which it is deleted; NULL: none
+    sa.Column("score", sa.Double),  # of the match
     _seal(),
     _unsealed("kept_queries", "id"),
     sa.Index("kept_queries_by_map", "map_id", "id"),
+    sa.Index("kept_queries_by_view", "seq"),
 )
 
 VOCABULARIES = sa.Table(

@@ -96,6 +96,8 @@ async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFac
         facts = await curator.keep_images(name, changes.keep_images)
     if changes.keep_queries is not None:
         facts = await curator.keep_queries(name, changes.keep_queries)
+    if changes.keep_matches is not None:
+        facts = await curator.keep_matches(name, changes.keep_matches)
     if changes.refuse_poor is not None:
         facts = await curator.refuse_poor(name, changes.refuse_poor)
     return facts

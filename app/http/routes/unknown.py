@@ -38,7 +38,7 @@ async def unknown_image(
     curator: Curates,
 ) -> Response:
     """A small image of a query that matched nothing."""
-    return Response(await curator.unknown_image(name, place_id), media_type="image/jpeg")
+    return Response(await curator.kept_image(name, place_id), media_type="image/jpeg")
 
 
 @router.post(

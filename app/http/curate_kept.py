@@ -1,0 +1,59 @@
+"""Use-cases for queries that are kept: unknown places, and proposed views."""
+
+import asyncio
+
+from app.http import enrolment_presenters, presenters
+from app.http.health_report import proposals, unknown_places
+from schemas import wire
+from schemas.records import ViewAttributes
+from worker.service.inbox import InboxService
+from worker.service.maps import MapService
+from worker.service.proposals import ProposalService
+
+
+class KeptQueryCuration:
+    """The part of `app.http.curate.Curator` that is about queries which are kept."""
+
+    _maps: MapService
+    _inbox: InboxService
+    _proposals: ProposalService
+
+    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
+        """Keep at most `count` of a map's queries that matched nothing."""
+        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count))
+
+    async def keep_matches(self, name: str, count: int) -> wire.MapFacts:
+        """Keep at most `count` of a map's queries that matched a view although they look unlike it."""
+        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count, matched=True))
+
+    async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
+        """Queries that matched nothing, by spot: at most `limit` spots."""
+        return unknown_places(name, await asyncio.to_thread(self._inbox.of, name), limit)
+
+    async def kept_image(self, name: str, query_id: str) -> bytes:
+        """A small JPEG of a kept query."""
+        return await asyncio.to_thread(self._inbox.image, name, query_id)
+
+    async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
+        """Enrol images of an unknown place as views with these attributes."""
+        enrolled, removed = await asyncio.to_thread(self._inbox.name, name, place_id, attributes)
+        return wire.NamedPlace(views=[enrolment_presenters.enrolled(one).view for one in enrolled], queries=removed)
+
+    async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
+        """Delete the queries of an unknown place."""
+        return wire.DismissedPlace(queries=await asyncio.to_thread(self._inbox.dismiss, name, place_id))
+
+    async def proposals(self, name: str, limit: int) -> wire.Proposals:
+        """Queries that matched places although they look unlike their views: at most `limit` places."""
+        return proposals(name, await asyncio.to_thread(self._proposals.of, name), limit)
+
+    async def accept_proposal(self, name: str, proposal_id: str, most: int, unconfirmed: bool) -> wire.NamedPlace:
+        """Enrol at most `most` images of a proposal as views of its place."""
+        enrolled, removed = await asyncio.to_thread(
+            self._proposals.accept, name, proposal_id, most, unconfirmed=unconfirmed
+        )
+        return wire.NamedPlace(views=[enrolment_presenters.enrolled(one).view for one in enrolled], queries=removed)
+
+    async def dismiss_proposal(self, name: str, proposal_id: str) -> wire.DismissedPlace:
+        """Delete the queries of a proposal."""
+        return wire.DismissedPlace(queries=await asyncio.to_thread(self._proposals.dismiss, name, proposal_id))
