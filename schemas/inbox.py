@@ -69,7 +69,7 @@ class Proposal:
     queries : tuple of str
         Ids, oldest first; the first names the proposal.
     confirmed : tuple of str
-        Those of them that another one agrees with: both show one spot.
+        Those of them with which another one, of another image, agrees on the place.
     matched : mapping of str to str
         From the id of each query to that of the view that it matched.
     place : str or None

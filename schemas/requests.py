@@ -79,7 +79,7 @@ class PostProposal(BaseModel):
     views: Annotated[int, Field(ge=1, le=10)] = Field(
         3, description="How many of its images become views at most, spread evenly over time."
     )
-    unconfirmed: bool = Field(False, description="Take queries too that no other one agrees with.")
+    unconfirmed: bool = Field(False, description="Take queries too that no other one agrees with on the place.")
 
 
 class _Label(BaseModel):

@@ -47,7 +47,7 @@ class Proposal(Answer):
     place: str | None = Field(description="Name of the place; null: the matched view has none, and stands for itself.")
     view: str = Field(description="Id of the view that the newest of its queries matched.")
     count: int = Field(description="How many queries it has.")
-    confirmed: int = Field(description="How many of them another one agrees with: both show one spot.")
+    confirmed: int = Field(description="How many of them another one, of another image, agrees with on the place.")
     queries: list[str] = Field(description="Ids of its queries, oldest first, at most 20.")
     lowest_score: float = Field(description="Of the matches, 0 to 1.")
     highest_score: float

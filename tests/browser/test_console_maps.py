@@ -166,6 +166,38 @@ def test_a_spot_that_matched_nothing_is_named_and_known_from_then_on(opened: Ope
     assert httpx.get(f"{service.url}/maps/quay/unknown").json()["kept"] == 0
 
 
+def test_a_place_in_another_light_is_taken_as_a_view_of_it(opened: Open, service: RunningService) -> None:
+    for place in ("mill lane", "rose garden", "castle park", "station road"):
+        enrolled(service, "night", seen(place), place=place)
+    tab = opened("maps/night/inbox", bypass_csp=True)
+    tab.page.get_by_text("Off: queries that match in another light are not kept.").wait_for()
+    tab.page.get_by_label("Number of matches").press("Enter")
+    tab.page.locator("main").get_by_text("Up to 500 queries that match in another light are kept.").wait_for()
+
+    for place, sideways in (("station road", 0.5), ("station road", 0.9), ("rose garden", 0.8)):
+        image = jpeg(scene(place).at("night").seen_from(dx=sideways, turn=3).pixels)
+        answer = httpx.post(f"{service.url}/query", data={"map": "night"}, files={"image": image}, timeout=60)
+        assert answer.json()["status"] == "matched"
+    tab.page.reload()
+    tab.page.get_by_role("heading", name="2 places seen in another light").wait_for()
+    tab.awaits(".proposal .sides img[src^=blob]", 4)
+    check(tab, "proposals")
+
+    tab.page.locator(".proposal", has_text="station road").get_by_role("button", name="Take").click()
+    tab.page.locator("main").get_by_text("2 photos of station road taken.").wait_for()
+    views = httpx.get(f"{service.url}/views?map=night&place=station road").json()["views"]
+    assert [bool(view["metadata"]) for view in views] == [False, True, True]
+
+    alone = tab.page.locator(".proposal", has_text="rose garden")
+    alone.get_by_role("button", name="Take it …").click()
+    tab.page.get_by_text("No other query matched this place").wait_for()
+    tab.page.get_by_role("button", name="Cancel").click()
+    alone.get_by_role("button", name="Dismiss proposal …").click()
+    tab.page.get_by_role("button", name="Dismiss", exact=True).click()
+    tab.page.get_by_role("heading", name="No place in another light").wait_for()
+    assert httpx.get(f"{service.url}/maps/night/proposals").json()["kept"] == 0
+
+
 # snapshots
 
 

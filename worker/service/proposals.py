@@ -1,21 +1,27 @@
 """Proposals: queries that matched a place although they look unlike its views, to be taken as further views of it.
 
-In another light or season a place is matched by little; a view in that light finds the next query by much. What a
-query matched is no proof, so that a proposal is confirmed only once two of its queries show one spot, and is never
-taken without somebody saying so.
+In another light or season a place is matched by little; a view in that light finds the next query by much. What one
+query matched is no proof, so that it is confirmed only once another image matched the same place, and nothing is taken
+without somebody saying so.
 """
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from schemas.errors import Conflict, NotFound
 from schemas.inbox import KeptQuery, Proposal, Proposals
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.service.enroll import Enrolled, EnrollService
-from worker.service.inbox import EXAMINED, KeptQueries, grouped, spread
+from worker.service.inbox import EXAMINED, KeptQueries, spread
 from worker.service.ports import Maps, Views
 
 ADDED_FROM = "proposed_by"
 """Key in the metadata of a view that was a proposal: the id of its query."""
+
+STILL = 0.3
+"""Histogram distance up to which two images may be of a camera that stands still: noise and compression alone gave up
+to .29, frames of a walk .64 and more (encoder `compact`)."""
 
 MOST_ADDED = 10
 """Views of a place that may come from proposals: a place in every light and season needs no more."""
@@ -70,13 +76,13 @@ class ProposalService:
         ------
         NotFound, Busy, DiskFull, StorageFailed
         Conflict
-            No two queries agree, or the place has `MOST_ADDED` views from proposals.
+            No two images agree, or the place has `MOST_ADDED` views from proposals.
         """
         proposal = self._find(name, proposal_id)
         choice = proposal.queries if unconfirmed else proposal.confirmed
         if not choice:
             raise Conflict(
-                f"no two queries of the proposal {proposal_id} show one spot, so that it may be wrong; wait for "
+                f"no two images of the proposal {proposal_id} agree on their place, so that it may be wrong; wait for "
                 "another query, or look at it and accept it with `unconfirmed`"
             )
         room = MOST_ADDED - self._added(name, proposal)
@@ -113,12 +119,11 @@ class ProposalService:
 def _proposal(matches: Sequence[tuple[KeptQuery, ViewRecord]]) -> Proposal:
     """The proposal of queries, oldest first, and the views of one place that they matched."""
     queries = [query for query, _ in matches]
-    agreeing = {one for spot in grouped(queries) if len(spot.queries) > 1 for one in spot.queries}
     newest = matches[-1][1]
     scores = [query.score for query in queries if query.score is not None]
     return Proposal(
         queries=tuple(query.id for query in queries),
-        confirmed=tuple(query.id for query in queries if query.id in agreeing),
+        confirmed=tuple(query.id for query in queries if any(_is_another(query, other) for other in queries)),
         matched={query.id: view.id for query, view in matches},
         place=newest.attributes.place,
         lowest_score=min(scores),
@@ -126,3 +131,8 @@ def _proposal(matches: Sequence[tuple[KeptQuery, ViewRecord]]) -> Proposal:
         first_at=queries[0].queried_at,
         last_at=queries[-1].queried_at,
     )
+
+
+def _is_another(query: KeptQuery, other: KeptQuery) -> bool:
+    """Whether two queries are of two images: a robot that stands still confirms nothing."""
+    return query.recipe != other.recipe or float(np.linalg.norm(query.vectors - other.vectors)) > STILL

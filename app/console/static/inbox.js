@@ -1,13 +1,14 @@
-// The inbox of a map: queries that matched nothing, by spot, to be named or dismissed.
+// The inbox of a map: queries that matched nothing, to be named, and places in another light, to be taken.
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
 import { announce, confirmed, count, field, folded, h, moment, problemBox } from "./dom.js";
 import { image } from "./images.js";
+import { keeping } from "./keeping.js";
 import { mapHead } from "./parts.js";
 import { FRAMES, typedPosition } from "./positions.js";
+import { proposalSections } from "./proposals.js";
 
-const SUGGESTED = 500;
 const AT_FIRST = 20;
 const MOST = 500;
 
@@ -19,12 +20,13 @@ export function inboxScreen(name) {
 
   async function load() {
     try {
-      const [map, inbox] = await Promise.all([
+      const [map, inbox, proposals] = await Promise.all([
         call("GET", path),
         call("GET", `${path}/unknown`, { query: { limit } }),
+        call("GET", `${path}/proposals`, { query: { limit: MOST } }),
       ]);
       chooseMap(name);
-      shown.replaceChildren(spots(map, inbox), keeping(inbox));
+      shown.replaceChildren(spots(map, inbox), kept(inbox), ...proposalSections(path, proposals, tell));
     } catch (error) {
       shown.replaceChildren(problemBox(error));
     }
@@ -130,54 +132,20 @@ export function inboxScreen(name) {
     );
   }
 
-  function keeping(inbox) {
-    const wrong = h("div");
-    const on = inbox.keep_queries > 0;
-    const most = h("input", {
-      type: "number",
-      min: 1,
-      max: 10_000,
-      required: true,
-      value: String(inbox.keep_queries || SUGGESTED),
+  function kept(inbox) {
+    return keeping({
+      path,
+      setting: "keep_queries",
+      most: inbox.keep_queries,
+      kept: inbox.kept,
+      heading: ["Queries that match nothing are kept", "Keep queries that match nothing"],
+      about:
+        "The newest are kept, with a small image of each and no metadata, until they are named or dismissed. Not " +
+        "kept are poor photos and queries with filters.",
+      label: "At most",
+      kind: "match nothing",
+      tell,
     });
-    async function keep(wanted) {
-      const lost = Math.max(0, inbox.kept - wanted);
-      const text = `The oldest ${count(lost, "query", "queries")} and the images are deleted. This cannot be undone.`;
-      if (lost > 0 && !(await confirmed({ title: `Keep ${wanted} at most?`, text, action: "Delete them" }))) return;
-      try {
-        await call("PATCH", path, { json: { keep_queries: wanted }, type: "application/merge-patch+json" });
-        tell(wanted ? `Up to ${count(wanted, "query", "queries")} that match nothing are kept.` : "Switched off.");
-      } catch (error) {
-        wrong.replaceChildren(problemBox(error));
-      }
-    }
-    return h(
-      "section",
-      { class: "panel" },
-      h("h2", {}, on ? "Queries that match nothing are kept" : "Keep queries that match nothing"),
-      h(
-        "p",
-        {},
-        "The newest are kept, with a small image of each and no metadata, until they are named or dismissed. Not kept ",
-        "are poor photos and queries with filters. Programs send ",
-        h("code", {}, `PATCH ${path} {"keep_queries": ${on ? inbox.keep_queries : SUGGESTED}}`),
-        ".",
-      ),
-      wrong,
-      h(
-        "form",
-        {
-          class: "row",
-          onsubmit: (event) => {
-            event.preventDefault();
-            keep(Number(most.value));
-          },
-        },
-        field("At most", most),
-        h("button", { type: "submit", class: on ? null : "first" }, on ? "Change" : "Switch on"),
-        on && h("button", { type: "button", class: "danger", onclick: () => keep(0) }, "Switch off …"),
-      ),
-    );
   }
 
   function tell(text) {
