@@ -2,9 +2,9 @@
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
-import { announce, confirmed, count, field, folded, h, moment, problemBox } from "./dom.js";
+import { announce, count, field, folded, h, moment, problemBox } from "./dom.js";
 import { image } from "./images.js";
-import { keeping } from "./keeping.js";
+import { dismiss, keeping } from "./keeping.js";
 import { mapHead } from "./parts.js";
 import { FRAMES, typedPosition } from "./positions.js";
 import { proposalSections } from "./proposals.js";
@@ -89,16 +89,8 @@ export function inboxScreen(name) {
       }
     }
 
-    async function dismissed() {
-      const text = `${count(place.count, "query", "queries")} and the images are deleted. This cannot be undone.`;
-      if (!(await confirmed({ title: "Dismiss this spot?", text, action: "Dismiss" }))) return;
-      try {
-        const { queries } = await call("DELETE", address);
-        tell(`${count(queries, "query", "queries")} dismissed.`);
-      } catch (error) {
-        wrong.replaceChildren(problemBox(error));
-      }
-    }
+    const dismissed = () =>
+      dismiss({ title: "Dismiss this spot?", number: place.count, address, wrong, tell });
 
     return h(
       "li",

@@ -1,4 +1,4 @@
-// How many queries of one kind a map keeps: switched on, changed, switched off.
+// Queries that a map keeps: how many of one kind, and those that are dismissed.
 
 import { call } from "./api.js";
 import { confirmed, count, field, h, problemBox } from "./dom.js";
@@ -47,4 +47,16 @@ export function keeping({ path, setting, most, kept, heading, about, label, kind
       on && h("button", { type: "button", class: "danger", onclick: () => keep(0) }, "Switch off …"),
     ),
   );
+}
+
+/** Ask, then delete the kept queries at an address; `wrong` shows a problem. */
+export async function dismiss({ title, number, address, wrong, tell }) {
+  const text = `${count(number, "query", "queries")} and the images are deleted. This cannot be undone.`;
+  if (!(await confirmed({ title, text, action: "Dismiss" }))) return;
+  try {
+    const { queries } = await call("DELETE", address);
+    tell(`${count(queries, "query", "queries")} dismissed.`);
+  } catch (error) {
+    wrong.replaceChildren(problemBox(error));
+  }
 }

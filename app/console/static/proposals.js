@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { confirmed, count, folded, h, moment, problemBox } from "./dom.js";
 import { image } from "./images.js";
-import { keeping } from "./keeping.js";
+import { dismiss, keeping } from "./keeping.js";
 
 /** The sections of the inbox: what is proposed, and how much is kept. */
 export function proposalSections(path, found, tell) {
@@ -59,16 +59,8 @@ function card(path, proposal, tell) {
     }
   }
 
-  async function dismissed() {
-    const text = `${count(proposal.count, "query", "queries")} and the images are deleted. This cannot be undone.`;
-    if (!(await confirmed({ title: "Dismiss this proposal?", text, action: "Dismiss" }))) return;
-    try {
-      const { queries } = await call("DELETE", address);
-      tell(`${count(queries, "query", "queries")} dismissed.`);
-    } catch (error) {
-      wrong.replaceChildren(problemBox(error));
-    }
-  }
+  const dismissed = () =>
+    dismiss({ title: "Dismiss this proposal?", number: proposal.count, address, wrong, tell });
 
   return h(
     "li",
