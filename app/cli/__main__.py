@@ -20,6 +20,7 @@ GROUPS = (
     "recipes",
     "calibrate",
     "map_health",
+    "inbox",
     "health",
     "keys",
     "care",

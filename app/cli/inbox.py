@@ -1,0 +1,131 @@
+"""``revisit inbox``: queries that a map kept, to be named as places, taken as views, or dismissed."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.cli.console import DONE, Failure, Verbs, say, show, show_json, speaks, table, wrong_use
+
+if TYPE_CHECKING:
+    from revisit_client import Revisit
+    from revisit_client.wire import Proposals, UnknownPlaces
+
+MOST = 500
+"""Places of each kind that are looked at."""
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "inbox",
+        help="queries that matched nothing, and places in another light: name, take, dismiss",
+        description="Queries that a map kept: those that matched nothing, by spot, to be named as places; and those "
+        "that matched a place although they look unlike its views, to be taken as further views of it.",
+    )
+    parser.add_argument("map", nargs="?", default="default")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--keep", type=int, metavar="N", help="keep at most N queries of each kind from now on; 0: none")
+    what.add_argument("--name", nargs=2, metavar=("ID", "PLACE"), help="enrol the images of a spot as this place")
+    what.add_argument("--accept", metavar="ID", help="take images of a proposal as views; `confirmed`: of all that are")
+    what.add_argument("--dismiss", metavar="ID", help="delete the queries of a spot or of a proposal, and their images")
+    parser.add_argument("--views", type=int, default=3, help="with --accept: images of a place at most (default: 3)")
+    parser.add_argument("--unconfirmed", action="store_true", help="with --accept: what no other image confirms, too")
+    parser.add_argument("--images", type=Path, metavar="DIR", help="save an image of each spot and proposal there")
+    speaks(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what was asked, or list what is kept."""
+    from revisit_client import Revisit
+
+    if arguments.accept is None and arguments.unconfirmed:
+        wrong_use("--unconfirmed goes with --accept")
+    with Revisit(arguments.url, key=arguments.key) as revisit:
+        if arguments.keep is not None:
+            revisit.keep_queries(arguments.map, arguments.keep)
+            revisit.keep_matches(arguments.map, arguments.keep)
+            say(f"{arguments.map}: at most {arguments.keep} queries of each kind are kept")
+            return DONE
+        if arguments.name is not None:
+            spot, place = arguments.name
+            named = revisit.name_unknown(arguments.map, spot, place)
+            say(f"{arguments.map}: {len(named.views)} images of {place} enrolled")
+            return DONE
+        unknown = revisit.unknown(arguments.map, limit=MOST)
+        proposals = revisit.proposals(arguments.map, limit=MOST)
+        if arguments.accept is not None:
+            return _accept(revisit, arguments, proposals)
+        if arguments.dismiss is not None:
+            return _dismiss(revisit, arguments, unknown, proposals)
+        if arguments.images is not None:
+            _save(revisit, arguments.map, arguments.images, unknown, proposals)
+    if arguments.json:
+        show_json({"unknown": unknown.model_dump(mode="json"), "proposals": proposals.model_dump(mode="json")})
+    else:
+        _list(unknown, proposals)
+    return DONE
+
+
+def _list(unknown: "UnknownPlaces", proposals: "Proposals") -> None:
+    if unknown.places:
+        rows = [(one.id, one.count, one.first_at, one.last_at) for one in unknown.places]
+        show(table(("spot that is not known", "queries", "first", "last"), rows))
+    if proposals.proposals:
+        heads = ("place in another light", "of", "queries", "confirmed", "lowest score", "last")
+        show(
+            table(
+                heads,
+                [
+                    (one.id, one.place or f"view {one.view}", one.count, one.confirmed, one.lowest_score, one.last_at)
+                    for one in proposals.proposals
+                ],
+            )
+        )
+    for kept, most, kind in (
+        (unknown.kept, unknown.keep_queries, "matched nothing"),
+        (proposals.kept, proposals.keep_matches, "matched in another light"),
+    ):
+        off = "" if most else "; none are kept: `--keep 500` changes that"
+        say(f"{unknown.map}: {kept} of at most {most} queries that {kind}{off}")
+
+
+def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Proposals") -> int:
+    chosen = [one for one in proposals.proposals if arguments.accept in ("confirmed", one.id)]
+    if arguments.accept == "confirmed":
+        chosen = [one for one in chosen if one.confirmed]
+    elif not chosen:
+        raise Failure(f"there is no proposal {arguments.accept}; `revisit inbox {arguments.map}` lists them")
+    taken = 0
+    for one in chosen:
+        accepted = revisit.accept_proposal(
+            arguments.map, one.id, views=arguments.views, unconfirmed=arguments.unconfirmed
+        )
+        taken += len(accepted.views)
+        show(f"{one.place or f'view {one.view}'}: {', '.join(view.id for view in accepted.views)}")
+    say(f"{arguments.map}: {taken} views added to {len(chosen)} places; they are described in the background")
+    return DONE
+
+
+def _dismiss(
+    revisit: "Revisit", arguments: argparse.Namespace, unknown: "UnknownPlaces", proposals: "Proposals"
+) -> int:
+    if any(one.id == arguments.dismiss for one in unknown.places):
+        gone = revisit.dismiss_unknown(arguments.map, arguments.dismiss)
+    elif any(one.id == arguments.dismiss for one in proposals.proposals):
+        gone = revisit.dismiss_proposal(arguments.map, arguments.dismiss)
+    else:
+        raise Failure(
+            f"nothing here is called {arguments.dismiss}; `revisit inbox {arguments.map}` lists what there is"
+        )
+    say(f"{arguments.map}: {gone.queries} queries deleted, with their images")
+    return DONE
+
+
+def _save(revisit: "Revisit", name: str, folder: Path, unknown: "UnknownPlaces", proposals: "Proposals") -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for spot in unknown.places:
+        (folder / f"{spot.id}.jpg").write_bytes(revisit.unknown_image(name, spot.id))
+    for one in proposals.proposals:
+        (folder / f"{one.id}.jpg").write_bytes(revisit.proposal_image(name, one.id))
+    say(f"{len(unknown.places) + len(proposals.proposals)} images in {folder}")
