@@ -1,6 +1,7 @@
 """``revisit inbox``: queries that a map kept, to be named as places, taken as views, or dismissed."""
 
 import argparse
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,15 +70,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _list(unknown: "UnknownPlaces", proposals: "Proposals") -> None:
     if unknown.places:
-        rows = [(one.id, one.count, one.first_at, one.last_at) for one in unknown.places]
-        show(table(("spot that is not known", "queries", "first", "last"), rows))
+        rows = [(one.id, one.count, _minute(one.first_at), _minute(one.last_at)) for one in unknown.places]
+        show(table(("spot that is not known", "queries", "first", "last (UTC)"), rows) + "\n")
     if proposals.proposals:
-        heads = ("place in another light", "of", "queries", "confirmed", "lowest score", "last")
+        heads = ("place in another light", "of", "queries", "confirmed", "lowest score", "last (UTC)")
         show(
             table(
                 heads,
                 [
-                    (one.id, one.place or f"view {one.view}", one.count, one.confirmed, one.lowest_score, one.last_at)
+                    (
+                        one.id,
+                        one.place or f"view {one.view}",
+                        one.count,
+                        one.confirmed,
+                        one.lowest_score,
+                        _minute(one.last_at),
+                    )
                     for one in proposals.proposals
                 ],
             )
@@ -88,6 +96,10 @@ def _list(unknown: "UnknownPlaces", proposals: "Proposals") -> None:
     ):
         off = "" if most else "; none are kept: `--keep 500` changes that"
         say(f"{unknown.map}: {kept} of at most {most} queries that {kind}{off}")
+
+
+def _minute(at: datetime) -> str:
+    return f"{at.astimezone(UTC):%Y-%m-%d %H:%M}"
 
 
 def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Proposals") -> int:
