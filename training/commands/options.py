@@ -17,10 +17,11 @@ from training.loop import Plan, Run
 from worker.configure import keep_freed_memory
 
 
-def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of any run."""
+def add_run_options(parser: argparse.ArgumentParser, *, trunk: bool = True) -> None:
+    """Add the options of any run; `trunk`: whether it needs the pretrained trunk."""
     parser.add_argument("--data", type=Path, required=True, help="has segmentation/, pairs/, unlabelled/, text/")
-    parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: the pretrained trunk")
+    if trunk:
+        parser.add_argument("--trunk", type=Path, required=True, help="cityscapes_trunk_fp16.npz: the pretrained trunk")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--minutes", type=float, default=0.0, help="length of the run; pauses do not count")
     parser.add_argument("--steps", type=int, default=0, help="length of the run in steps")
