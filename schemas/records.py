@@ -16,7 +16,7 @@ from schemas.where import Predicate
 Sequence64 = npt.NDArray[np.int64]
 
 JobState = Literal["waiting", "running", "done", "failed", "cancelled"]
-JobKind = Literal["describe", "recipe", "vocabulary", "snapshot", "import"]
+JobKind = Literal["describe", "recipe", "shadow", "vocabulary", "snapshot", "import"]
 ViewState = Literal["pending", "ready", "failed"]
 
 
@@ -145,8 +145,9 @@ class JobRecord:
     Parameters
     ----------
     kind : str
-        ``describe``: describe one view; ``recipe``: describe all views of a map by another recipe; ``vocabulary``:
-        train a vocabulary on a map's views, then describe them by it; ``import``: enrol the images of a recording.
+        ``describe``: describe one view; ``recipe``: describe all views of a map by another recipe; ``shadow``: describe
+        them so beside the present recipe, and compare what both answer; ``vocabulary``: train a vocabulary on a map's
+        views, then describe them by it; ``import``: enrol the images of a recording.
     view_id : str or None
         Of a describe job.
     progress : JobProgress or None

@@ -23,7 +23,7 @@ from schemas import wire
 from schemas.errors import Conflict, KeyReused, NotFound, RevisitError
 from schemas.image import ImageFacts
 from schemas.records import Filters, Replay, ViewAttributes
-from schemas.requests import PutMap
+from schemas.requests import PostRecipe, PutMap
 from schemas.settings import Settings
 from schemas.statistics import (
     IndexLag,
@@ -298,7 +298,7 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
             links={"self": f"/jobs/{job_id}"},
         )
 
-    async def switch_recipe(self, name: str, wanted: PutMap) -> wire.Job:
+    async def switch_recipe(self, name: str, wanted: PostRecipe) -> wire.Job:
         await self.map(name)
         return self._job("j1")
 
