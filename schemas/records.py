@@ -79,6 +79,7 @@ class MapRecord:
     keep_queries: int = 0  # at most, of those that matched nothing
     refuse_poor: bool = False  # images that are dark, overexposed, covered or blurred
     keep_matches: int = 0  # queries kept at most that matched a view although they look unlike it
+    shadow: str | None = None  # id of the job of its shadow
     keep_images: bool = True  # False: an image is removed once its view is described
 
     @property

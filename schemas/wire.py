@@ -272,6 +272,7 @@ class MapFacts(Answer):
     keep_matches: int = Field(0, description="How many that matched a view but look unlike it are kept at most.")
     refuse_poor: bool = Field(False, description="Whether poor images are refused, unless a request says otherwise.")
     keep_images: bool = Field(True, description="Whether images stay once their views are described.")
+    shadow: str | None = Field(None, description="Id of the job of its shadow: GET /maps/{map}/shadow; null: none.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None
