@@ -17,11 +17,11 @@ class RecipeCuration:
     _maps: MapService
     _shadows: ShadowService
 
-    async def switch_recipe(self, name: str, asked: PostRecipe) -> wire.Job:
+    async def switch_recipe(self, name: str, wanted: PostRecipe) -> wire.Job:
         """Describe a map's views by another recipe, in the background; with a shadow, until the map is told."""
-        if asked.shadow is None:
-            return presenters.job(await asyncio.to_thread(self._maps.switch_recipe, name, wanted_of(asked)))
-        return presenters.job(await asyncio.to_thread(self._maps.begin_shadow, name, wanted_of(asked), asked.shadow))
+        if wanted.shadow is None:
+            return presenters.job(await asyncio.to_thread(self._maps.switch_recipe, name, wanted_of(wanted)))
+        return presenters.job(await asyncio.to_thread(self._maps.begin_shadow, name, wanted_of(wanted), wanted.shadow))
 
     async def shadow(self, name: str) -> wire.Shadow:
         """The shadow of a map."""

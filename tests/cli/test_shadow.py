@@ -32,7 +32,7 @@ SHADOW = {
     "map": "campus", "state": "ready", "job": "s1", "progress": None, "wanted": 5, "recipe": {"id": "n"},
     "ranking": {"id": "r"}, "table": TABLE, "links": {},
 }  # fmt: skip
-JOB = {
+JOB: dict[str, Any] = {
     "id": "s1", "kind": "shadow", "state": "done", "map": "campus", "view": None, "attempts": 1, "progress": None,
     "result": None, "created_at": AT, "finished_at": AT, "failure": None, "links": {},
 }  # fmt: skip

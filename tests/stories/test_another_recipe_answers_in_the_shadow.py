@@ -150,7 +150,8 @@ def test_what_cannot_be_is_refused_with_the_reason(client: CheckedClient, runtim
     same = client.post(f"{path}/recipe", json={"labels": labels, "shadow": 10})
     assert same.status_code == 409
     assert "by this recipe already" in same.json()["detail"]
-    for wrong in (0, 201, -1, True, "10", 1.5, [1], {}):
+    unusable: tuple[Any, ...] = (0, 201, -1, True, "10", 1.5, [1], {})
+    for wrong in unusable:
         assert client.post(f"{path}/recipe", json={**OTHER, "shadow": wrong}).status_code == 422
     assert client.get(f"{path}/shadow").status_code == 404
     for call in (client.post(f"{path}/shadow/switch"), client.delete(f"{path}/shadow")):

@@ -54,7 +54,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Found:
+class Outcome:
     """An answer as the search gives it: the first view by its sequence number, None without any."""
 
     status: str
@@ -64,7 +64,7 @@ class Found:
     search_ms: float
 
 
-def search(side: Side, description: Description, among: Sequence64, own: int | None, product: Product) -> Found:
+def search(side: Side, description: Description, among: Sequence64, own: int | None, product: Product) -> Outcome:
     """Query a map by one recipe.
 
     Parameters
@@ -95,7 +95,7 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
             continue
         decision = decide(ranking, side.levels, side.calibration, config.precision, searched=found.searched)
         any_found = len(ranking.seqs) > 0
-        return Found(
+        return Outcome(
             decision.status,
             decision.confidence,
             int(ranking.seqs[0]) if any_found else None,
@@ -106,7 +106,7 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
 
 
 def answer(
-    found: Found | None, described: Timed[Description] | None, views: Mapping[int, ViewRecord], right: bool | None
+    found: Outcome | None, described: Timed[Description] | None, views: Mapping[int, ViewRecord], right: bool | None
 ) -> ShadowAnswer:
     """An answer for the table; `found` is None where the image could not be described."""
     if found is None:

@@ -26,7 +26,7 @@ from worker.search.ports import Index
 from worker.service.comparing import FIRST, ComparisonStore, Descriptions, MapComparer
 from worker.service.inbox import spread
 from worker.service.ports import Comparisons, Listings, Maps, Views
-from worker.service.shadow_answers import Found, Side, answer, place_of, same_place, search, shows
+from worker.service.shadow_answers import Outcome, Side, answer, place_of, same_place, search, shows
 from worker.service.trouble import STORAGE_ERRORS
 
 log = logging.getLogger("revisit.worker")
@@ -217,11 +217,11 @@ class ShadowService:
             )
         )  # fmt: skip
         among = np.union1d(present, changes.seqs)  # views enrolled from now on would be found by one alone
-        asked = self._asked(name, shadow.wanted, old, new, np.intersect1d(present, changes.seqs))
+        queries = self._queries_of(name, shadow.wanted, old, new, np.intersect1d(present, changes.seqs))
         rows = []
-        for done, one in enumerate(asked):
+        for done, one in enumerate(queries):
             _unless(stopping)
-            self._jobs.report(claim, JobProgress(done, len(asked)))
+            self._jobs.report(claim, JobProgress(done, len(queries)))
             ask = self._of_kept if isinstance(one, KeptQuery) else self._of_view
             rows.append(ask(name, one, old, new, among))  # type: ignore[arg-type]  # of its own kind
         return ShadowTable(
@@ -256,7 +256,7 @@ class ShadowService:
             made += self._comparer.compare([seq], index, recipe, len(seqs))
         self._comparisons.keep(name, recipe.description.id, made, datetime.now(UTC))
 
-    def _asked(self, name: str, wanted: int, old: Side, new: Side, both: Sequence64) -> list[KeptQuery | int]:
+    def _queries_of(self, name: str, wanted: int, old: Side, new: Side, both: Sequence64) -> list[KeptQuery | int]:
         """The newest kept queries, the last first, and where they are too few views described by both recipes."""
         describable = old.describer is not None and new.describer is not None
         kept = self._kept.newest(name, wanted, matched=None)[0][::-1] if describable else []
@@ -313,7 +313,7 @@ class ShadowService:
         own: ViewRecord | None,
         at: datetime,
         old: Side,
-        found: Sequence[Found | None],
+        found: Sequence[Outcome | None],
         described: Sequence[Timed[Description] | None],
     ) -> ShadowQuery:
         within = old.recipe.ranking.same_place_m
