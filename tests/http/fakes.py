@@ -34,6 +34,7 @@ from schemas.statistics import (
     StoreStatistics,
 )
 from tests.http.fake_inbox import FakeInbox
+from tests.http.fake_shadows import FakeShadows
 from tests.http.fake_snapshots import FakeSnapshots
 from worker.images.codec import Limits, decode, facts, thumbnail
 
@@ -75,7 +76,7 @@ class Kept:
 
 
 @dataclass
-class FakeRecogniser(FakeSnapshots, FakeInbox):
+class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox):
     """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))
