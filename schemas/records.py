@@ -16,7 +16,7 @@ from schemas.where import Predicate
 Sequence64 = npt.NDArray[np.int64]
 
 JobState = Literal["waiting", "running", "done", "failed", "cancelled"]
-JobKind = Literal["describe", "recipe", "vocabulary", "snapshot", "import"]
+JobKind = Literal["describe", "recipe", "shadow", "vocabulary", "snapshot", "import"]
 ViewState = Literal["pending", "ready", "failed"]
 
 
@@ -79,6 +79,7 @@ class MapRecord:
     keep_queries: int = 0  # at most, of those that matched nothing
     refuse_poor: bool = False  # images that are dark, overexposed, covered or blurred
     keep_matches: int = 0  # queries kept at most that matched a view although they look unlike it
+    shadow: str | None = None  # id of the job of its shadow
     keep_images: bool = True  # False: an image is removed once its view is described
 
     @property
@@ -145,8 +146,9 @@ class JobRecord:
     Parameters
     ----------
     kind : str
-        ``describe``: describe one view; ``recipe``: describe all views of a map by another recipe; ``vocabulary``:
-        train a vocabulary on a map's views, then describe them by it; ``import``: enrol the images of a recording.
+        ``describe``: describe one view; ``recipe``: describe all views of a map by another recipe; ``shadow``: describe
+        them so beside the present recipe, and compare what both answer; ``vocabulary``: train a vocabulary on a map's
+        views, then describe them by it; ``import``: enrol the images of a recording.
     view_id : str or None
         Of a describe job.
     progress : JobProgress or None

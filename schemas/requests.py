@@ -4,6 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from schemas.shadow import MOST_QUERIES
 from schemas.wire_views import Position
 
 
@@ -29,6 +30,21 @@ class PutMap(BaseModel):
     )
     ranking: dict[str, Any] | None = Field(
         None, description="Ranking parameters that differ from the preset's.", examples=[{"candidates": 100}]
+    )
+
+
+class PostRecipe(PutMap):
+    """Recipe that a map's views are described by anew; fields left out keep the map's values.
+
+    Errors name the labels, presets or parameters that exist.
+    """
+
+    shadow: Annotated[int, Field(ge=1, le=MOST_QUERIES)] | None = Field(
+        None,
+        description="Do not change over: answer so many of the map's last kept queries by both recipes, with views of "
+        "the map where they are too few, and wait to be told (`POST /maps/{map}/shadow/switch`, or `DELETE "
+        "/maps/{map}/shadow`).",
+        examples=[100],
     )
 
 

@@ -100,6 +100,33 @@ from .wire_query import (
 from .wire_query import (
     VerificationMatch as VerificationMatch,
 )
+from .wire_shadow import (
+    Job as Job,
+)
+from .wire_shadow import (
+    JobProgress as JobProgress,
+)
+from .wire_shadow import (
+    Jobs as Jobs,
+)
+from .wire_shadow import (
+    Shadow as Shadow,
+)
+from .wire_shadow import (
+    ShadowAnswer as ShadowAnswer,
+)
+from .wire_shadow import (
+    ShadowQuery as ShadowQuery,
+)
+from .wire_shadow import (
+    ShadowSide as ShadowSide,
+)
+from .wire_shadow import (
+    ShadowTable as ShadowTable,
+)
+from .wire_shadow import (
+    ShadowTotals as ShadowTotals,
+)
 from .wire_snapshots import (
     RestoredMap as RestoredMap,
 )
@@ -245,6 +272,7 @@ class MapFacts(Answer):
     keep_matches: int = Field(0, description="How many that matched a view but look unlike it are kept at most.")
     refuse_poor: bool = Field(False, description="Whether poor images are refused, unless a request says otherwise.")
     keep_images: bool = Field(True, description="Whether images stay once their views are described.")
+    shadow: str | None = Field(None, description="Id of the job of its shadow: GET /maps/{map}/shadow; null: none.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None
@@ -315,39 +343,6 @@ class Deleted(Answer):
     images: int = Field(description="Image files removed; a file is kept while another view has the same bytes.")
     revision: int | None
     queries: int = Field(0, description="Kept queries removed, with the images that were kept of them.")
-
-
-class JobProgress(Answer):
-    """Progress of a job, in images."""
-
-    done: int
-    total: int
-
-
-class Job(Answer):
-    """A background job."""
-
-    id: str
-    kind: Literal["describe", "recipe", "vocabulary", "snapshot", "import"]
-    state: Literal["waiting", "running", "done", "failed", "cancelled"]
-    map: str
-    view: str | None
-    attempts: int
-    progress: JobProgress | None = Field(description="Of a job of a map that has started.")
-    result: dict[str, Any] | None = Field(
-        description="Of a finished job, such as the id of the map's recipe; of an import, its report so far."
-    )
-    created_at: Moment
-    finished_at: Moment | None
-    failure: Failure | None
-    links: dict[str, str]
-
-
-class Jobs(Answer):
-    """A page of jobs, newest first."""
-
-    jobs: list[Job]
-    next: str | None = Field(description="Cursor of the next page; null on the last.")
 
 
 class MapReadiness(Answer):

@@ -44,6 +44,7 @@ from worker.service.renderings import RenderingService
 from worker.service.resemblances import Resemblances
 from worker.service.searching import Searcher
 from worker.service.settlements import Settlements
+from worker.service.shadows import ShadowService
 from worker.service.snapshots import SnapshotService
 from worker.service.trouble import StoringTrouble
 from worker.service.views import ViewService
@@ -71,6 +72,7 @@ class Services:
     proposals: ProposalService
     keys: KeyService
     snapshots: SnapshotService
+    shadows: ShadowService
     imports: ImportService
 
 
@@ -196,51 +198,40 @@ def build(
         catalogue = Catalogue(store.maps, store.descriptions, FlatIndex.of)
         decoder = make_decoder(settings)
         trainer = VocabularyTrainer(
-            maps=store.maps,
-            views=store.views,
-            vocabularies=store.vocabularies,
-            jobs=store.jobs,
-            describers=describers,
-            scheduler=scheduler,
-            decode=decoder.decode_patiently,
-        )
+            maps=store.maps, views=store.views, vocabularies=store.vocabularies, jobs=store.jobs,
+            describers=describers, scheduler=scheduler, decode=decoder.decode_patiently,
+        )  # fmt: skip
         snapshots = SnapshotService(
-            files=store.snapshots,
-            restorer=store.restoring,
-            jobs=store.jobs,
+            files=store.snapshots, restorer=store.restoring, jobs=store.jobs,
             wake=lambda: _nothing() if loop is None else loop.wake_all(),
-        )
+        )  # fmt: skip
         comparer = MapComparer(
             comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
         )
+        shadows = ShadowService(
+            maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
+            comparisons=store.comparisons, kept=store.kept_queries, jobs=store.jobs, catalogue=catalogue,
+            make_index=FlatIndex.of, comparer=comparer, describers=describers, scheduler=scheduler,
+            decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
+        )  # fmt: skip
         settlements = Settlements(store.views)
         me = this_process("serve" if serving else "worker")
         loop: Loop | None = None
         if settings.inline_worker or not serving:
             importer = Importer(
-                uploads=store.uploads,
-                jobs=store.jobs,
-                enrolment=store.enrolment,
-                settlements=settlements,
-                decode=decoder.decode_patiently,
-                taken=decoder.taken,
-                look_for_problem=_problem_of,
-                limits=Limits.of(settings),
-                wake=lambda: loop.wake() if loop is not None else None,
-            )
+                uploads=store.uploads, jobs=store.jobs, enrolment=store.enrolment, settlements=settlements,
+                decode=decoder.decode_patiently, taken=decoder.taken, look_for_problem=_problem_of,
+                limits=Limits.of(settings), wake=lambda: loop.wake() if loop is not None else None,
+            )  # fmt: skip
             loop = Loop(
-                jobs=store.jobs,
-                views=store.views,
-                pruning=store.pruning,
-                scheduler=scheduler,
-                describers=describers,
-                map_jobs={"vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run},
+                jobs=store.jobs, views=store.views, pruning=store.pruning, scheduler=scheduler, describers=describers,
+                map_jobs={
+                    "vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run, "shadow": shadows.run,
+                },
                 compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
-                decode=decoder.decode_patiently,
-                name=me.name,
-                batch=batch,
+                decode=decoder.decode_patiently, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
-            )
+            )  # fmt: skip
         attendance = Attendance.of(store, me, loop, settings.lease_s)
         if loop is not None:
             loop.on_finish(settlements.notify)
@@ -259,7 +250,7 @@ def build(
             attendance=attendance,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, decoder, product, settlements,
-                default_recipe, loop, attendance, snapshots,
+                default_recipe, loop, attendance, snapshots, shadows,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -286,6 +277,7 @@ def _services(
     loop: Loop | None,
     attendance: Attendance,
     snapshots: SnapshotService,
+    shadows: ShadowService,
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
@@ -365,6 +357,7 @@ def _services(
             maps=store.maps, comparisons=store.comparisons, descriptions=store.descriptions, calibration=calibration_of
         ),
         snapshots=snapshots,
+        shadows=shadows,
         imports=ImportService(
             uploads=store.uploads,
             jobs=store.jobs,

@@ -18,6 +18,7 @@ GROUPS = (
     "loops",
     "browse",
     "recipes",
+    "shadow",
     "calibrate",
     "map_health",
     "inbox",

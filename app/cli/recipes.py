@@ -5,6 +5,9 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from app.cli.console import DONE, Verbs, job_progress, json_object, say, show, show_json, speaks, table, wrong_use
+from app.cli.shadow import show_shadow
+
+DEFAULT_QUERIES = 100
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -34,6 +37,14 @@ def add(verbs: Verbs) -> None:
     recipe.add_argument("--dynamic", metavar="LABEL,...", help="labels of things that move; empty: none")
     recipe.add_argument("--parameters", metavar="JSON", help="description parameters that differ from the preset's")
     recipe.add_argument("--ranking", metavar="JSON", help="ranking parameters that differ from the preset's")
+    recipe.add_argument(
+        "--shadow",
+        type=int,
+        nargs="?",
+        const=DEFAULT_QUERIES,
+        metavar="N",
+        help="do not change over: answer the last N kept queries by both recipes first (100); see `revisit shadow`",
+    )
     recipe.add_argument("--preview", action="store_true", help="show what --dynamic would leave out, change nothing")
     _waits(recipe)
     recipe.set_defaults(run=run_recipe)
@@ -62,6 +73,8 @@ def run_recipe(arguments: argparse.Namespace) -> int:
     describes = not (arguments.preset is None and labels is None and dynamic is None and parameters is None)
     if arguments.preview and dynamic is None:
         wrong_use("--preview needs --dynamic")
+    if arguments.shadow is not None and (arguments.preview or not describes):
+        wrong_use("--shadow goes with what is to change: --preset, --labels, --dynamic or --parameters")
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.preview:
             return _previewed(revisit.preview_dynamic(arguments.map, dynamic or ()), arguments)
@@ -73,6 +86,7 @@ def run_recipe(arguments: argparse.Namespace) -> int:
                 preset=arguments.preset,
                 parameters=parameters,
                 ranking=ranking,
+                shadow=arguments.shadow,
             )
             return _finished(revisit, job, arguments)
         facts = revisit.map(arguments.map) if ranking is None else revisit.change_ranking(arguments.map, **ranking)
@@ -125,4 +139,6 @@ def _finished(revisit: "Revisit", job: "Job", arguments: argparse.Namespace) -> 
         show_json(job.model_dump(mode="json"))
     else:
         show(f"{job.kind} of map {job.map}: {job.state}")
+        if job.kind == "shadow" and job.state == "done":
+            show_shadow(revisit.shadow(job.map))
     return DONE

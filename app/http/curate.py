@@ -10,13 +10,13 @@ from typing import Any, BinaryIO, Protocol
 from app.http import presenters, snapshot_presenters
 from app.http.calibration_report import calibration_report
 from app.http.curate_kept import KeptQueryCuration
+from app.http.curate_shadow import RecipeCuration, wanted_of
 from app.http.health_report import map_health
 from schemas import wire
 from schemas.health import Code as HealthCode
 from schemas.imports import ImportOptions
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
 from schemas.requests import PostCalibration, PutMap
-from worker.description.presets import Wanted
 from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
 from worker.service.health import HealthService
@@ -26,6 +26,7 @@ from worker.service.jobs import JobService
 from worker.service.maps import MapService
 from worker.service.proposals import ProposalService
 from worker.service.renderings import RenderingService
+from worker.service.shadows import ShadowService
 from worker.service.snapshots import SnapshotService
 from worker.service.views import ViewService
 
@@ -57,7 +58,7 @@ class Calls(Protocol):
         ...
 
 
-class Curator(KeptQueryCuration):
+class Curator(KeptQueryCuration, RecipeCuration):
     """Everything a user does besides enrolling and querying.
 
     Parameters
@@ -74,6 +75,7 @@ class Curator(KeptQueryCuration):
     calls : Calls
         Answers of calls with an Idempotency-Key.
     imports : ImportService
+    shadows : ShadowService
     """
 
     def __init__(
@@ -89,10 +91,11 @@ class Curator(KeptQueryCuration):
         snapshots: SnapshotService,
         calls: Calls,
         imports: ImportService,
+        shadows: ShadowService,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
         self._calibrations, self._health, self._inbox, self._proposals = calibrations, health, inbox, proposals
-        self._snapshots, self._imports = snapshots, imports
+        self._snapshots, self._imports, self._shadows = snapshots, imports, shadows
 
     # views
 
@@ -197,7 +200,7 @@ class Curator(KeptQueryCuration):
 
     async def put_map(self, name: str, wanted: PutMap) -> tuple[wire.MapFacts, bool]:
         """Make a map, or give an empty one another recipe; returns the map and whether it is new."""
-        state, created = await asyncio.to_thread(self._maps.put, name, _wanted(wanted))
+        state, created = await asyncio.to_thread(self._maps.put, name, wanted_of(wanted))
         return presenters.map_facts(state), created
 
     async def change_ranking(self, name: str, changes: Mapping[str, Any]) -> wire.MapFacts:
@@ -242,10 +245,6 @@ class Curator(KeptQueryCuration):
         return presenters.removal(await asyncio.to_thread(self._maps.delete, name))
 
     # jobs
-
-    async def switch_recipe(self, name: str, wanted: PutMap) -> wire.Job:
-        """Describe a map's views by another recipe, in the background."""
-        return presenters.job(await asyncio.to_thread(self._maps.switch_recipe, name, _wanted(wanted)))
 
     async def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on a map's own views and describe them by it, in the background."""
@@ -364,7 +363,3 @@ class Curator(KeptQueryCuration):
     async def abandon_call(self, key: str) -> None:
         """Forget a call that failed; see `Calls.abandon`."""
         await asyncio.to_thread(self._calls.abandon, key)
-
-
-def _wanted(put: PutMap) -> Wanted:
-    return Wanted(put.labels, put.dynamic, put.preset, put.parameters, put.ranking)

@@ -11,7 +11,7 @@ from app.http.examples import PROBLEM_DETAILS
 from app.http.parameters import METADATA_FILTER
 from app.http.scopes import OPEN_PATHS, ROUTES
 from app.http.validation import Parameters
-from schemas.requests import PatchMap, PostCalibration, PostProposal, PostUnknown, PutMap
+from schemas.requests import PatchMap, PostCalibration, PostProposal, PostRecipe, PostUnknown, PutMap
 from schemas.wire import Problem
 
 Json = dict[str, Any]
@@ -145,10 +145,10 @@ def takes_json(
     return {"requestBody": {"required": required, "content": dict.fromkeys(media_types, content)}}
 
 
-def takes_map() -> Json:
-    """`openapi_extra` of the routes that take a `PutMap`."""
-    example = {"labels": ["building", "tree", "road", "car"], "dynamic": ["car"], "preset": "default"}
-    return takes_json({"$ref": _REF + "PutMap"}, example=example)
+def takes_map(model: type[PutMap] = PutMap, **example: Any) -> Json:
+    """`openapi_extra` of the routes that take a recipe; `example`: further fields of the model's example."""
+    recipe = {"labels": ["building", "tree", "road", "car"], "dynamic": ["car"], "preset": "default"}
+    return takes_json({"$ref": _REF + model.__name__}, example={**recipe, **example})
 
 
 DRAWN_BY = "Revisit-Drawn-By"
@@ -205,7 +205,7 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, PutMap, PatchMap, PostCalibration, PostUnknown, PostProposal):
+        for model in (Problem, PutMap, PostRecipe, PatchMap, PostCalibration, PostUnknown, PostProposal):
             schemas.update(_definitions(model))
         whole["components"]["securitySchemes"] = _SCHEMES
         for method, path, operation in (

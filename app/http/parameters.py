@@ -307,7 +307,7 @@ class ListJobs(Parameters):
     """Parameters of `GET /jobs`."""
 
     map: MapName | None = None
-    kind: Literal["describe", "recipe", "vocabulary", "snapshot", "import"] | None = Field(
+    kind: Literal["describe", "recipe", "shadow", "vocabulary", "snapshot", "import"] | None = Field(
         None, description="Only jobs of this kind."
     )
     state: Literal["waiting", "running", "done", "failed", "cancelled"] | None = Field(

@@ -78,6 +78,7 @@ class Service:
                 services.snapshots,
                 runtime.store.calls,
                 services.imports,
+                services.shadows,
             ),
             lifecycle,
             settings,

@@ -17,12 +17,13 @@ from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
 from revisit_client.jobs import JobCalls
 from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
+from revisit_client.shadows import ShadowCalls
 from revisit_client.snapshots import SnapshotCalls
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 
-class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
+class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters
@@ -291,9 +292,16 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, SnapshotCalls):
         preset: str | None = None,
         parameters: Mapping[str, Any] | None = None,
         ranking: Mapping[str, Any] | None = None,
+        shadow: int | None = None,
     ) -> wire.Job:
-        """Describe all views of a map by another recipe; until that is done, queries use the old one."""
+        """Describe all views of a map by another recipe; until that is done, queries use the old one.
+
+        With `shadow` the map does not change over: so many of its last queries are answered by both recipes. See
+        `shadow`, `switch_to_shadow` and `discard_shadow`.
+        """
         recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
+        if shadow is not None:
+            recipe["shadow"] = shadow
         return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
 
     def preview_dynamic(self, name: str, dynamic: Sequence[str], *, limit: int | None = None) -> wire.DynamicPreview:

@@ -198,6 +198,39 @@ def test_a_place_in_another_light_is_taken_as_a_view_of_it(opened: Open, service
     assert httpx.get(f"{service.url}/maps/night/proposals").json()["kept"] == 0
 
 
+# recipe
+
+
+def test_another_recipe_is_tried_in_the_shadow_and_switched_to(opened: Open, service: RunningService) -> None:
+    for place in ("mill lane", "rose garden", "castle park"):
+        enrolled(service, "shade", seen(place), place=place)
+    httpx.patch(f"{service.url}/maps/shade", json={"keep_queries": 5})
+    for place in ("river meadow", "harbour"):
+        httpx.post(f"{service.url}/query", data={"map": "shade"}, files={"image": seen(place)}, timeout=60)
+    tab = opened("maps/shade", bypass_csp=True)
+    tab.page.get_by_role("link", name="Recipe").click()
+    tab.page.get_by_label("Those that move").fill("car, tree")
+    tab.page.get_by_label("Queries to compare").fill("5")
+    check(tab, "a recipe")
+
+    tab.page.get_by_role("button", name="Try it in the shadow").press("Enter")
+    tab.page.get_by_role("heading", name="A shadow is ready").wait_for()
+    totals = httpx.get(f"{service.url}/maps/shade/shadow").json()["table"]["totals"]
+    told = tab.page.locator("main").inner_text()
+    assert f"Of 5 queries, {totals['agree']} are answered alike" in told
+    tab.awaits(".shadow-rows .match", 5 - totals["agree"])
+    tab.page.get_by_role("region", name="Totals").get_by_text("Views described").wait_for()
+    check(tab, "a shadow")
+    assert httpx.get(f"{service.url}/maps/shade").json()["recipe"]["dynamic"] != ["car", "tree"]
+
+    tab.page.get_by_role("button", name="Discard it …").click()
+    tab.page.get_by_role("button", name="Cancel").click()
+    tab.page.get_by_role("button", name="Change over to it").press("Enter")
+    tab.page.locator("main").get_by_text("The map has changed over.").wait_for()
+    assert httpx.get(f"{service.url}/maps/shade").json()["recipe"]["dynamic"] == ["car", "tree"]
+    tab.page.get_by_role("heading", name="Describe all views anew").wait_for()
+
+
 # snapshots
 
 

@@ -23,7 +23,7 @@ from schemas import wire
 from schemas.errors import Conflict, KeyReused, NotFound, RevisitError
 from schemas.image import ImageFacts
 from schemas.records import Filters, Replay, ViewAttributes
-from schemas.requests import PutMap
+from schemas.requests import PostRecipe, PutMap
 from schemas.settings import Settings
 from schemas.statistics import (
     IndexLag,
@@ -34,6 +34,7 @@ from schemas.statistics import (
     StoreStatistics,
 )
 from tests.http.fake_inbox import FakeInbox
+from tests.http.fake_shadows import FakeShadows
 from tests.http.fake_snapshots import FakeSnapshots
 from worker.images.codec import Limits, decode, facts, thumbnail
 
@@ -75,7 +76,7 @@ class Kept:
 
 
 @dataclass
-class FakeRecogniser(FakeSnapshots, FakeInbox):
+class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox):
     """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))
@@ -298,7 +299,7 @@ class FakeRecogniser(FakeSnapshots, FakeInbox):
             links={"self": f"/jobs/{job_id}"},
         )
 
-    async def switch_recipe(self, name: str, wanted: PutMap) -> wire.Job:
+    async def switch_recipe(self, name: str, wanted: PostRecipe) -> wire.Job:
         await self.map(name)
         return self._job("j1")
 

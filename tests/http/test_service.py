@@ -198,7 +198,7 @@ def test_every_route_documents_its_bodies_and_refusals(client: CheckedClient) ->
                 assert parameter["description"], f"{method} {path} {parameter['name']}"
                 assert "anyOf" not in parameter["schema"], "text on the wire is never null"
             assert {"post": True, "put": True, "patch": True}.get(method, False) <= (
-                "requestBody" in operation or path.endswith(("/vocabulary", "/snapshots"))
+                "requestBody" in operation or path.endswith(("/vocabulary", "/snapshots", "/switch"))
             )
     for path in ("/enroll", "/query"):
         content = paths[path]["post"]["requestBody"]["content"]

@@ -36,6 +36,12 @@ def prepared(folder: Path) -> None:
     store.calls.begin("runs", "f", NOW)
     store.maps.keep_queries("campus", 1)
     keep_query(store, "dock")
+    for name in ("shadowed", "described"):
+        store.maps.put(name, RECIPE, NOW)
+        store.jobs.begin_shadow(name, recipe("paper"), 5, NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    store.jobs.finish_shadow(claim, {"wanted": 5, "queries": []}, NOW)
     store.close()
 
 
@@ -80,6 +86,9 @@ OPERATIONS: dict[str, Operation] = {
     "patch": lambda store: store.views.change(view_named(store, "gate"), lambda _: ViewAttributes(place="hall")),
     "put a map": lambda store: store.maps.put("fresh", RECIPE, NOW),
     "switch the recipe": lambda store: store.jobs.switch_recipe("campus", recipe("paper"), NOW),
+    "begin a shadow": lambda store: store.jobs.begin_shadow("other", recipe("paper"), 5, NOW),
+    "switch to a shadow": lambda store: store.jobs.switch_to_shadow("shadowed", NOW),
+    "discard a shadow": lambda store: store.jobs.discard_shadow("described", NOW),
     "begin a call": lambda store: store.calls.begin("new", "f", NOW),
     "end a call": lambda store: store.calls.end("runs", Replay(201, {}, b"{}"), NOW),
     "keep a query": lambda store: keep_query(store, "tower"),

@@ -302,6 +302,7 @@ def without_later(connection: sa.Connection) -> None:
         "maps.refuse_poor",
         "maps.drop_images",
         "maps.keep_matches",
+        "maps.shadow",
     ):
         table, name = column.split(".")
         connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")

@@ -13,7 +13,7 @@ from schemas.comparisons import Comparison
 from schemas.description import Description, Floats
 from schemas.errors import NotFound
 from schemas.health import Uncompared
-from schemas.recipe import DescriptionRecipe, RankingConfig
+from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 from schemas.records import Candidates, Selection
 from worker.method import cascade
 from worker.method.byte_vectors import Product
@@ -129,6 +129,14 @@ class MapComparer:
                 pass
         finally:
             self._rest = rest
+
+    def compare(self, seqs: Sequence[int], index: Index, recipe: MapRecipe, among: int) -> list[Comparison]:
+        """Comparisons of some views by a recipe with an index of its own; nothing is stored.
+
+        `among`: how many views the index has. Views that were deleted meanwhile are left out.
+        """
+        made = [self._attempt(seq, index, recipe.description, recipe.ranking, among) for seq in seqs]
+        return [one for one in made if one is not None]
 
     def _attempt(
         self, seq: int, index: Index, recipe: DescriptionRecipe, config: RankingConfig, among: int

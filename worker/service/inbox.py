@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from worker.method.places import SAME_SPOT_INLIERS
 from worker.method.verification import verify
 from worker.service.enroll import Enrolled, EnrollService
 from worker.service.ports import Maps
+
+T = TypeVar("T")
 
 EXAMINED = 1000
 """Kept queries that are grouped at most, the newest."""
@@ -113,7 +115,7 @@ class InboxService:
         raise NotFound("unknown place", place_id, f"GET /maps/{name}/unknown lists them")
 
 
-def spread(ids: Sequence[str], most: int) -> list[str]:
+def spread(ids: Sequence[T], most: int) -> list[T]:
     """At most `most` of some ids, evenly over them, in their order."""
     return [ids[i] for i in sorted(set(np.linspace(0, len(ids) - 1, min(len(ids), most)).round().astype(int).tolist()))]
 

@@ -140,6 +140,31 @@ class MapService:
         ------
         NotFound, Conflict, InvalidParameters
         """
+        job = self._jobs.switch_recipe(name, self._following(name, wanted), datetime.now(UTC))
+        self._wake()
+        return job
+
+    def begin_shadow(self, name: str, wanted: Wanted, queries: int) -> JobRecord:
+        """Describe a map's views by another recipe, answer its last queries by both, and wait to be told which stays.
+
+        Parameters
+        ----------
+        name : str
+        wanted : Wanted
+            As for `switch_recipe`.
+        queries : int
+            How many queries are answered by both.
+
+        Raises
+        ------
+        NotFound, Conflict, InvalidParameters
+        """
+        job = self._jobs.begin_shadow(name, self._following(name, wanted), queries, datetime.now(UTC))
+        self._wake()
+        return job
+
+    def _following(self, name: str, wanted: Wanted) -> MapRecipe:
+        """The recipe that a map's own becomes by what is wanted."""
         record = self._maps.get(name)
         present, ranking = record.description, record.ranking
         same = self._is_own(present) and wanted.preset in (None, ranking.preset)
@@ -147,16 +172,13 @@ class MapService:
             wanted = replace(wanted, labels=present.labels)
         if same and wanted.dynamic is None:
             wanted = replace(wanted, dynamic=[label for label in present.dynamic if label in (wanted.labels or ())])
-        recipe = make_recipe(
+        return make_recipe(
             self._encoder,
             wanted,
             preset=ranking.preset,
             present=MapRecipe(description=present, ranking=ranking) if same else None,
             vocabulary=self._describers.of(present).vocabulary if same else None,
         )
-        job = self._jobs.switch_recipe(name, recipe, datetime.now(UTC))
-        self._wake()
-        return job
 
     def train_vocabulary(self, name: str) -> JobRecord:
         """Train a vocabulary on a map's views, then describe them with it; raises NotFound, Conflict."""

@@ -183,8 +183,8 @@ class Listings(Protocol):
 class Comparisons(ComparisonReader, Protocol):
     """What the views of a map find in it."""
 
-    def levels(self, name: str) -> MapLevels:
-        """Means over the compared views of a map; raises NotFound."""
+    def levels(self, name: str, recipe: str | None = None) -> MapLevels:
+        """Means over the compared views of a map, by its recipe or another one; raises NotFound."""
         ...
 
 
@@ -238,6 +238,10 @@ class Jobs(Protocol):
 
     def switch_recipe(self, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
         """Begin to describe a map's views by another recipe; raises NotFound, Conflict."""
+        ...
+
+    def begin_shadow(self, name: str, recipe: MapRecipe, wanted: int, now: datetime) -> JobRecord:
+        """Begin to describe a map's views by another recipe, and to compare answers; raises NotFound, Conflict."""
         ...
 
     def queue_vocabulary(self, name: str, now: datetime) -> JobRecord:

@@ -55,14 +55,18 @@ class Comparisons(Part):
         return None
 
     def keep(self, name: str, recipe: str, comparisons: Sequence[Comparison], now: datetime) -> None:
-        """Store comparisons as of the map's next revision; those of views that were deleted or described anew are left
-        out, and all of them when the map was deleted."""
+        """Store comparisons; those of views that were deleted or described anew are left out, and all of them when the
+        map was deleted.
+
+        Those by the map's recipe count from its next revision on, those by the recipe of its shadow from the switch on.
+        """
         with self._database.writing() as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
-            if row is None or row.recipe != recipe:
+            if row is None or recipe not in (row.recipe, row.next_recipe):
                 return
             seqs = [one.seq for one in comparisons]
-            there = sa.select(DESCRIPTIONS.c.seq).where(*_described(row), DESCRIPTIONS.c.seq.in_(seqs))
+            by = DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == recipe
+            there = sa.select(DESCRIPTIONS.c.seq).where(*by, DESCRIPTIONS.c.seq.in_(seqs))
             left = set(connection.scalars(there))
             rows = [
                 {
@@ -85,10 +89,11 @@ class Comparisons(Part):
                 old = COMPARISONS.c.recipe == recipe, COMPARISONS.c.seq.in_(left)
                 connection.execute(sa.delete(COMPARISONS).where(*old))
                 connection.execute(sa.insert(COMPARISONS), rows)
-                clock.tick(connection, row.id)
+                if recipe == row.recipe:
+                    clock.tick(connection, row.id)
 
-    def levels(self, name: str) -> MapLevels:
-        """Means over the compared views of a map; raises NotFound."""
+    def levels(self, name: str, recipe: str | None = None) -> MapLevels:
+        """Means over the compared views of a map, by its recipe or another one; raises NotFound."""
         with self._database.reading() as connection:
             row = find_map(connection, name)
             # Within the range of scores: one damaged number must not carry the mean away.
@@ -97,7 +102,8 @@ class Comparisons(Part):
             )
             made_at = COMPARISONS.c.made_at
             means = (sa.func.avg(column) for column in (level, gap, COMPARISONS.c.others))
-            found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*_of(row))
+            of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == (recipe or row.recipe)
+            found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
             count, latest, *mean = connection.execute(found).one()
         own_level, own_gap, others = (float(value or 0) for value in mean)
         return MapLevels(count, own_level, own_gap, others, latest, row.revision)

@@ -58,23 +58,27 @@ class Descriptions(Part):
     aside before the call returns: see `worker.storage.damage`.
     """
 
-    def since(self, name: str, revision: int) -> Changes:
-        """Changes to a map's searchable views since a revision (0: all views); raises NotFound, Damaged."""
+    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
+        """Changes to a map's searchable views since a revision (0: all views); raises NotFound, Damaged.
+
+        `recipe`: all views described by this one instead of the map's, whatever the revision.
+        """
         with self._database.reading() as connection:
             row = find_map(connection, name)
+            by: str = row.recipe if recipe is None else recipe
             # An index from before the last change of recipe has none of the present vectors: it needs all of them.
-            known = int(revision) if revision >= row.anew else -1
+            known = int(revision) if recipe is None and revision >= row.anew else -1
             described = (
                 sa.select(DESCRIPTIONS.c.seq, VECTORS.c.body, VECTORS.c.checksum)
                 .outerjoin(VECTORS, (VECTORS.c.seq == DESCRIPTIONS.c.seq) & (VECTORS.c.recipe == DESCRIPTIONS.c.recipe))
                 .where(
                     DESCRIPTIONS.c.map_id == row.id,
-                    DESCRIPTIONS.c.recipe == row.recipe,
+                    DESCRIPTIONS.c.recipe == by,
                     DESCRIPTIONS.c.revision > known,
                 )
             )
-            size = vectors_size(find_recipe(connection, row.recipe))
-            of = row.recipe.encode()
+            size = vectors_size(find_recipe(connection, by))
+            of = by.encode()
             seqs: list[int] = []
             damaged: dict[int, str] = {}
             vectors = bytearray()
@@ -98,8 +102,14 @@ class Descriptions(Part):
         if not finite.all():
             damaged |= dict.fromkeys(numbers[~finite].tolist(), VECTORS.name)
             numbers, rows = numbers[finite], rows[finite]
-        self._quarantine.descriptions(damaged, row.recipe)
-        return Changes(row.revision, row.recipe, numbers, rows, np.array(gone, np.int64))
+        self._quarantine.descriptions(damaged, by)
+        return Changes(row.revision, by, numbers, rows, np.array(gone, np.int64))
+
+    def described(self, name: str, recipe: str) -> Sequence64:
+        """Sequence numbers of a map's views that a recipe describes, ascending; raises NotFound."""
+        with self._database.reading() as connection:
+            of = DESCRIPTIONS.c.map_id == find_map(connection, name).id, DESCRIPTIONS.c.recipe == recipe
+            return np.array(sorted(connection.scalars(sa.select(DESCRIPTIONS.c.seq).where(*of))), np.int64)
 
     def vectors(self, seqs: Sequence[int], recipe: str) -> dict[int, Floats]:
         """Histogram vectors, the channels concatenated, by sequence number; deleted views are absent."""

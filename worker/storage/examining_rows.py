@@ -130,13 +130,32 @@ def _maps(connection: sa.Connection) -> Iterator[Finding]:
             yield Finding(where, "its settings do not fit their checksum", REPAIR, _mend_map(row))
         elif not (isinstance(row.revision, int) and isinstance(row.anew, int) and 0 <= row.anew <= row.revision <= now):
             yield Finding(where, f"its revisions {row.revision} and {row.anew} cannot be", REPAIR, _mend_revision(row))
+        elif row.shadow is not None and not _has_job(connection, row):
+            yield Finding(where, "its shadow has no job", REPAIR, _mend_shadow(row))
+
+
+def _has_job(connection: sa.Connection, row: sa.Row[Any]) -> bool:
+    """Whether the job of a map's shadow is there, and can still end as one that is compared."""
+    job = connection.execute(sa.select(JOBS).where(JOBS.c.id == row.shadow, JOBS.c.map_id == row.id)).one_or_none()
+    if job is None or row.next_recipe is None or not checksums.is_whole(JOBS, job, job.checksum):
+        return False
+    return job.state not in ("failed", "cancelled")
+
+
+def _mend_shadow(row: sa.Row[Any]) -> Mend:
+    def mend(connection: sa.Connection) -> str:
+        switching.end_shadow(connection, row.id, datetime.now(UTC))
+        switching.stop(connection, row.id, row.next_recipe, datetime.now(UTC))
+        return "it was discarded: the map keeps its recipe; begin it again"
+
+    return mend
 
 
 def _mend_map(row: sa.Row[Any]) -> Mend:
     def mend(connection: sa.Connection) -> str:
         ranking = ranking_of(str(row.ranking))
-        values: dict[str, Any] = {"calibration": None, "ranking": ranking.model_dump_json(), "next_recipe": None}
-        values |= {"next_ranking": None, "previous_recipe": None, "created_at": datetime.now(UTC)}
+        values: dict[str, Any] = {"calibration": None, "ranking": ranking.model_dump_json(), "previous_recipe": None}
+        values |= {**switching.NOTHING_NEXT, "created_at": datetime.now(UTC)}
         if not isinstance(row.name, str) or not row.name.isascii() or not row.name.isprintable():
             values["name"] = f"rescued-{row.id}"
         known = connection.scalar(sa.select(sa.func.count()).select_from(RECIPES).where(RECIPES.c.id == row.recipe))
@@ -144,6 +163,7 @@ def _mend_map(row: sa.Row[Any]) -> Mend:
             by = sa.select(DESCRIPTIONS.c.recipe).where(DESCRIPTIONS.c.map_id == row.id)
             values["recipe"] = connection.scalar(by.limit(1)) or row.recipe
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**values))
+        switching.end_shadow(connection, row.id, datetime.now(UTC))
         clock.tick(connection, row.id)
         spared = "was kept" if ranking != RankingConfig() else "is the default one"
         return f"its ranking {spared} (PATCH /maps changes it), its own calibration was dropped"

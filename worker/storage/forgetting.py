@@ -10,6 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict
 from schemas.records import MapRecord
+from worker.storage import switching
 from worker.storage.maps import Maps
 from worker.storage.rows import find_map, map_record
 from worker.storage.switching import UNFINISHED
@@ -18,7 +19,7 @@ from worker.storage.tables import JOBS, MAPS, VIEWS
 PORTION = 1000
 """Images removed at a time."""
 
-READING = ("recipe", "vocabulary", "snapshot")
+READING = ("recipe", "shadow", "vocabulary", "snapshot")
 """Kinds of jobs that read the images of a map."""
 
 
@@ -32,7 +33,8 @@ class ForgettingMaps(Maps):
         ------
         NotFound
         Conflict
-            A job that reads the images has not finished; or images are to be kept again, but those of views are gone.
+            A job that reads the images has not finished, or the map has a shadow; or images are to be kept again, but
+            those of views are gone.
         """
         with self._database.writing(frees=not wanted) as connection:
             row = find_map(connection, name)
@@ -44,6 +46,7 @@ class ForgettingMaps(Maps):
                 )
             if not wanted:
                 _refuse_while_read(connection, row)
+                switching.refuse_with_shadow(row)
             connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(drop_images=None if wanted else True))
             record = map_record(connection, find_map(connection, name))
         if not wanted:

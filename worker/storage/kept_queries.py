@@ -80,13 +80,13 @@ class KeptQueries(Part):
             connection.execute(sa.insert(KEPT_QUERIES).values(map_id=row.id, **values))
             drop_oldest(connection, row.id, most, matched=seq is not None)
 
-    def newest(self, name: str, most: int, *, matched: bool = False) -> tuple[list[KeptQuery], int]:
+    def newest(self, name: str, most: int, *, matched: bool | None = False) -> tuple[list[KeptQuery], int]:
         """The newest `most` queries of a map, oldest first, and how many are kept; damaged ones are left out.
 
         Parameters
         ----------
-        matched : bool
-            Those that matched a view, or those that matched nothing.
+        matched : bool or None
+            Those that matched a view, or those that matched nothing; None: both together.
 
         Raises
         ------

@@ -1,6 +1,7 @@
 """Jobs of maps; and all jobs: shown, listed, cancelled.
 
-A job of the kind ``recipe`` runs until the last of the map's views is described. One of the kind ``vocabulary`` is
+A job of the kind ``recipe`` runs until the last of the map's views is described; one of the kind ``shadow`` is then
+claimed by a worker, which compares answers (see shadow_jobs.py). One of the kind ``vocabulary`` is
 first claimed by a worker, which trains the vocabulary, and then runs like one of the kind ``recipe``. One of the kind
 ``snapshot`` is claimed by a worker, which writes the file. It leaves its map as it is and may run beside the others.
 ``import`` is claimed by a worker until the last image of its recording is described.
@@ -49,12 +50,12 @@ class MapJobs(Jobs):
         """
         with self._database.writing() as connection:
             row = find_map(connection, name)
-            _refuse_second(connection, row)
+            refuse_second(connection, row)
             kept = keep_recipe(connection, recipe.description)
             switching.begin(connection, row, kept, recipe.ranking.model_dump_json(), None, now)
             latest = sa.select(JOBS.c.id).where(JOBS.c.map_id == row.id, JOBS.c.kind == "recipe")
             job_id = connection.scalar(latest.order_by(JOBS.c.number.desc()).limit(1))
-            return _record(connection, str(job_id))
+            return record_of(connection, str(job_id))
 
     # vocabulary
 
@@ -62,7 +63,7 @@ class MapJobs(Jobs):
         """Queue the training of a vocabulary on a map's views; raises NotFound, or Conflict as `switch_recipe`."""
         with self._database.writing() as connection:
             row = find_map(connection, name)
-            _refuse_second(connection, row)
+            refuse_second(connection, row)
             switching.refuse_without_images(connection, row)
             return _queue(connection, row, "vocabulary", now)
 
@@ -85,7 +86,7 @@ class MapJobs(Jobs):
     def finish_snapshot(self, claim: MapClaim, result: Mapping[str, Any], now: datetime) -> None:
         """End a claimed job as done; raises LeaseLost."""
         with self._database.writing() as connection:
-            job = _held(connection, claim)
+            job = held(connection, claim)
             ended = {"state": "done", "finished_at": now, "token": None}
             done = {"progress_done": job.progress_total, "result": as_json(dict(result))}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **done))
@@ -104,7 +105,7 @@ class MapJobs(Jobs):
                 row = find_map(connection, name)
             new = {"id": job_id, "kind": "import", "map_id": row.id, "background": True}
             connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
-            return _record(connection, job_id)
+            return record_of(connection, job_id)
 
     def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
         """Report the progress of an import and what came of it so far; raises LeaseLost, also when it was cancelled.
@@ -113,7 +114,7 @@ class MapJobs(Jobs):
         and from then on the attempts count anew.
         """
         with self._database.writing(in_turn=False) as connection:
-            job = _held(connection, claim)
+            job = held(connection, claim)
             values: dict[str, Any] = {"progress_total": progress.total}
             if job.progress_done is None or progress.done > job.progress_done:
                 values |= {"progress_done": progress.done, "result": as_json(result), "attempts": 1}
@@ -122,7 +123,7 @@ class MapJobs(Jobs):
     def finish_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any], now: datetime) -> None:
         """End an import as done; raises LeaseLost."""
         with self._database.writing(in_turn=False) as connection:
-            job = _held(connection, claim)
+            job = held(connection, claim)
             ended = {"state": "done", "token": None, "finished_at": now}
             told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
@@ -139,7 +140,9 @@ class MapJobs(Jobs):
 
     def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
         """Claim the oldest job of a map that waits; a job at most three times."""
-        waits = JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
+        waits = (JOBS.c.kind == "shadow") | (
+            JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
+        )
         mine = sa.select(JOBS).where(waits, JOBS.c.state == "waiting").order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
             if connection.execute(mine).first() is None:
@@ -149,7 +152,7 @@ class MapJobs(Jobs):
             if job is None:
                 return None
             if job.attempts >= ATTEMPTS:
-                _end(connection, job.number, "failed", now, ("worker-died", WORKER_DIED))
+                _fail(connection, job, now, ("worker-died", WORKER_DIED))
                 return None
             token = secrets.token_hex(16)
             held = {"state": "running", "worker": worker, "token": token}
@@ -162,7 +165,7 @@ class MapJobs(Jobs):
     def report(self, claim: MapClaim, progress: JobProgress) -> None:
         """Report the progress of a claimed job; raises LeaseLost, also when it was cancelled."""
         with self._database.writing(in_turn=False) as connection:
-            job = _held(connection, claim)
+            job = held(connection, claim)
             values = {
                 "progress_done": progress.done,
                 "progress_total": progress.total,
@@ -172,7 +175,7 @@ class MapJobs(Jobs):
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
         """Begin to describe the map's views with the trained vocabulary, as the same job; raises LeaseLost."""
         with self._database.writing() as connection:
-            job = _held(connection, claim)
+            job = held(connection, claim)
             row = connection.execute(sa.select(MAPS).where(MAPS.c.id == job.map_id)).one()
             kept = keep_recipe(connection, recipe)
             running = {"recipe": kept, "token": None, "progress_done": None}
@@ -184,7 +187,7 @@ class MapJobs(Jobs):
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
         """End a claimed job as failed, with this reason; raises LeaseLost."""
         with self._database.writing() as connection:
-            _end(connection, _held(connection, claim).number, "failed", now, (code, detail))
+            _fail(connection, held(connection, claim), now, (code, detail))
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a claimed job back without counting the attempt; does nothing when the claim is void."""
@@ -200,7 +203,7 @@ class MapJobs(Jobs):
     def get(self, job_id: str) -> JobRecord:
         """One job; raises NotFound."""
         with self._database.reading() as connection:
-            return _record(connection, job_id)
+            return record_of(connection, job_id)
 
     def list(
         self,
@@ -255,19 +258,19 @@ class MapJobs(Jobs):
             else:
                 if job.recipe is not None:
                     switching.stop(connection, job.map_id, job.recipe, now)
-                kept = _LEFT.get(job.kind, "the map keeps the recipe that it has")
+                kept = _LEFT.get(job.kind, switching.DISCARDED)
                 _end(connection, job.number, "cancelled", now, ("cancelled", kept))
-            return _record(connection, job_id)
+            return record_of(connection, job_id)
 
 
 _LEFT = {"snapshot": "no snapshot was made", "import": "what was imported before stays"}
 """What is left of a job that was cancelled, by its kind."""
 
 
-def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
-    """Raise Conflict when another job of this map has not finished."""
+def refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
+    """Raise Conflict when another job of this map has not finished, or its shadow waits to be decided on."""
     other = sa.select(JOBS.c.id, JOBS.c.kind).where(
-        JOBS.c.map_id == row.id, JOBS.c.kind.in_(("recipe", "vocabulary")), JOBS.c.state.in_(UNFINISHED)
+        JOBS.c.map_id == row.id, JOBS.c.kind.in_(("recipe", "shadow", "vocabulary")), JOBS.c.state.in_(UNFINISHED)
     )
     found = connection.execute(other.limit(1)).one_or_none()
     if found is not None:
@@ -275,6 +278,7 @@ def _refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
             f"the map {row.name!r} is being changed already, by the {found.kind} job {found.id}; wait until it has "
             f"finished, or DELETE /jobs/{found.id}"
         )
+    switching.refuse_with_shadow(row)
 
 
 def _queue(connection: sa.Connection, row: sa.Row[Any], kind: JobKind, now: datetime) -> JobRecord:
@@ -282,16 +286,24 @@ def _queue(connection: sa.Connection, row: sa.Row[Any], kind: JobKind, now: date
     job_id = str(uuid7())
     new = {"id": job_id, "kind": kind, "map_id": row.id, "background": True}
     connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
-    return _record(connection, job_id)
+    return record_of(connection, job_id)
 
 
-def _held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:
+def held(connection: sa.Connection, claim: MapClaim) -> sa.Row[Any]:
+    """The job of a claim that is still valid; raises LeaseLost."""
     job = connection.execute(sa.select(JOBS).where(JOBS.c.id == claim.job_id).with_for_update()).one_or_none()
     if job is None:
         raise LeaseLost(f"the job {claim.job_id} went with its map {claim.map}, which was deleted")
     if job.state != "running" or job.token != claim.token:
         raise LeaseLost(f"the job {claim.job_id} is {job.state} without this worker")
     return job
+
+
+def _fail(connection: sa.Connection, job: sa.Row[Any], now: datetime, failure: tuple[str, str]) -> None:
+    """End a job as failed; with that of a shadow goes the shadow."""
+    if job.kind == "shadow":
+        switching.stop(connection, job.map_id, job.recipe, now)
+    _end(connection, job.number, "failed", now, failure)
 
 
 def _end(connection: sa.Connection, number: int, state: JobState, now: datetime, failure: tuple[str, str]) -> None:
@@ -311,7 +323,8 @@ def _job_rows() -> sa.Select[Any]:
     )
 
 
-def _record(connection: sa.Connection, job_id: str) -> JobRecord:
+def record_of(connection: sa.Connection, job_id: str) -> JobRecord:
+    """One job; raises NotFound."""
     row = connection.execute(_job_rows().where(JOBS.c.id == job_id)).one_or_none()
     if row is None:
         raise NotFound("job", job_id)
@@ -356,9 +369,9 @@ def _damaged_record(row: sa.Row[Any]) -> JobRecord:
 
 
 def _progress(connection: sa.Connection, row: sa.Row[Any]) -> JobProgress | None:
-    """Progress of a job of a map: reported by training and importing, counted over the describe jobs for a recipe."""
+    """Progress of a job of a map: reported by its worker, or counted over the describe jobs for a recipe."""
     if row.kind == "describe":
         return None
-    if row.recipe is None or row.state != "running":
+    if row.recipe is None or row.state != "running" or row.token is not None:  # a shadow that is compared has a token
         return None if row.progress_total is None else JobProgress(row.progress_done, row.progress_total)
     return JobProgress(*switching.described(connection, row.map_id, row.recipe, row.number))

@@ -125,7 +125,8 @@ class Maps(Part):
             ranking = change(map_record(connection, row).recipe).model_dump_json()
             if ranking != row.ranking:
                 switching.set_ranking(connection, row, ranking)
-            if row.next_ranking is not None:  # a running recipe switch must not undo the change
+            # A running recipe switch must not undo the change; a shadow keeps the ranking that it is compared by.
+            if row.next_ranking is not None and row.shadow is None:
                 connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
             return map_record(connection, find_map(connection, name))
 

@@ -96,13 +96,15 @@ class Removals(Part):
 
         def remove(connection: sa.Connection) -> tuple[int, list[str], int]:
             which = VIEWS.c.seq.in_(seqs)
-            rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(which)))
+            rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256).where(which)))
             if rows:
                 bury(connection, map_id, [row.seq for row in rows])
                 # SQLite adds no reference to a table that is there.
                 connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs)))
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
+                if (shadow := connection.scalar(sa.select(MAPS.c.shadow).where(MAPS.c.id == map_id))) is not None:
+                    switching.drop_rows(connection, shadow, {row.id for row in rows})
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
             return len(rows), [row.sha256 for row in rows], int(revision)
 

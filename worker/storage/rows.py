@@ -104,10 +104,10 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
     """A map from its row and its description recipe."""
     ranking, calibration = ranking_of(row.ranking), row.calibration
     keep, keep_matches = row.keep_queries or 0, row.keep_matches or 0
-    refuse_poor, keep_images = bool(row.refuse_poor), not row.drop_images
+    refuse_poor, keep_images, shadow = bool(row.refuse_poor), not row.drop_images, row.shadow
     if not checksums.is_whole(MAPS, row, row.checksum):
         calibration = None  # the shipped one is right for every map, if less sharp
-        keep, keep_matches, refuse_poor, keep_images = 0, 0, False, True
+        keep, keep_matches, refuse_poor, keep_images, shadow = 0, 0, False, True, None
         log.error(
             "map %s: its stored settings do not fit their checksum; it is searched with %s, without a calibration of "
             "its own; `./revisit doctor` says more",
@@ -125,6 +125,7 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
         refuse_poor=refuse_poor,
         keep_matches=keep_matches,
         keep_images=keep_images,
+        shadow=shadow,
     )
 
 

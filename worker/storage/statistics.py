@@ -11,7 +11,7 @@ from worker.storage.database import Database
 from worker.storage.maps import STATES
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, JOBS, MAPS, VIEWS
 
-KINDS = ("describe", "recipe", "vocabulary", "snapshot", "import")
+KINDS = ("describe", "recipe", "shadow", "vocabulary", "snapshot", "import")
 
 _COUNT = sa.func.count()
 _VIEWS = sa.select(VIEWS.c.map_id, VIEWS.c.state, _COUNT, sa.func.sum(VIEWS.c.byte_count)).group_by(

@@ -1,9 +1,12 @@
 """Recipe switches: a map changes from one recipe to another without answers that mix the two.
 
 While ``maps.next_recipe`` is set, each view gets a description by it beside the one in use. When no job for it is left,
-the map changes over to it, in the transaction that settled the last job.
+the map changes over to it, in the transaction that settled the last job. While ``maps.shadow`` is set too, it does not:
+the job of that id then waits for a worker that compares the answers by both, and the map changes over when it is told.
 """
 
+import json
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -19,6 +22,11 @@ from worker.storage.tables import COMPARISONS, DESCRIPTIONS, JOBS, MAPS, VIEWS
 
 UNFINISHED = ("waiting", "running")
 
+NOTHING_NEXT: Mapping[str, None] = {"next_recipe": None, "next_ranking": None, "shadow": None}
+"""Columns of a map that is not being changed."""
+
+DISCARDED = "the map keeps the recipe that it has"
+
 NO_IMAGES = (
     "the map {!r} keeps no images, so that its views can neither be described anew nor learned from; enrol the images "
     "in a map that has the recipe from the start"
@@ -29,7 +37,7 @@ _UNFINISHED_JOB = sa.select(JOBS.c.id).where(
     JOBS.c.seq == sa.bindparam("of"), JOBS.c.recipe == sa.bindparam("by"), JOBS.c.state.in_(UNFINISHED)
 )
 _CHANGING = (  # no row for most maps
-    sa.select(MAPS.c.recipe, MAPS.c.next_recipe, MAPS.c.next_ranking, JOBS.c.number)
+    sa.select(MAPS.c.recipe, MAPS.c.next_recipe, MAPS.c.next_ranking, MAPS.c.shadow, JOBS.c.number)
     .outerjoin(
         JOBS,
         (JOBS.c.map_id == MAPS.c.id)
@@ -76,7 +84,14 @@ def is_described(recipe: str) -> sa.ColumnElement[bool]:
 
 
 def begin(
-    connection: sa.Connection, row: sa.Row[Any], recipe: str, ranking: str, job: str | None, now: datetime
+    connection: sa.Connection,
+    row: sa.Row[Any],
+    recipe: str,
+    ranking: str,
+    job: str | None,
+    now: datetime,
+    *,
+    shadow: bool = False,
 ) -> int:
     """Begin a recipe switch; returns how many views must be described first; raises Conflict if images are gone.
 
@@ -90,6 +105,8 @@ def begin(
         JSON of the ranking config used from the change on.
     job : str or None
         Id of the job of the map that runs until the change; None queues one of the kind ``recipe``.
+    shadow : bool
+        The map changes over only when it is told; the recipe is another than the map's.
     """
     if job is None:
         job = str(uuid7())
@@ -105,7 +122,7 @@ def begin(
         if ranking != row.ranking:
             set_ranking(connection, row, ranking)
     else:
-        following = {"next_recipe": recipe, "next_ranking": ranking}
+        following = {"next_recipe": recipe, "next_ranking": ranking, "shadow": job if shadow else None}
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**following))
     finish_if_done(connection, row.id, now)
     return len(seqs)
@@ -119,6 +136,15 @@ def refuse_without_images(connection: sa.Connection, row: sa.Row[Any], seqs: lis
     some = [gone] if seqs is None else [gone.where(VIEWS.c.seq.in_(portion)) for portion in batches(seqs)]
     if any(connection.scalar(one) is not None for one in some):
         raise Conflict(NO_IMAGES.format(row.name))
+
+
+def refuse_with_shadow(row: sa.Row[Any]) -> None:
+    """Raise Conflict when a map has a shadow; of its row."""
+    if row.shadow is not None:
+        raise Conflict(
+            f"the map {row.name!r} has a shadow, by the job {row.shadow}: POST /maps/{row.name}/shadow/switch changes "
+            f"over to it, DELETE /maps/{row.name}/shadow discards it"
+        )
 
 
 def set_ranking(connection: sa.Connection, row: sa.Row[Any], ranking: str) -> None:
@@ -162,14 +188,20 @@ def finish_if_done(connection: sa.Connection, map_id: int, now: datetime) -> int
     )  # fmt: skip
     if connection.execute(left.limit(1)).first() is not None:
         return None
+    if row.shadow is not None:  # described: a worker compares the answers, unless that has begun
+        described_all = JOBS.c.id == row.shadow, JOBS.c.state == "running", JOBS.c.token.is_(None)
+        connection.execute(sa.update(JOBS).where(*described_all).values(state="waiting"))
+        return None
     return change_over(connection, map_id, row.next_recipe, row.next_ranking, now)
 
 
 def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: str, now: datetime) -> int:
     """Set a map's recipe and ranking, after its views were described; returns the new revision."""
     revision = clock.tick(connection, map_id)
-    present = connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == map_id))
-    after = {"recipe": recipe, "ranking": ranking, "next_recipe": None, "next_ranking": None, "anew": revision}
+    present, shadow = connection.execute(sa.select(MAPS.c.recipe, MAPS.c.shadow).where(MAPS.c.id == map_id)).one()
+    if shadow is not None:  # of an empty map that was given another recipe at once
+        end_shadow(connection, map_id, now)
+    after = {"recipe": recipe, "ranking": ranking, "anew": revision, **NOTHING_NEXT}
     learned = {"calibration": None, "previous_recipe": present}  # what was learned by the old recipe is dropped
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**learned, **after))
     settle(connection, map_id, recipe)
@@ -207,7 +239,33 @@ def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> 
         .where(JOBS.c.state.in_(UNFINISHED))
         .values(state="cancelled", finished_at=now, token=None)
     )
-    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(next_recipe=None, next_ranking=None))
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**NOTHING_NEXT))
+
+
+def end_shadow(connection: sa.Connection, map_id: int, now: datetime) -> None:
+    """Cancel the job of a map's shadow, if it has not ended."""
+    unfinished = JOBS.c.map_id == map_id, JOBS.c.kind == "shadow", JOBS.c.state.in_(UNFINISHED)
+    reason = {"failure_code": "cancelled", "failure_detail": DISCARDED}
+    ended = {"state": "cancelled", "finished_at": now, "token": None}
+    connection.execute(sa.update(JOBS).where(*unfinished).values(**ended, **reason))
+
+
+def drop_rows(connection: sa.Connection, job: str, views: Collection[str] | None = None) -> None:
+    """Drop the rows of a shadow's table: those that name a view of `views`, which are deleted; None: all of them.
+
+    Its totals stay.
+    """
+    result = connection.scalar(sa.select(JOBS.c.result).where(JOBS.c.id == job))
+    table = {} if result is None else json.loads(result)
+    if table.get("queries"):
+        kept = [] if views is None else [row for row in table["queries"] if _named(row).isdisjoint(views)]
+        if len(kept) < len(table["queries"]):
+            values = {"result": as_json({**table, "queries": kept})}
+            connection.execute(sa.update(JOBS).where(JOBS.c.id == job).values(**values))
+
+
+def _named(row: Mapping[str, Any]) -> set[str]:
+    return {row["id"], row["old"]["view"], row["new"]["view"]}
 
 
 def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:

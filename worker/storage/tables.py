@@ -69,6 +69,7 @@ MAPS = sa.Table(
     sa.Column("keep_matches", sa.Integer),  # and how many that matched a view although they look unlike it
     sa.Column("refuse_poor", sa.Boolean),  # whether poor images are refused; NULL: no
     sa.Column("drop_images", sa.Boolean),  # whether images are removed once they are described; NULL: no
+    sa.Column("shadow", sa.Text),  # id of the job of its shadow: next_recipe waits to be told; NULL: none
     _seal(),
     _unsealed("maps", "id"),
     sqlite_autoincrement=True,
@@ -186,7 +187,9 @@ JOBS = sa.Table(
     METADATA,
     sa.Column("number", big_key(), primary_key=True),  # in queueing order
     sa.Column("id", sa.Text, nullable=False, unique=True),
-    sa.Column("kind", sa.Text, nullable=False),  # describe (a view); recipe, vocabulary, snapshot, import (a map)
+    sa.Column(
+        "kind", sa.Text, nullable=False
+    ),  # describe (a view); recipe, shadow, vocabulary, snapshot, import (a map)
     sa.Column("map_id", sa.BigInteger, nullable=False),
     sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE")),  # NULL for a job of a map
     sa.Column("recipe", sa.Text, sa.ForeignKey("recipes.id")),  # NULL before training has ended, and of a snapshot

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from schemas.records import JobKind, WorkerRecord
 from worker.storage.jobs import ATTEMPTS, WORKER_DIED
-from worker.storage.map_jobs import MapJobs
+from worker.storage.shadow_jobs import ShadowJobs
 from worker.storage.tables import JOBS, WORKERS
 
 _ABANDONED = sa.and_(
@@ -25,7 +25,7 @@ _ABANDONED = sa.and_(
 _MINE = WORKERS.c.name == sa.bindparam("of")
 
 
-class Workers(MapJobs):
+class Workers(ShadowJobs):
     """Signs of life of workers."""
 
     def beat(self, worker: WorkerRecord, now: datetime) -> list[WorkerRecord]:

@@ -8,6 +8,7 @@ const MOST = 20;
 const KINDS = {
   describe: "describing a view",
   recipe: "describing all views anew",
+  shadow: "trying another recipe in the shadow",
   vocabulary: "training a vocabulary",
   snapshot: "making a snapshot",
   import: "importing a recording",

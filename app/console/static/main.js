@@ -8,6 +8,7 @@ import { inboxScreen } from "./inbox.js";
 import { mapScreen } from "./map.js";
 import { mapsScreen } from "./maps.js";
 import { queryScreen } from "./query.js";
+import { recipeScreen } from "./recipe.js";
 import { serviceScreen } from "./service.js";
 import { snapshotsScreen } from "./snapshots.js";
 
@@ -15,7 +16,7 @@ const main = document.getElementById("main");
 const kept = new Map(); // screens that go on while others are looked at
 let leave = null;
 
-const OF_MAP = { health: healthScreen, inbox: inboxScreen };
+const OF_MAP = { health: healthScreen, inbox: inboxScreen, recipe: recipeScreen };
 const mapsOrOne = (name, part) => (name ? (OF_MAP[part] ?? mapScreen)(name) : mapsScreen());
 
 const SCREENS = {

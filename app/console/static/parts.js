@@ -6,6 +6,7 @@ const PARTS = [
   ["", "Views"],
   ["health", "Health"],
   ["inbox", "Inbox"],
+  ["recipe", "Recipe"],
 ];
 
 /** The name of a map, and links to its parts; `current` is the one that is shown. */

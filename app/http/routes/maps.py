@@ -13,7 +13,7 @@ from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
 from app.http.validation import Parameters, validated
 from schemas.errors import InvalidParameters
-from schemas.requests import PatchMap, PostCalibration, PutMap
+from schemas.requests import PatchMap, PostCalibration, PostRecipe, PutMap
 from schemas.wire import CalibrationReport, Deleted, DynamicPreview, Job, MapFacts, Maps
 
 M = TypeVar("M", bound=BaseModel)
@@ -113,12 +113,15 @@ async def delete_map(name: MapName, curator: Curates) -> Deleted:
     "/maps/{map}/recipe",
     status_code=202,
     response_model=Job,
-    openapi_extra=takes_map(),
+    openapi_extra=takes_map(PostRecipe, shadow=100),
     responses={202: _STARTED, **refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full")},
 )
 async def switch_recipe(name: MapName, request: Request, curator: Curates) -> Response:
-    """Describe all views of a map by another recipe; until that is done, queries use the old one."""
-    return _started(await curator.switch_recipe(name, await _body(request, PutMap)))
+    """Describe all views of a map by another recipe; until that is done, queries use the old one.
+
+    With `shadow` the map goes on with the old one, and both answer queries, until it is told which stays.
+    """
+    return _started(await curator.switch_recipe(name, await _body(request, PostRecipe)))
 
 
 @previews.get("/maps/{map}/dynamic", response_model=DynamicPreview, responses=refusals("not-found", "conflict"))

@@ -1,0 +1,40 @@
+"""`/maps/{map}/shadow`: a recipe beside that of a map: shown, switched to, discarded."""
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse, Response
+
+from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.openapi import refusals
+from schemas.wire import Job, Shadow
+
+router = APIRouter(tags=["maps"], dependencies=[no_parameters])
+
+
+@router.get("/maps/{map}/shadow", response_model=Shadow, responses=refusals("not-found"))
+async def get_shadow(name: MapName, curator: Curates) -> Shadow:
+    """The shadow of a map, begun by `POST /maps/{map}/recipe`; its table when it is ready."""
+    return await curator.shadow(name)
+
+
+@router.post(
+    "/maps/{map}/shadow/switch",
+    status_code=202,
+    response_model=Job,
+    responses={
+        202: {"headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}}},
+        **refusals("not-found", "conflict", "disk-full"),
+    },
+)
+async def switch_to_shadow(name: MapName, curator: Curates) -> Response:
+    """Change a map over to its shadow, in one transaction.
+
+    The job is done at once, but for views that were enrolled a moment ago: it waits until they are described too.
+    """
+    job = await curator.switch_to_shadow(name)
+    return JSONResponse(job.model_dump(mode="json"), 202, {"Location": f"/jobs/{job.id}"})
+
+
+@router.delete("/maps/{map}/shadow", response_model=Job, responses=refusals("not-found", "disk-full"))
+async def discard_shadow(name: MapName, curator: Curates) -> Job:
+    """Discard the shadow of a map, ready or not: the map keeps its recipe. Answers the shadow's job."""
+    return await curator.discard_shadow(name)

@@ -1,0 +1,127 @@
+"""Shadows: a map's views are described by another recipe, answers are compared, and the map waits to be told.
+
+``maps.shadow`` names the job, of the kind ``shadow``. It runs while views are described, then waits to be claimed by a
+worker that compares answers, and is done when they are. ``maps.next_recipe`` stays until the map is told to change over
+or to discard it: meanwhile each new view is described by both recipes, as during every recipe switch.
+"""
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import sqlalchemy as sa
+from uuid6 import uuid7
+
+from schemas.errors import Conflict, NotFound
+from schemas.recipe import MapRecipe
+from schemas.records import JobRecord, MapClaim
+from schemas.shadow import ShadowRecord, ShadowState
+from worker.storage import switching
+from worker.storage.image_store import forgets
+from worker.storage.map_jobs import MapJobs, held, record_of, refuse_second
+from worker.storage.rows import as_json, find_map, find_recipe, inserting, keep_recipe, ranking_of
+from worker.storage.tables import JOBS, MAPS
+
+SAME = (
+    "the map {0!r} is described by this recipe already, so that there is nothing to compare; PATCH /maps/{0} changes "
+    "its ranking, at once and back"
+)
+
+
+class ShadowJobs(MapJobs):
+    """Jobs of all kinds, and the shadows of maps."""
+
+    def begin_shadow(self, name: str, recipe: MapRecipe, wanted: int, now: datetime) -> JobRecord:
+        """Begin to describe a map's views by another recipe, to which the map changes over only when it is told.
+
+        Parameters
+        ----------
+        name : str
+        recipe : MapRecipe
+        wanted : int
+            Number of queries that are then answered by both.
+        now : datetime
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            Another job of the map has not finished, it has a shadow or this very recipe, or its images are not kept.
+        """
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            refuse_second(connection, row)
+            if row.recipe == recipe.description.id:
+                raise Conflict(SAME.format(name))
+            if forgets(connection, row.id):  # a view enrolled meanwhile could not be described twice
+                raise Conflict(switching.NO_IMAGES.format(name))
+            kept, job = keep_recipe(connection, recipe.description), str(uuid7())
+            new = {"id": job, "kind": "shadow", "map_id": row.id, "recipe": kept, "background": True, "attempts": 0}
+            told = {"state": "running", "created_at": now, "result": as_json({"wanted": int(wanted)})}
+            connection.execute(inserting(JOBS), {**new, **told})
+            switching.begin(connection, row, kept, recipe.ranking.model_dump_json(), job, now, shadow=True)
+            return record_of(connection, job)
+
+    def shadow(self, name: str) -> ShadowRecord:
+        """The shadow of a map; raises NotFound."""
+        with self._database.reading() as connection:
+            return _shadow(connection, find_map(connection, name))
+
+    def finish_shadow(self, claim: MapClaim, result: Mapping[str, Any], now: datetime) -> None:
+        """End the comparison of a claimed job: its shadow is ready; raises LeaseLost."""
+        with self._database.writing() as connection:
+            job = held(connection, claim)
+            done = {"state": "done", "finished_at": now, "token": None, "progress_done": job.progress_total}
+            connection.execute(
+                sa.update(JOBS).where(JOBS.c.number == job.number).values(**done, result=as_json(dict(result)))
+            )
+
+    def switch_to_shadow(self, name: str, now: datetime) -> JobRecord:
+        """Change a map over to its shadow, of whose table the totals stay.
+
+        Returns the job of the kind ``recipe``, which waits, if at all, for views that were enrolled a moment ago.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The shadow is not ready.
+        """
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            shadow = _shadow(connection, row)
+            if shadow.state != "ready":
+                raise Conflict(
+                    f"the shadow of the map {name!r} is {shadow.state}; GET /maps/{name}/shadow says when it is ready"
+                )
+            new = {"id": str(uuid7()), "kind": "recipe", "map_id": row.id, "recipe": row.next_recipe}
+            told = {"background": True, "state": "running", "attempts": 1, "created_at": now}
+            connection.execute(inserting(JOBS), {**new, **told})
+            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(shadow=None))
+            switching.drop_rows(connection, shadow.job.id)
+            switching.finish_if_done(connection, row.id, now)
+            return record_of(connection, new["id"])
+
+    def discard_shadow(self, name: str, now: datetime) -> JobRecord:
+        """Discard the shadow of a map, ready or not; of its table the totals stay. Returns its job; raises NotFound."""
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            shadow = _shadow(connection, row)
+            switching.stop(connection, row.id, row.next_recipe, now)
+            switching.end_shadow(connection, row.id, now)
+            switching.drop_rows(connection, shadow.job.id)
+            return record_of(connection, shadow.job.id)
+
+
+def _shadow(connection: sa.Connection, row: sa.Row[Any]) -> ShadowRecord:
+    """The shadow of a map, from its row; raises NotFound."""
+    if row.shadow is None or row.next_recipe is None:
+        raise NotFound("shadow of the map", row.name, f"POST /maps/{row.name}/recipe with `shadow` begins one")
+    job = connection.execute(sa.select(JOBS).where(JOBS.c.id == row.shadow)).one_or_none()
+    state: ShadowState = "comparing"
+    if job is not None and job.state == "done":
+        state = "ready"
+    elif job is not None and job.state == "running" and job.token is None:
+        state = "describing"
+    recipe = MapRecipe(description=find_recipe(connection, row.next_recipe), ranking=ranking_of(row.next_ranking))
+    return ShadowRecord(row.name, state, record_of(connection, row.shadow), recipe)
