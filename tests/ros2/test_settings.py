@@ -12,6 +12,11 @@ def test_defaults_are_allowed() -> None:
         assert read(parameters, {}) == {parameter.name: parameter.default for parameter in parameters}
 
 
+def test_an_empty_value_is_the_default() -> None:
+    values = read(LOCALIZE, {"rate": None, "map": None, "drive": None, "landmarks": None})
+    assert (values["rate"], values["map"], values["drive"], values["landmarks"]) == (1.0, "default", "", False)
+
+
 def test_types_of_yaml_are_not_the_users_business() -> None:
     given = {"rate": 2, "map": 7, "drive": "robot-1", "exclude_last": 30, "use_initial_guess": "true", "timeout": "3.5"}
     values = read(LOCALIZE, given | {"hand_over": False})  # YAML reads off as false
@@ -27,7 +32,6 @@ def test_types_of_yaml_are_not_the_users_business() -> None:
         ("rate", float("nan"), "a number"),
         ("rate", True, "a number"),
         ("rate", "often", "a number"),
-        ("rate", None, "a number"),
         ("precision", 0.3, "0.5 to 0.999"),
         ("precision", 1.0, "0 to 0.999"),
         ("timeout", 0, "at least 0.1"),

@@ -45,6 +45,8 @@ class Parameter:
         ------
         BadParameter
         """
+        if given is None:  # an empty value of a launch file or of YAML
+            return self.default
         if isinstance(self.default, bool):
             words = {"true": True, "false": False}
             value = given if isinstance(given, bool) else words.get(str(given).lower())
