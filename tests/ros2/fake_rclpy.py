@@ -126,7 +126,7 @@ class Graph:
         callback(*arguments)
         self.longest_s = max(self.longest_s, time.monotonic() - began)
 
-    def until(self, true: Callable[[], Any], seconds: float = 20.0) -> None:
+    def until(self, true: Callable[[], Any], seconds: float = 60.0) -> None:
         """Spin until something holds."""
         end = time.monotonic() + seconds
         while not true():

@@ -30,7 +30,7 @@ class Service:
     def __call__(self, request: httpx.Request) -> httpx.Response:
         self.bodies.append(request.read().decode(errors="replace"))
         self.arrived.release()
-        assert self.open.wait(10)
+        assert self.open.wait(60)
         return self.answer()
 
 
@@ -49,7 +49,7 @@ class Driven:
 
     def answers(self) -> list[str]:
         """Statuses of what came, once something did."""
-        assert self.woken.acquire(timeout=10)
+        assert self.woken.acquire(timeout=60)
         return [found.answer.status for found in self.localizer.answers()]
 
     def value(self, name: str) -> str:
@@ -71,7 +71,7 @@ def test_while_a_query_runs_the_newest_waits_and_older_ones_are_dropped_and_coun
     service.open.clear()
     with driving(service, rate=10) as driven:
         driven.image("image-0")
-        assert service.arrived.acquire(timeout=10)
+        assert service.arrived.acquire(timeout=60)
         for number in range(1, 5):
             driven.now += 0.1
             driven.image(f"image-{number}")

@@ -60,9 +60,14 @@ class LocalizeNode(RevisitNode):
         self.tell(self.localizer.report())
 
     def _triggered(self, request: Any, response: Any) -> Any:
-        self._hand_over.triggered()
+        self._wish()
         response.success, response.message = self.localizer.trigger()
         return response
+
+    def _wish(self) -> None:
+        """The next pose is to be handed over, also where an earlier one is still on its way."""
+        self._hand_over.triggered()
+        self._handed = None
 
     def _hinted(self, message: PoseWithCovarianceStamped) -> None:
         """A guess of the pose, and a trigger."""
@@ -79,8 +84,9 @@ class LocalizeNode(RevisitNode):
             except ValueError as error:
                 self._hint_note = f"the pose on {TRIGGER} was not used: {error}"
         if self._hint_note:
+            self.localizer.note = self._hint_note
             self.get_logger().warning(self._hint_note)
-        self._hand_over.triggered()
+        self._wish()
         self.localizer.trigger()
 
     def _answered(self) -> None:
