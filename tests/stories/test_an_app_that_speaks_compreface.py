@@ -15,7 +15,8 @@ import httpx
 import pytest
 
 from tests.sample_images import photo
-from tests.stories.running import RunningService
+from tests.stories.running import ROOT, RunningService
+from tests.stories.shown import answers_of
 
 BOUNDARY = "c0ffee5f1d0c4a3f8a0e6a5ad6b0c1d2"
 
@@ -124,6 +125,20 @@ def test_subjects_are_renamed_merged_and_deleted(app: App) -> None:
     assert subjects(app) == ["gate 0"]
     assert app.json("DELETE", "/subjects").json() == {"deleted": 1}
     assert subjects(app) == []
+
+
+def test_the_calls_of_the_page_work_and_an_image_is_an_example_of_one_subject(app: App, tmp_path: Path) -> None:
+    (tmp_path / "gate.jpg").write_bytes(photo(1))
+    (tmp_path / "today.jpg").write_bytes(photo(1))
+    url = str(app.client.base_url).rstrip("/")
+    added, found = (json.loads(answer) for answer in answers_of(ROOT / "docs" / "compreface.md", tmp_path, url))
+    assert added["subject"] == "gate"
+    assert found["result"][0]["subjects"][0]["subject"] == "gate"
+
+    campus = App(app.client, "campus")
+    again, other = (campus.image(f"/faces?subject={subject}", photo(1)) for subject in ("gate", "quay"))
+    assert (again.status_code, again.json()) == (201, added)
+    assert other.status_code == 409
 
 
 def test_what_is_wrong_is_said(app: App) -> None:

@@ -1,0 +1,152 @@
+"""The node localize: images in, the pose of the place that they show out."""
+
+import sys
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from revisit_ros.frames import FORWARD
+from revisit_ros.landmarks import Landmarks
+from revisit_ros.localizer import Answered, Localizer
+from revisit_ros.messages import landmark_message, place_message, pose_message
+from revisit_ros.node import TELL_S, RevisitNode, message_type, run
+from revisit_ros.pacing import HandOver
+from revisit_ros.pose import UNKNOWN, NoPose, guess_of, pose_of
+from revisit_ros.settings import LOCALIZE
+
+TRIGGER = "visual_localization/trigger_localization"
+TICK_S = 0.1
+
+
+class LocalizeNode(RevisitNode):
+    """Publishes only what matched, with the stamp of its image."""
+
+    def __init__(self) -> None:
+        super().__init__("localize", LOCALIZE)
+        values = self.values
+        self._hand_over = HandOver(values["hand_over_every"])
+        self._handed: tuple[Any, float] | None = None
+        self._initial_pose: Any = None
+        self._initial_pose_client: Any = None
+        self._landmark: Any = None
+        if values["hand_over"] == "topic":
+            self._initial_pose = self.create_publisher(PoseWithCovarianceStamped, "initialpose", 10)
+        elif values["hand_over"] == "service":
+            self._service_type = message_type("nav2_msgs", "srv", "SetInitialPose", "hand_over:=service")
+            self._initial_pose_client = self.create_client(self._service_type, "set_initial_pose")
+        if values["landmarks"]:
+            self._landmark_type = message_type("rtabmap_msgs", "msg", "LandmarkDetection", "landmarks:=true")
+            self._landmark = self.create_publisher(self._landmark_type, "landmark_detection", 10)
+        self._landmarks = Landmarks(values["landmark_radius"])
+        self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
+        self._place = self.create_publisher(String, "~/place", 10)
+        self._trigger = self.create_service(Trigger, TRIGGER, self._triggered)
+        self._hint = self.create_subscription(PoseWithCovarianceStamped, TRIGGER, self._hinted, 10)
+        self._hint_note = ""
+        self._guard = self.create_guard_condition(self._answered)
+        self.listen(lambda shot: self.localizer.image(shot))
+        self.localizer = Localizer(self.revisit, values, self._guard.trigger, self.clock)
+        self._tick = self.create_timer(TICK_S, self._answered)
+        self._telling = self.create_timer(TELL_S, self._tell)
+
+    def close(self) -> None:
+        """Stop what runs beside the executor."""
+        self.localizer.close()
+        self.revisit.close()
+
+    def _tell(self) -> None:
+        self.tell(self.localizer.report())
+
+    def _triggered(self, request: Any, response: Any) -> Any:
+        self._wish()
+        response.success, response.message = self.localizer.trigger()
+        return response
+
+    def _wish(self) -> None:
+        """The next pose is to be handed over, also where an earlier one is still on its way."""
+        self._hand_over.triggered()
+        self._handed = None
+
+    def _hinted(self, message: PoseWithCovarianceStamped) -> None:
+        """A guess of the pose, and a trigger."""
+        self._hint_note = ""
+        if message.header.frame_id != self.values["map_frame"]:
+            self._hint_note = (
+                f"the pose on {TRIGGER} is in {message.header.frame_id!r}, not in {self.values['map_frame']!r}: "
+                "it was not used"
+            )
+        else:
+            at = message.pose.pose.position
+            try:
+                self.localizer.guess(guess_of(at.x, at.y, [float(number) for number in message.pose.covariance]))
+            except ValueError as error:
+                self._hint_note = f"the pose on {TRIGGER} was not used: {error}"
+        if self._hint_note:
+            self.localizer.note = self._hint_note
+            self.get_logger().warning(self._hint_note)
+        self._wish()
+        self.localizer.trigger()
+
+    def _answered(self) -> None:
+        """Publish what the service answered meanwhile."""
+        for found in self.localizer.answers():
+            self._publish(found)
+        if self._handed is not None and self.clock() - self._handed[1] > self.values["timeout"]:
+            self._initial_pose_client.remove_pending_request(self._handed[0])
+            self._handed = None
+
+    def _publish(self, found: Answered) -> None:
+        shot, values = found.shot, self.values
+        if found.answer.status != "matched":
+            return
+        base = values["base_frame"]
+        mount = self.placed(shot, base) if base else None
+        pose = pose_of(found.answer, mount, FORWARD[values["camera_forward"]], base_wanted=bool(base))
+        if found.answer.places and found.answer.places[0].place is not None:
+            self._place.publish(place_message(found.answer.places[0].place))
+        if self._landmark is not None and (landmark := self._landmarks.seen(found.answer)) is not None:
+            self._landmark.publish(landmark_message(self._landmark_type, landmark, shot))
+        if isinstance(pose, NoPose):
+            self.localizer.note = f"no pose: {pose.detail}; {pose.remedy}"
+            return
+        message = pose_message(pose, shot, values["map_frame"])
+        self._pose.publish(message)
+        self.localizer.published += 1
+        handed = self._hand(message) if pose.variances[0] < UNKNOWN else ""
+        notes = [pose.note and f"{pose.note} ({shot.frame!r} in {base!r})" if mount is None and base else pose.note]
+        self.localizer.note = "; ".join(filter(None, (*notes, handed, self._hint_note)))
+
+    def _hand(self, message: PoseWithCovarianceStamped) -> str:
+        """Hand a pose over, if one is wanted; why not, where nobody takes it."""
+        if not self._hand_over.wanted:
+            return ""
+        if self._initial_pose is not None:
+            if self._initial_pose.get_subscription_count() == 0:
+                return "nobody listens to initialpose; the next pose is handed over again"
+            self._initial_pose.publish(message)
+            self._hand_over.handed()
+        elif self._initial_pose_client is not None and self._handed is None:
+            if not self._initial_pose_client.service_is_ready():
+                return "nobody offers set_initial_pose; the next pose is handed over again (start Nav2's amcl)"
+            request = self._service_type.Request()
+            request.pose = message
+            future = self._initial_pose_client.call_async(request)
+            self._handed = future, self.clock()
+            future.add_done_callback(self._handed_over)
+        return ""
+
+    def _handed_over(self, future: Any) -> None:
+        if self._handed is None or self._handed[0] is not future:
+            return
+        self._handed = None
+        if future.cancelled() or future.exception() is not None:
+            self.get_logger().warning(f"set_initial_pose failed: {future.exception()}")
+        else:
+            self._hand_over.handed()
+
+
+def main() -> None:
+    """The executable."""
+    sys.exit(run(LocalizeNode))
