@@ -11,6 +11,7 @@ from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.storage import checksums, switching
+from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
@@ -179,6 +180,7 @@ class Enrolment(Part):
         background: bool,
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
+            set_aside_views(connection, [view.seq], now)  # nobody may have read it since it was damaged
             columns = {
                 **view._mapping,
                 "map_id": row.id,
