@@ -67,6 +67,14 @@ class ViewAttributes:
 
 
 @dataclass(frozen=True)
+class Covered:
+    """What was blurred in an image before it was stored, and the SHA-256 of what was sent."""
+
+    words: tuple[str, ...]
+    sent_sha256: str
+
+
+@dataclass(frozen=True)
 class MapRecord:
     """A map in the store; `calibration` is JSON of `worker.method.own_calibration`, None for the shipped one."""
 
@@ -80,6 +88,7 @@ class MapRecord:
     refuse_poor: bool = False  # images that are dark, overexposed, covered or blurred
     keep_matches: int = 0  # queries kept at most that matched a view although they look unlike it
     keep_images: bool = True  # False: an image is removed once its view is described
+    blur: tuple[str, ...] = ()  # words of what is covered in an image before it is stored
 
     @property
     def recipe(self) -> MapRecipe:

@@ -20,6 +20,7 @@ GROUPS = (
     "recipes",
     "calibrate",
     "map_health",
+    "privacy",
     "inbox",
     "health",
     "keys",

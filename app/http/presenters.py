@@ -147,6 +147,7 @@ def map_facts(state: MapState) -> wire.MapFacts:
         keep_matches=record.keep_matches,
         refuse_poor=record.refuse_poor,
         keep_images=record.keep_images,
+        blur=list(record.blur),
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),
         created_at=record.created_at,
     )

@@ -113,6 +113,7 @@ class Snapshots(Part):
             keep_queries=record.keep_queries,
             keep_matches=record.keep_matches,
             refuse_poor=record.refuse_poor,
+            blur=record.blur,
         )
         writer = SnapshotWriter(file, facts)
         try:

@@ -92,6 +92,8 @@ async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFac
         raise InvalidParameters.of("ranking", f"is missing: some of {', '.join(PatchMap.model_fields)} are needed")
     if changes.ranking is not None:  # first, as the next: they may be refused
         facts = await curator.change_ranking(name, changes.ranking)
+    if changes.blur is not None:
+        facts = await curator.blur(name, changes.blur)
     if changes.keep_images is not None:
         facts = await curator.keep_images(name, changes.keep_images)
     if changes.keep_queries is not None:
