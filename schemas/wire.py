@@ -19,6 +19,9 @@ from .wire_calibration import (
 from .wire_deletions import (
     Deleted as Deleted,
 )
+from .wire_deletions import (
+    HoldingSnapshot as HoldingSnapshot,
+)
 from .wire_health import (
     HealthCode as HealthCode,
 )

@@ -10,7 +10,7 @@ from typing import Literal
 from schemas import wire
 from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
-from schemas.records import JobRecord, Position, Removal, ViewRecord
+from schemas.records import JobRecord, Position, ViewRecord
 from worker.images.palette import colour
 from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
@@ -105,11 +105,6 @@ def job(record: JobRecord) -> wire.Job:
         failure=failure(record.failure),
         links=links,
     )
-
-
-def removal(receipt: Removal) -> wire.Deleted:
-    """What a deletion removed."""
-    return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision, queries=receipt.queries)
 
 
 def map_facts(state: MapState) -> wire.MapFacts:

@@ -11,6 +11,7 @@ from app.http.dependencies import Curates, MapName, no_parameters
 from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
+from app.http.snapshot_presenters import allowed
 from app.http.validation import Parameters, validated
 from schemas.errors import InvalidParameters
 from schemas.requests import PatchMap, PostCalibration, PutMap
@@ -106,9 +107,9 @@ async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFac
 
 
 @router.delete("/maps/{map}", response_model=Deleted, responses=refusals("not-found"))
-async def delete_map(name: MapName, curator: Curates) -> Deleted:
+async def delete_map(name: MapName, curator: Curates, access: Accesses) -> Deleted:
     """Delete a map, its views and their images."""
-    return await curator.delete_map(name)
+    return allowed(await curator.delete_map(name), access.may_use)
 
 
 @router.post(
