@@ -10,7 +10,7 @@
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static        PoorImage   poor-picture
     ├── NotFound           not-found             ImageNotKept image-not-kept
-    ├── Conflict           conflict
+    ├── Conflict           conflict              BlurChanged conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden       OtherSite other-site
     ├── Busy               too-many-requests     Unavailable, StorageFailed  unavailable
@@ -162,6 +162,10 @@ class Conflict(RevisitError):
     """The request contradicts stored data or a running job."""
 
     code = "conflict"
+
+
+class BlurChanged(Conflict):
+    """A map blurs other things than were blurred in an image that is about to be stored: it is to be blurred anew."""
 
 
 class KeyReused(RevisitError):

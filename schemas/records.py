@@ -67,6 +67,14 @@ class ViewAttributes:
 
 
 @dataclass(frozen=True)
+class Covered:
+    """What was blurred in an image before it was stored, and the SHA-256 of what was sent."""
+
+    words: tuple[str, ...]
+    sent_sha256: str
+
+
+@dataclass(frozen=True)
 class MapRecord:
     """A map in the store; `calibration` is JSON of `worker.method.own_calibration`, None for the shipped one."""
 
@@ -81,6 +89,7 @@ class MapRecord:
     keep_matches: int = 0  # queries kept at most that matched a view although they look unlike it
     shadow: str | None = None  # id of the job of its shadow
     keep_images: bool = True  # False: an image is removed once its view is described
+    blur: tuple[str, ...] = ()  # words of what is covered in an image before it is stored
 
     @property
     def recipe(self) -> MapRecipe:
@@ -293,13 +302,48 @@ class Replay:
 
 
 @dataclass(frozen=True)
+class Holding:
+    """A snapshot that still has what was deleted.
+
+    Parameters
+    ----------
+    map, created_at
+        None where it was being made when the deletion began, or cannot be read: it may have some of it.
+    views : int or None
+        Of the deleted views, those whose image or description it has; None where that cannot be told.
+    """
+
+    id: str
+    map: str | None
+    created_at: datetime | None
+    views: int | None
+
+
+@dataclass(frozen=True)
 class Removal:
-    """Result of a deletion: numbers removed, and the map's revision, if it still exists."""
+    """Result of a deletion: numbers removed, and the map's revision, if it still exists.
+
+    Parameters
+    ----------
+    queries : int
+        Kept ones.
+    descriptions : int
+        Of the views, by all recipes.
+    searched : int
+        Views that were in the index.
+    images_shared : int
+        Images that are kept for other views.
+    snapshots : tuple of Holding
+    """
 
     views: int
     images: int
     revision: int | None
-    queries: int = 0  # kept ones
+    queries: int = 0
+    descriptions: int = 0
+    searched: int = 0
+    images_shared: int = 0
+    snapshots: tuple[Holding, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

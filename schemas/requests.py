@@ -4,6 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from schemas.blur import MOST_WORDS
 from schemas.shadow import MOST_QUERIES
 from schemas.wire_views import Position
 
@@ -75,6 +76,14 @@ class PatchMap(BaseModel):
         None,
         description="false removes all images of described views, for good, and each later one once it is described. "
         "The views are found as before; they are shown without an image and cannot be described by another recipe.",
+    )
+    blur: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=MOST_WORDS)] | None = (
+        Field(
+            None,
+            description="What is covered in each image before it is stored, as far as the segmentation finds it: "
+            "`people`, `vehicles`, or labels; [] for nothing. Words can be added while the map has no views.",
+            examples=[["people", "vehicles"]],
+        )
     )
 
 

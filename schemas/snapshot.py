@@ -5,6 +5,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AwareDatetime, Base64Bytes, BaseModel, ConfigDict, Field
 
+from schemas.blur import MOST_WORDS
 from schemas.recipe import DescriptionRecipe, RankingConfig
 
 FORMAT: Final = "revisit-snapshot"
@@ -32,7 +33,7 @@ class SnapshotFacts(Line):
         Of the job that made it.
     row_bytes : int
         Bytes of the parts besides the images.
-    ranking, calibration, keep_images, keep_queries, keep_matches, refuse_poor
+    ranking, calibration, keep_images, keep_queries, keep_matches, refuse_poor, blur
         As the map has them; calibration is the JSON of its own one, None for the shipped one. Kept queries stay behind.
     """
 
@@ -53,6 +54,7 @@ class SnapshotFacts(Line):
     keep_queries: Annotated[int, Field(ge=0, le=10_000)] = 0
     keep_matches: Annotated[int, Field(ge=0, le=10_000)] = 0
     refuse_poor: bool = False
+    blur: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=100)], ...], Field(max_length=MOST_WORDS)] = ()
 
 
 class SnapshotDescription(Line):
@@ -90,6 +92,7 @@ class SnapshotView(Line):
     enrolled_at: AwareDatetime
     elapsed_us: Count
     sha256: Digest
+    sent_sha256: Digest | None = None
     width: int = Field(ge=1, le=2**31 - 1)
     height: int = Field(ge=1, le=2**31 - 1)
     byte_count: int = Field(ge=1, le=2**62)

@@ -16,6 +16,12 @@ from .wire_calibration import (
 from .wire_calibration import (
     PrecisionThreshold as PrecisionThreshold,
 )
+from .wire_deletions import (
+    Deleted as Deleted,
+)
+from .wire_deletions import (
+    HoldingSnapshot as HoldingSnapshot,
+)
 from .wire_health import (
     HealthCode as HealthCode,
 )
@@ -273,6 +279,7 @@ class MapFacts(Answer):
     refuse_poor: bool = Field(False, description="Whether poor images are refused, unless a request says otherwise.")
     keep_images: bool = Field(True, description="Whether images stay once their views are described.")
     shadow: str | None = Field(None, description="Id of the job of its shadow: GET /maps/{map}/shadow; null: none.")
+    blur: list[str] = Field(default_factory=list, description="What is covered in an image before it is stored.")
     labels: list[Label]
     vocabulary: dict[str, Any]
     extent: Extent | None
@@ -334,15 +341,6 @@ class Places(Answer):
 
     places: list[Place]
     next: str | None
-
-
-class Deleted(Answer):
-    """Receipt of a deletion."""
-
-    views: int
-    images: int = Field(description="Image files removed; a file is kept while another view has the same bytes.")
-    revision: int | None
-    queries: int = Field(0, description="Kept queries removed, with the images that were kept of them.")
 
 
 class MapReadiness(Answer):

@@ -25,6 +25,7 @@ from worker.search.byte_product import make_product
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
 from worker.service.attendance import Attendance, this_process
+from worker.service.blurring import Blurring, BlurringEnrolment
 from worker.service.calibrating import CalibrationService
 from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.comparing import MapComparer
@@ -35,6 +36,7 @@ from worker.service.health import HealthService
 from worker.service.importing import Importer, ImportService
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
+from worker.service.keeping import QueryKeeper
 from worker.service.keys import KeyService
 from worker.service.maps import MapService
 from worker.service.proposals import ProposalService
@@ -215,12 +217,14 @@ def build(
             decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
         )  # fmt: skip
         settlements = Settlements(store.views)
+        blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
+        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover)
         me = this_process("serve" if serving else "worker")
         loop: Loop | None = None
         if settings.inline_worker or not serving:
             importer = Importer(
-                uploads=store.uploads, jobs=store.jobs, enrolment=store.enrolment, settlements=settlements,
-                decode=decoder.decode_patiently, taken=decoder.taken, look_for_problem=_problem_of,
+                uploads=store.uploads, jobs=store.jobs, enrolment=enrolment, settlements=settlements,
+                decode=decoder.decode_patiently, taken=decoder.taken, look_for_problem=quality.problem_of,
                 limits=Limits.of(settings), wake=lambda: loop.wake() if loop is not None else None,
             )  # fmt: skip
             loop = Loop(
@@ -250,7 +254,7 @@ def build(
             attendance=attendance,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, decoder, product, settlements,
-                default_recipe, loop, attendance, snapshots, shadows,
+                default_recipe, loop, attendance, snapshots, shadows, blurring, enrolment,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -278,6 +282,8 @@ def _services(
     attendance: Attendance,
     snapshots: SnapshotService,
     shadows: ShadowService,
+    blurring: Blurring,
+    enrolment: BlurringEnrolment,
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
@@ -296,13 +302,13 @@ def _services(
     )
     enroll = EnrollService(
         maps=store.maps,
-        enrolment=store.enrolment,
+        enrolment=enrolment,
         views=store.views,
         removals=store.removals,
         queue=store.jobs,
         settlements=settlements,
         decode=decoder.decode,
-        look_for_problem=_problem_of,
+        look_for_problem=quality.problem_of,
         default_recipe=default_recipe,
         limit=settings.queue,
         pace_s=lambda: scheduler.pace_s,
@@ -320,9 +326,9 @@ def _services(
             descriptions=store.descriptions,
             decode=decoder.decode,
             shrink=codec.shrink,
-            look_for_problem=_problem_of,
+            look_for_problem=quality.problem_of,
             thumbnail=decoder.thumbnail,
-            kept=store.kept_queries,
+            kept=QueryKeeper(store.kept_queries, store.maps, blurring, scheduler, describers, decoder.decode),
             explanations=explanations,
             drives=Drives(),
         ),
@@ -349,6 +355,7 @@ def _services(
             describers=describers,
             catalogue=catalogue,
             preset=settings.preset,
+            blurring=blurring,
             wake=_nothing if loop is None else loop.wake_all,
         ),
         jobs=JobService(store.jobs, store.uploads),
@@ -382,10 +389,6 @@ def _services(
 def _never(busy: bool) -> bool:
     """Has nothing to do: views are not compared."""
     return False
-
-
-def _problem_of(image: Image) -> str | None:
-    return quality.problem(image.pixels)
 
 
 def _nothing() -> None:

@@ -21,6 +21,7 @@ GROUPS = (
     "shadow",
     "calibrate",
     "map_health",
+    "privacy",
     "inbox",
     "health",
     "keys",

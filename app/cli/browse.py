@@ -4,9 +4,13 @@ import argparse
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from app.cli.console import DONE, Verbs, json_object, say, show, show_json, size, speaks, table
 from app.cli.filters import chooses, chosen
+
+if TYPE_CHECKING:
+    from revisit_client.wire import Deleted
 
 
 def add(verbs: Verbs) -> None:
@@ -56,7 +60,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
-                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} images")
+                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} images{_left(receipt)}")
             return DONE
         maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
     if arguments.json:
@@ -99,7 +103,7 @@ def run_views(arguments: argparse.Namespace) -> int:
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
-                show(f"deleted {arguments.id}: {receipt.images} images")
+                show(f"deleted {arguments.id}: {receipt.images} images{_left(receipt)}")
             return DONE
         draw: dict[str, Callable[[str], bytes]] = {
             "image": revisit.image,
@@ -166,3 +170,11 @@ def run_places(arguments: argparse.Namespace) -> int:
     ]
     show(table(("map", "place", "views", "position", "last enrolled"), rows))
     return DONE
+
+
+def _left(receipt: "Deleted") -> str:
+    """What a deletion did not reach, in words."""
+    named = [one.id for one in receipt.snapshots]
+    if receipt.snapshots_of_others:
+        named.append(f"{receipt.snapshots_of_others} of other maps")
+    return f"; snapshots that may still have some of it: {', '.join(named)}" if named else ""

@@ -140,11 +140,11 @@ class Curator(KeptQueryCuration, RecipeCuration):
 
     async def delete_view(self, view_id: str) -> wire.Deleted:
         """Remove a view."""
-        return presenters.removal(await asyncio.to_thread(self._views.delete, view_id))
+        return snapshot_presenters.removal(await asyncio.to_thread(self._views.delete, view_id))
 
     async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
         """Remove the views of a map that pass the filters."""
-        return presenters.removal(await asyncio.to_thread(self._views.delete_matching, map_name, filters))
+        return snapshot_presenters.removal(await asyncio.to_thread(self._views.delete_matching, map_name, filters))
 
     async def places(
         self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
@@ -242,7 +242,7 @@ class Curator(KeptQueryCuration, RecipeCuration):
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""
-        return presenters.removal(await asyncio.to_thread(self._maps.delete, name))
+        return snapshot_presenters.removal(await asyncio.to_thread(self._maps.delete, name))
 
     # jobs
 

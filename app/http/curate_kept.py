@@ -1,4 +1,4 @@
-"""Use-cases for queries that are kept: unknown places, and proposed views."""
+"""Use-cases for what maps keep: blurred images, and queries that are unknown places or proposed views."""
 
 import asyncio
 
@@ -12,7 +12,7 @@ from worker.service.proposals import ProposalService
 
 
 class KeptQueryCuration:
-    """The part of `app.http.curate.Curator` that is about queries which are kept."""
+    """The part of `app.http.curate.Curator` that is about blurring, and about queries which are kept."""
 
     _maps: MapService
     _inbox: InboxService
@@ -25,6 +25,10 @@ class KeptQueryCuration:
     async def keep_matches(self, name: str, count: int) -> wire.MapFacts:
         """Keep at most `count` of a map's queries that matched a view although they look unlike it."""
         return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count, matched=True))
+
+    async def blur(self, name: str, words: list[str]) -> wire.MapFacts:
+        """Cover what words name in each image of a map before it is stored."""
+        return presenters.map_facts(await asyncio.to_thread(self._maps.blur, name, words))
 
     async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
         """Queries that matched nothing, by spot: at most `limit` spots."""

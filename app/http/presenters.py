@@ -10,7 +10,7 @@ from typing import Literal
 from schemas import wire
 from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
-from schemas.records import JobRecord, Position, Removal, ViewRecord
+from schemas.records import JobRecord, Position, ViewRecord
 from worker.images.palette import colour
 from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
@@ -107,11 +107,6 @@ def job(record: JobRecord) -> wire.Job:
     )
 
 
-def removal(receipt: Removal) -> wire.Deleted:
-    """What a deletion removed."""
-    return wire.Deleted(views=receipt.views, images=receipt.images, revision=receipt.revision, queries=receipt.queries)
-
-
 def map_facts(state: MapState) -> wire.MapFacts:
     """A map: counts, both halves of its recipe, labels, vocabulary, extent."""
     record, counts = state.record, state.counts
@@ -148,6 +143,7 @@ def map_facts(state: MapState) -> wire.MapFacts:
         refuse_poor=record.refuse_poor,
         keep_images=record.keep_images,
         shadow=record.shadow,
+        blur=list(record.blur),
         extent=None if lowest is None or highest is None else wire.Extent(minimum=lowest, maximum=highest),
         created_at=record.created_at,
     )

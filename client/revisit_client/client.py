@@ -256,8 +256,28 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         return self._connection.receive(wire.View, "PATCH", f"/views/{view_id}", json=attributes)
 
     def delete(self, view_id: str) -> wire.Deleted:
-        """Delete a view and its image."""
+        """Delete a view and its image; the receipt names the snapshots that still have it."""
         return self._connection.receive(wire.Deleted, "DELETE", f"/views/{view_id}")
+
+    def delete_views(
+        self,
+        map: str,
+        *,
+        all: bool = False,
+        near: tuple[float, float, float] | None = None,
+        geographic: bool | None = None,
+        after: Time | None = None,
+        before: Time | None = None,
+        place: str | None = None,
+        metadata: Mapping[str, str] | None = None,
+        where: Mapping[str, Any] | str | None = None,
+        exclude_last: int | str | timedelta | None = None,
+        exclude: Sequence[str] = (),
+    ) -> wire.Deleted:
+        """Delete the views of a map that pass the filters, as of `query`, or all of them with `all`."""
+        chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
+        params = texts({"map": map, "all": True if all else None, **chosen})
+        return self._connection.receive(wire.Deleted, "DELETE", "/views", params=params)
 
     # maps, places
 

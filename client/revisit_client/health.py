@@ -21,6 +21,10 @@ class HealthCalls:
         """Keep a map's images, or remove them for good: all now, and each later one once its view is described."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"keep_images": wanted})
 
+    def blur(self, name: str, *words: str) -> wire.MapFacts:
+        """Cover `people`, `vehicles` or labels in each image of a map before it is stored; no words: nothing."""
+        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"blur": list(words)})
+
     def refuse_poor(self, name: str, wanted: bool = True) -> wire.MapFacts:
         """Refuse to enrol images that are dark, overexposed, covered or blurred, or no longer."""
         return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"refuse_poor": wanted})

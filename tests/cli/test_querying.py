@@ -273,3 +273,15 @@ def test_a_vocabulary_that_cannot_be_trained_says_why(service: FakeService, caps
 
     assert main(["vocabulary", "train"]) == 1
     assert "too few views" in capsys.readouterr().err
+
+
+def test_a_deletion_tells_which_snapshots_are_left(service: FakeService, capsys: Out) -> None:
+    left = {"id": "s1", "map": "campus", "created_at": None, "views": None}
+    receipt = {"views": 1, "images": 1, "revision": 3, "snapshots": [left], "snapshots_of_others": 2}
+    service.replies["DELETE /views/v1"] = 200, receipt
+    service.replies["DELETE /maps/campus"] = 200, {**receipt, "snapshots": [], "snapshots_of_others": 0}
+    assert main(["views", "v1", "--delete"]) == main(["maps", "campus", "--delete"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "deleted v1: 1 images; snapshots that may still have some of it: s1, 2 of other maps",
+        "deleted campus: 1 views, 1 images",
+    ]

@@ -22,6 +22,9 @@ class FakeInbox:
     async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"keep_images": wanted})
 
+    async def blur(self, name: str, words: list[str]) -> wire.MapFacts:
+        return (await self.map(name)).model_copy(update={"blur": words})
+
     async def refuse_poor(self, name: str, wanted: bool) -> wire.MapFacts:
         return (await self.map(name)).model_copy(update={"refuse_poor": wanted})
 

@@ -294,6 +294,7 @@ LATER = ("keys", "kept_queries")
 def without_later(connection: sa.Connection) -> None:
     """Take away what came after revision 0008."""
     connection.exec_driver_sql("DROP TABLE kept_queries")
+    connection.exec_driver_sql("DROP INDEX views_by_sent")
     for column in (
         "views.filename",
         "comparisons.rival",
@@ -303,6 +304,8 @@ def without_later(connection: sa.Connection) -> None:
         "maps.drop_images",
         "maps.keep_matches",
         "maps.shadow",
+        "maps.blur",
+        "views.sent_sha256",
     ):
         table, name = column.split(".")
         connection.exec_driver_sql(f"ALTER TABLE {table} DROP COLUMN {name}")

@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from schemas.image import Image
+
 LONGEST = 320
 """Photos are judged at this length of their longer side, so that the measures do not depend on the camera."""
 
@@ -40,3 +42,8 @@ def problem(pixels: npt.NDArray[np.uint8]) -> str | None:
     if sharpness < BLURRED:
         return f"the image is blurred (sharpness {sharpness:.0f}; photos of places have hundreds)"
     return None
+
+
+def problem_of(image: Image) -> str | None:
+    """What is wrong with a decoded photo, in words; None when nothing is."""
+    return problem(image.pixels)

@@ -9,9 +9,9 @@ from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, PoorImage, R
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
-from worker.images.codec import facts
 from worker.service import steady
-from worker.service.ports import Enrolment, JobQueue, Maps, Removals, Views
+from worker.service.blurring import BlurringEnrolment
+from worker.service.ports import JobQueue, Maps, Removals, Views
 from worker.service.resemblances import Resemblance
 from worker.service.settlements import Settlements
 from worker.service.views import labelled
@@ -83,8 +83,9 @@ class EnrollService:
 
     Parameters
     ----------
-    maps, enrolment, views, removals, queue
+    maps, views, removals, queue
         Parts of the store.
+    enrolment : BlurringEnrolment
     settlements : Settlements
         Waits for a view to be described.
     decode : function
@@ -109,7 +110,7 @@ class EnrollService:
         self,
         *,
         maps: Maps,
-        enrolment: Enrolment,
+        enrolment: BlurringEnrolment,
         views: Views,
         removals: Removals,
         queue: JobQueue,
@@ -152,7 +153,7 @@ class EnrollService:
 
         Raises
         ------
-        BadImage, PoorImage, Busy, Conflict, DiskFull, StorageFailed, Unavailable
+        BadImage, PoorImage, NothingStatic, Busy, Conflict, DiskFull, StorageFailed, Unavailable
             Nothing is stored.
         """
         began = time.perf_counter()
@@ -170,7 +171,7 @@ class EnrollService:
         if waits and isinstance(self._settlements.trouble, DiskFull | StorageFailed):
             raise self._settlements.trouble
         submitted = self._enrolment.submit(
-            map_name, data, facts(image), attributes, self._default_recipe, datetime.now(UTC), steady.reading_s()
+            map_name, data, image, attributes, self._default_recipe, datetime.now(UTC), steady.reading_s()
         )
         if submitted.job_id is not None:
             self._wake()

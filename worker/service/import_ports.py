@@ -5,9 +5,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
-from schemas.records import JobProgress, JobRecord, MapClaim, Submitted, ViewAttributes, ViewRecord
+from schemas.records import JobProgress, JobRecord, MapClaim
 
 
 class Upload(Protocol):
@@ -76,26 +75,4 @@ class ImportJobs(Protocol):
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a job back without counting the attempt."""
-        ...
-
-
-class ImportEnrolment(Protocol):
-    """Storing images."""
-
-    def known(self, name: str, sha256: str, attributes: ViewAttributes) -> ViewRecord | None:
-        """The view that a map has of an image, if it is sound and its attributes are these; else None."""
-        ...
-
-    def submit(
-        self,
-        name: str,
-        image: bytes,
-        facts: ImageFacts,
-        attributes: ViewAttributes,
-        recipe: MapRecipe | None,
-        now: datetime,
-        steady_s: float | None = None,
-        background: bool = False,
-    ) -> Submitted:
-        """As `worker.service.ports.Enrolment.submit`."""
         ...

@@ -26,10 +26,10 @@ from schemas.records import (
 )
 from worker.images import panorama
 from worker.images.apart.stream import Repeated
-from worker.images.codec import facts
 from worker.service import steady
+from worker.service.blurring import BlurringEnrolment
 from worker.service.completing import completed, turned, wanted_of_exif
-from worker.service.import_ports import ImportEnrolment, ImportJobs, Upload, Uploads
+from worker.service.import_ports import ImportJobs, Upload, Uploads
 from worker.service.opening import open_recording
 from worker.service.panoramas import Panoramas
 from worker.service.recordings import Item, Limits, Note
@@ -155,8 +155,9 @@ class Importer:
 
     Parameters
     ----------
-    uploads, jobs, enrolment
+    uploads, jobs
         Parts of the store.
+    enrolment : BlurringEnrolment
     settlements : Settlements
         Waits for views to be described.
     decode : function
@@ -175,7 +176,7 @@ class Importer:
         *,
         uploads: Uploads,
         jobs: ImportJobs,
-        enrolment: ImportEnrolment,
+        enrolment: BlurringEnrolment,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
         taken: Callable[[bytes], Mapping[str, Any]],
@@ -254,7 +255,7 @@ class Importer:
         """Store an image durably and queue its description; raises Conflict, LeaseLost, DiskFull, StorageFailed."""
         try:
             submitted = self._enrolment.submit(
-                claim.map, data, facts(image), attributes, None, _now(), steady.reading_s(), background=True
+                claim.map, data, image, attributes, None, _now(), steady.reading_s(), background=True
             )
         except NotFound as error:
             raise LeaseLost(error.detail) from None

@@ -1,15 +1,12 @@
 """Inbox: queries that matched nothing, by spot, to be named once or dismissed."""
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from schemas.description import Description
 from schemas.errors import NotFound
 from schemas.inbox import Inbox, KeptQuery, UnknownPlace
-from schemas.recipe import DescriptionRecipe
 from schemas.records import ViewAttributes
 from worker.method.near_duplicates import alike
 from worker.method.places import SAME_SPOT_INLIERS
@@ -34,19 +31,6 @@ ENROLLED = 10
 
 class KeptQueries(Protocol):
     """Queries that matched nothing, and those that matched a view that they look unlike."""
-
-    def keep(
-        self,
-        name: str,
-        query_id: str,
-        recipe: DescriptionRecipe,
-        description: Description,
-        image: bytes,
-        now: datetime,
-        match: tuple[int, float] | None = None,
-    ) -> None:
-        """Keep a query, with the view that it matched and the score, and drop the oldest beyond what the map keeps."""
-        ...
 
     def newest(self, name: str, most: int, *, matched: bool = False) -> tuple[list[KeptQuery], int]:
         """The newest `most` queries of a map, oldest first, and how many are kept; raises NotFound."""

@@ -1,6 +1,6 @@
 """Maps: created, shown, changed, deleted; and the jobs that describe all their views again."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -14,6 +14,7 @@ from worker.description.presets import Wanted, changed_ranking, make_recipe
 from worker.method.calibration import Calibration
 from worker.method.own_calibration import OwnCalibration
 from worker.search.catalogue import Catalogue
+from worker.service.blurring import Blurring
 from worker.service.calibrating import own_calibration
 from worker.service.ports import Comparisons, Jobs, Maps, Removals, UploadRemoval
 
@@ -45,6 +46,7 @@ class MapService:
     catalogue : Catalogue
     preset : str
         Preset of maps that are created without naming one.
+    blurring : Blurring
     wake : function
         Called when a job was queued.
     """
@@ -62,12 +64,13 @@ class MapService:
         describers: Describers,
         catalogue: Catalogue,
         preset: str,
+        blurring: Blurring,
         wake: Callable[[], None],
     ) -> None:
         self._maps, self._removals, self._jobs, self._uploads = maps, removals, jobs, uploads
         self._comparisons, self._shipped = comparisons, shipped
         self._encoder, self._describers, self._catalogue = encoder, describers, catalogue
-        self._preset, self._wake = preset, wake
+        self._preset, self._blurring, self._wake = preset, blurring, wake
 
     def all(self) -> list[MapState]:
         """All maps, sorted by name."""
@@ -109,6 +112,19 @@ class MapService:
     def refuse_poor(self, name: str, wanted: bool) -> MapState:
         """Refuse images that are dark, overexposed, covered or blurred, or no longer; raises NotFound."""
         return self._state(self._maps.set_refuse_poor(name, wanted))
+
+    def blur(self, name: str, words: Sequence[str]) -> MapState:
+        """Cover what words name in each image of a map before it is stored; none: store images as they are sent.
+
+        Raises
+        ------
+        NotFound
+        InvalidParameters
+            The encoder knows nothing that a word names.
+        Conflict
+            The map has views, in whose images not all of it is covered.
+        """
+        return self._state(self._maps.set_blur(name, self._blurring.checked(words)))
 
     def keep_images(self, name: str, wanted: bool) -> MapState:
         """Keep the images of a map, or remove them all now and each later one once it is described.

@@ -7,7 +7,6 @@ from typing import Protocol
 
 from schemas.comparisons import MapLevels
 from schemas.description import Floats
-from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import (
     Filters,
@@ -19,7 +18,6 @@ from schemas.records import (
     Position,
     Removal,
     Selection,
-    Submitted,
     ViewAttributes,
     ViewRecord,
 )
@@ -57,6 +55,10 @@ class Maps(Protocol):
         """Keep images, or remove each once it is described; raises NotFound, Conflict."""
         ...
 
+    def set_blur(self, name: str, words: tuple[str, ...]) -> MapRecord:
+        """Cover what words name before images are stored, from the first view on; raises NotFound, Conflict."""
+        ...
+
     def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:
         """Refuse poor images from now on, or no longer; raises NotFound."""
         ...
@@ -71,33 +73,6 @@ class Maps(Protocol):
 
     def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:
         """Give a map a calibration of its own, or None; raises NotFound, and Conflict when `fitted_to` is outdated."""
-        ...
-
-
-class Enrolment(Protocol):
-    """Storing images."""
-
-    def submit(
-        self,
-        name: str,
-        image: bytes,
-        facts: ImageFacts,
-        attributes: ViewAttributes,
-        recipe: MapRecipe,
-        now: datetime,
-        steady_s: float | None = None,
-        background: bool = False,
-    ) -> Submitted:
-        """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
-
-        `steady_s` is the reading of a steady clock at `now`; `background`: other enrolments are described first.
-
-        Raises
-        ------
-        Conflict
-            The same bytes are in the map with other attributes.
-        DiskFull
-        """
         ...
 
 

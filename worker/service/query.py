@@ -20,7 +20,7 @@ from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
 from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
-from worker.service.inbox import KeptQueries
+from worker.service.keeping import QueryKeeper
 from worker.service.ports import Views
 from worker.service.results import RankedResults, ScoredView, SearchOutcome
 from worker.service.searching import Searcher
@@ -121,7 +121,7 @@ class QueryService:
         What is wrong with an image, in words, or None.
     thumbnail : function
         Bytes and length of the longer side to a small JPEG.
-    kept : KeptQueries
+    kept : QueryKeeper
         Where queries are kept that matched nothing, or a view that they look unlike, if their map says so.
     explanations : Explanations
         Where the latest explained queries are kept.
@@ -138,7 +138,7 @@ class QueryService:
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
         thumbnail: Callable[[bytes, int], bytes],
-        kept: KeptQueries,
+        kept: QueryKeeper,
         explanations: Explanations,
         drives: Drives,
     ) -> None:

@@ -1,16 +1,18 @@
 """Enrolment: stores an image and its attributes durably, and queues its description."""
 
+from collections.abc import Mapping
 from datetime import datetime
 from functools import cache
 from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, NotFound
+from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
-from schemas.records import Submitted, ViewAttributes, ViewRecord
+from schemas.records import Covered, Submitted, ViewAttributes, ViewRecord
 from worker.storage import checksums, switching
+from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
@@ -22,6 +24,7 @@ from worker.storage.rows import (
     as_json,
     attribute_columns,
     attributes_of,
+    blur_of,
     find_map,
     find_view,
     has_whole_attributes,
@@ -70,13 +73,25 @@ def fact_columns(facts: ImageFacts) -> dict[str, Any]:
 
 
 @cache
-def _same_image() -> sa.Select[Any]:
-    """Selects the view of a map with an image's SHA-256."""
-    return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), VIEWS.c.sha256 == sa.bindparam("sha256"))
+def _having(digest: sa.Column[str]) -> sa.Select[Any]:
+    """Selects the view of a map with an image's SHA-256, of what is stored or of what was sent."""
+    return view_rows().where(VIEWS.c.map_id == sa.bindparam("map_id"), digest == sa.bindparam("of"))
+
+
+def _same_image(connection: sa.Connection, map_id: int, sent: str, stored: str) -> sa.Row[Any] | None:
+    """The view of a map whose image was sent, or is stored, with these digests."""
+    ways = [(VIEWS.c.sha256, sent), (VIEWS.c.sent_sha256, sent)]
+    if stored != sent:
+        ways.append((VIEWS.c.sha256, stored))
+    for column, digest in ways:
+        found = connection.execute(_having(column), {"map_id": map_id, "of": digest}).first()
+        if found is not None:
+            return found
+    return None
 
 
 class Enrolment(Part):
-    """See `worker.service.ports.Enrolment`."""
+    """See `worker.service.blurring.Enrolment`."""
 
     def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
@@ -92,11 +107,13 @@ class Enrolment(Part):
         now: datetime,
         steady_s: float | None = None,
         background: bool = False,
+        covered: Covered | None = None,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map, if `recipe` is given.
 
         `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured;
-        `background`: other enrolments are described first.
+        `background`: other enrolments are described first; `covered`: what was blurred in the image, which is not what
+        was sent.
 
         For an image that the map has already the result is its view, which is queued again if it had failed.
 
@@ -104,6 +121,8 @@ class Enrolment(Part):
         ------
         Conflict
             The map has the image with other attributes.
+        BlurChanged
+            The map blurs other things than those in `covered`.
         NotFound
             There is no map, and no recipe to create it with.
         DiskFull
@@ -120,12 +139,17 @@ class Enrolment(Part):
                     raise
                 make_map(connection, name, recipe, now)
                 row = find_map(connection, name)
-            view = connection.execute(_same_image(), {"map_id": row.id, "sha256": facts.sha256}).one_or_none()
+            if blur_of(row) != (() if covered is None else covered.words):
+                raise BlurChanged(f"what the map {name!r} blurs was changed meanwhile; try again")
+            sent = facts.sha256 if covered is None else covered.sent_sha256
+            columns = {**fact_columns(facts), "sent_sha256": None if covered is None else sent}
+            view = _same_image(connection, row.id, sent, facts.sha256)
             if view is None:
-                return self._enrol(connection, row, facts, attributes, now, steady_s, background)
-            submitted = self._enrol_again(connection, row, view, facts, attributes, now, background)
-        if row.drop_images:
-            self._images.discard([facts.sha256])  # stays where the view is to be described
+                return self._enrol(connection, row, columns, attributes, now, steady_s, background)
+            submitted = self._enrol_again(connection, row, view, columns, attributes, now, background)
+        if row.drop_images or view.sha256 != facts.sha256:
+            # What a view needs stays: where it is to be described, or where this image took the place of another.
+            self._images.discard([facts.sha256, view.sha256])
         return submitted
 
     def known(self, name: str, sha256: str, attributes: ViewAttributes) -> ViewRecord | None:
@@ -135,7 +159,7 @@ class Enrolment(Part):
                 row = find_map(connection, name)
             except NotFound:
                 return None
-            view = connection.execute(_same_image(), {"map_id": row.id, "sha256": sha256}).one_or_none()
+            view = _same_image(connection, row.id, sha256, sha256)
             if view is None or view.state == "failed" or not has_whole_attributes(view):
                 return None
             return None if contradictions(attributes_of(view), attributes) else view_record(view)
@@ -144,7 +168,7 @@ class Enrolment(Part):
         self,
         connection: sa.Connection,
         row: sa.Row[Any],
-        facts: ImageFacts,
+        image: Mapping[str, Any],
         attributes: ViewAttributes,
         now: datetime,
         steady_s: float | None,
@@ -156,7 +180,7 @@ class Enrolment(Part):
             "map_id": row.id,
             "enrolled_at": now,
             "elapsed_us": elapsed_us,
-            **fact_columns(facts),
+            **image,
             **attribute_columns(attributes),
         }
         connection.execute(
@@ -173,23 +197,29 @@ class Enrolment(Part):
         connection: sa.Connection,
         row: sa.Row[Any],
         view: sa.Row[Any],
-        facts: ImageFacts,
+        image: Mapping[str, Any],
         attributes: ViewAttributes,
         now: datetime,
         background: bool,
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
+            set_aside_views(connection, [view.seq], now)  # nobody may have read it since it was damaged
             columns = {
                 **view._mapping,
                 "map_id": row.id,
                 "enrolled_at": now,
-                **fact_columns(facts),
+                **image,
                 **attribute_columns(attributes),
             }
             changed = {name: columns[name] for name in checksums.COVERED[VIEWS.name]}
             changed |= {"state": "failed", "checksum": checksums.of_row(VIEWS, columns)}
             connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
             keep_pairs(connection, view.seq, attributes)
+            view = find_view(connection, view.id)
+        elif view.sha256 != image["sha256"] and (view.state == "failed" or not self._is_readable(view.sha256)):
+            # Blurred anew, by another network or on another machine, it came out otherwise.
+            changed = {**image, "checksum": checksums.of_row(VIEWS, {**view._mapping, **image})}
+            connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
             view = find_view(connection, view.id)
         differing = contradictions(attributes_of(view), attributes)
         if differing:
@@ -209,6 +239,13 @@ class Enrolment(Part):
         else:
             job = switching.unfinished_job(connection, view.seq, row.recipe)
         return Submitted(view_record(view), job, created=False, revision=row.revision)
+
+    def _is_readable(self, digest: str) -> bool:
+        try:
+            self._images.read(digest)
+        except Damaged:
+            return False
+        return True
 
     def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, now: datetime, background: bool) -> str:
         """Queue the description of a view by the map's recipe and, in a recipe switch, by the next; returns the job."""

@@ -16,7 +16,15 @@ from worker.storage.enrolment import keep_pairs
 from worker.storage.examining import BACKUP, REPAIR, Finding, Mend
 from worker.storage.filtering import metadata_pairs
 from worker.storage.image_store import forgets
-from worker.storage.rows import VIEW_STATES, attributes_of, find_recipe, has_whole_attributes, ranking_of
+from worker.storage.rows import (
+    VIEW_STATES,
+    as_json,
+    attributes_of,
+    blur_of,
+    find_recipe,
+    has_whole_attributes,
+    ranking_of,
+)
 from worker.storage.tables import (
     CALLS,
     CLOCK,
@@ -156,6 +164,7 @@ def _mend_map(row: sa.Row[Any]) -> Mend:
         ranking = ranking_of(str(row.ranking))
         values: dict[str, Any] = {"calibration": None, "ranking": ranking.model_dump_json(), "previous_recipe": None}
         values |= {**switching.NOTHING_NEXT, "created_at": datetime.now(UTC)}
+        values["blur"] = as_json(list(blur_of(row))) if row.blur is not None else None
         if not isinstance(row.name, str) or not row.name.isascii() or not row.name.isprintable():
             values["name"] = f"rescued-{row.id}"
         known = connection.scalar(sa.select(sa.func.count()).select_from(RECIPES).where(RECIPES.c.id == row.recipe))

@@ -13,7 +13,7 @@ from schemas.recipe import DescriptionRecipe
 from worker.storage import checksums
 from worker.storage.packing import pack_keypoints, pack_vectors, unpack_floats, unpack_keypoints
 from worker.storage.part import Part
-from worker.storage.rows import find_map, log
+from worker.storage.rows import blur_of, find_map, log
 from worker.storage.tables import KEPT_QUERIES, MAPS, VIEWS
 
 
@@ -54,11 +54,12 @@ class KeptQueries(Part):
         image: bytes,
         now: datetime,
         match: tuple[int, float] | None = None,
+        blurred: tuple[str, ...] = (),
     ) -> None:
         """Keep a query, and drop the oldest of its kind beyond what the map keeps.
 
         `match`: the view that it matched, by its sequence number, and the score. Nothing is kept where the map keeps
-        none of this kind, or where the map or the view was deleted.
+        none of this kind or blurs other things than `blurred`, or where the map or the view was deleted.
         """
         features, seq = description.keypoints, None if match is None else match[0]
         values = {
@@ -74,6 +75,8 @@ class KeptQueries(Part):
         with self._database.writing() as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
             if row is None or not (most := row.keep_queries if seq is None else row.keep_matches):
+                return
+            if blur_of(row) != blurred:
                 return
             if seq is not None and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.seq == seq)) is None:
                 return

@@ -12,7 +12,17 @@ from worker.storage import clock, switching
 from worker.storage.image_store import needs_image
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
-from worker.storage.rows import COORDINATES, find_map, keep_recipe, log, map_by, map_record, recipe_of
+from worker.storage.rows import (
+    COORDINATES,
+    as_json,
+    blur_of,
+    find_map,
+    keep_recipe,
+    log,
+    map_by,
+    map_record,
+    recipe_of,
+)
 from worker.storage.tables import MAPS, RECIPES, VIEWS
 
 STATES: tuple[ViewState, ...] = ("pending", "ready", "failed")
@@ -155,6 +165,38 @@ class Maps(Part):
             return self.get(name).refuse_poor
         except NotFound:
             return False
+
+    def set_blur(self, name: str, words: tuple[str, ...]) -> MapRecord:
+        """Cover what these words name in each image of a map before it is stored, from the first view on.
+
+        Raises
+        ------
+        NotFound
+        Conflict
+            The map has views, in whose images not all of it is covered.
+        """
+        with self._database.writing() as connection:
+            row = find_map(connection, name)
+            added = [word for word in words if word not in blur_of(row)]
+            if added and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
+                raise Conflict(
+                    f"the map {name!r} has views whose images were stored with {', '.join(added)} to be seen; blur "
+                    "them in a new map, before its first view, and enrol the images there"
+                )
+            stored = as_json(list(words)) if words else None
+            if stored != row.blur:
+                connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(blur=stored))
+            if added:
+                drop_oldest(connection, row.id, 0, matched=None)  # kept queries show it too
+            return map_record(connection, find_map(connection, name))
+
+    def blur(self, name: str) -> tuple[str, ...]:
+        """What a map blurs; empty where there is no such map."""
+        with self._database.reading() as connection:
+            try:
+                return blur_of(find_map(connection, name))
+            except NotFound:
+                return ()
 
     def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:
         """Give a map a calibration of its own, as JSON, or the shipped one again (None), as of its next revision.

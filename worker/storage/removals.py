@@ -1,42 +1,57 @@
 """Deletion: complete, and in portions, so that other writers do not wait for a large one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import NamedTuple
 
 import sqlalchemy as sa
 
-from schemas.records import Filters, Removal
+from schemas.records import Filters, Holding, Removal
 from worker.storage import clock, switching
 from worker.storage.damage import bury
+from worker.storage.database import Database
 from worker.storage.filtering import fitting
+from worker.storage.image_store import ImageStore, needs_image
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
-from worker.storage.rows import find_map, find_view
-from worker.storage.tables import JOBS, KEPT_QUERIES, MAPS, VIEWS
+from worker.storage.rows import batches, find_map, find_view
+from worker.storage.tables import DESCRIPTIONS, JOBS, KEPT_QUERIES, MAPS, VIEWS
 
 PORTION = 200
 """Views deleted in one transaction."""
 
 
-class _Gone(NamedTuple):
-    views: int
-    images: int
-    revision: int
-
-
 class Removals(Part):
-    """See `worker.service.ports.Removals`."""
+    """See `worker.service.ports.Removals`.
+
+    Parameters
+    ----------
+    database : Database
+    images : ImageStore
+    holding : function
+        Snapshots that have images of some digests, also of those that were being made; see `SnapshotContents.holding`.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        images: ImageStore,
+        holding: Callable[[Collection[str], Sequence[str]], tuple[Holding, ...]],
+    ) -> None:
+        super().__init__(database, images)
+        self._holding = holding
 
     def delete_view(self, view_id: str) -> Removal:
         """Remove a view completely; raises NotFound."""
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
+            started = _being_made(connection, row.map_id)
         gone = self._remove(row.map_id, [row.seq])
         if gone.views == 0:  # deleted by another call meanwhile
             with self._database.reading() as connection:
                 find_view(connection, view_id)
-        return Removal(*gone)
+        return self._receipt([gone], gone.revision, started)
 
     def delete_views(self, name: str, filters: Filters) -> Removal:
         """Remove all views of a map that the filters select at the time of the call; raises NotFound."""
@@ -44,12 +59,9 @@ class Removals(Part):
             row = find_map(connection, name)
             fit = [VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id)]
             seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*fit).order_by(VIEWS.c.seq)))
+            started = _being_made(connection, row.id)
         portions = [self._remove(row.id, seqs[start : start + PORTION]) for start in range(0, len(seqs), PORTION)]
-        return Removal(
-            views=sum(portion.views for portion in portions),
-            images=sum(portion.images for portion in portions),
-            revision=portions[-1].revision if portions else row.revision,
-        )
+        return self._receipt(portions, portions[-1].revision if portions else row.revision, started)
 
     def delete_map(self, name: str) -> Removal:
         """Remove a map, its views and their images; raises NotFound."""
@@ -60,7 +72,7 @@ class Removals(Part):
             clock.tick(connection, map_id)
             # Without a name no call finds it; its views are deleted next, or by recovery after a crash.
             connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(name=None))
-            connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
+            connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))  # a snapshot that is being made ends
             return map_id
 
         return self.clear(self._database.freeing(take_name))
@@ -74,7 +86,7 @@ class Removals(Part):
 
     def clear(self, map_id: int) -> Removal:
         """Remove a map without a name, by its number."""
-        views = images = 0
+        portions = []
         queries = 0
         while portion_of := self._database.freeing(
             lambda connection: drop_oldest(connection, map_id, 0, PORTION, matched=None)
@@ -86,29 +98,78 @@ class Removals(Part):
                 seqs = list(connection.scalars(some))
             if not seqs:
                 break
-            portion = self._remove(map_id, seqs)
-            views, images = views + portion.views, images + portion.images
+            portions.append(self._remove(map_id, seqs))
         self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
-        return Removal(views, images, None, queries)
+        return replace(self._receipt(portions, None, []), queries=queries)
 
-    def _remove(self, map_id: int, seqs: Sequence[int]) -> _Gone:
+    def _receipt(self, portions: Sequence["_Gone"], revision: int | None, started: Sequence[str]) -> Removal:
+        digests = [digest for portion in portions for digest in portion.digests]
+        files = sum(portion.images for portion in portions)
+        with self._database.reading() as connection:
+            needed = needs_image(connection)
+            there = {
+                digest
+                for some in batches(digests)
+                for digest in connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(some), needed))
+            }
+        return Removal(
+            views=sum(portion.views for portion in portions),
+            images=files,
+            revision=revision,
+            queries=sum(portion.queries for portion in portions),
+            descriptions=sum(portion.descriptions for portion in portions),
+            searched=sum(portion.searched for portion in portions),
+            images_shared=len(there),
+            snapshots=self._holding(digests, started),
+        )
+
+    def _remove(self, map_id: int, seqs: Sequence[int]) -> "_Gone":
         """Delete views of a map, then the images that no view needs."""
 
-        def remove(connection: sa.Connection) -> tuple[int, list[str], int]:
+        def remove(connection: sa.Connection) -> _Gone:
             which = VIEWS.c.seq.in_(seqs)
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256).where(which)))
+            descriptions = searched = queries = 0
             if rows:
+                there = list(connection.execute(_DESCRIBED, {"seqs": seqs}))
+                descriptions, searched = len(there), sum(one.recipe == one.searched_by for one in there)
                 bury(connection, map_id, [row.seq for row in rows])
                 # SQLite adds no reference to a table that is there.
-                connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs)))
+                queries = connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs))).rowcount
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
                 if (shadow := connection.scalar(sa.select(MAPS.c.shadow).where(MAPS.c.id == map_id))) is not None:
                     switching.drop_rows(connection, shadow, {row.id for row in rows})
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
-            return len(rows), [row.sha256 for row in rows], int(revision)
+            digests = [str(row.sha256) for row in rows]
+            return _Gone(len(rows), 0, int(revision), digests, descriptions, searched, queries)
 
-        views, digests, revision = self._database.freeing(remove)
-        images = self._images.discard(digests)
+        gone = self._database.freeing(remove)
+        images = self._images.discard(gone.digests)
         self._database.tidy()
-        return _Gone(views, images, revision)
+        return gone._replace(images=images)
+
+
+class _Gone(NamedTuple):
+    """What one transaction deleted; `images`: files that were removed after it."""
+
+    views: int
+    images: int
+    revision: int
+    digests: list[str]
+    descriptions: int
+    searched: int
+    queries: int
+
+
+_DESCRIBED = (
+    sa.select(DESCRIPTIONS.c.recipe, MAPS.c.recipe.label("searched_by"))
+    .join(MAPS, MAPS.c.id == DESCRIPTIONS.c.map_id)
+    .where(DESCRIPTIONS.c.seq.in_(sa.bindparam("seqs", expanding=True)))
+)
+
+
+def _being_made(connection: sa.Connection, map_id: int) -> list[str]:
+    """Ids of the snapshots of a map that are being made."""
+    running = JOBS.c.map_id == map_id, JOBS.c.kind == "snapshot", JOBS.c.state == "running"
+    return list(connection.scalars(sa.select(JOBS.c.id).where(*running)))

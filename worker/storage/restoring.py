@@ -235,6 +235,7 @@ class _Restoration:
                 "keep_queries": told.keep_queries or None,
                 "keep_matches": told.keep_matches or None,
                 "refuse_poor": told.refuse_poor or None,
+                "blur": as_json(list(told.blur)) if told.blur else None,
                 "created_at": told.map_created_at,
             }
             made = connection.execute(sa.insert(MAPS).values(name=None, revision=born, anew=born, **columns))
@@ -271,6 +272,7 @@ class _Restoration:
             "enrolled_at": view.enrolled_at,
             "elapsed_us": max(self._elapsed_us, view.elapsed_us + self._shift_us),
             **fact_columns(facts(view)),
+            "sent_sha256": view.sent_sha256,
             **attribute_columns(said),
         }
         state = {"state": view.state, "failure_code": view.failure_code, "failure_detail": view.failure_detail}

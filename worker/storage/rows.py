@@ -9,6 +9,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from schemas.blur import BLUR_WORDS
 from schemas.errors import Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe, RankingConfig
@@ -95,6 +96,17 @@ def recipe_of(recipe: str, body: str) -> DescriptionRecipe:
     return found
 
 
+def blur_of(row: sa.Row[Any]) -> tuple[str, ...]:
+    """What a map blurs; everything that a word names where the row is damaged so that it cannot be read."""
+    if row.blur is None:
+        return ()
+    try:
+        words = json.loads(row.blur)
+    except (TypeError, ValueError):
+        return BLUR_WORDS
+    return tuple(words) if isinstance(words, list) and all(isinstance(word, str) for word in words) else BLUR_WORDS
+
+
 def map_record(connection: sa.Connection, row: sa.Row[Any]) -> MapRecord:
     """A map from its row."""
     return map_by(find_recipe(connection, row.recipe), row)
@@ -126,6 +138,7 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
         keep_matches=keep_matches,
         keep_images=keep_images,
         shadow=shadow,
+        blur=blur_of(row),
     )
 
 

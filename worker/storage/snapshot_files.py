@@ -42,6 +42,9 @@ MOST_PART = 1024 * 1024 * 1024
 _SLACK = 64
 """Spaces after the facts, for the digits of counts that are known at the end."""
 
+_DIGEST = re.compile(rb'"elapsed_us":[0-9]+,"sha256":"([0-9a-f]{64})"')
+"""Of the image of a view, in its line."""
+
 _NAME = re.compile(
     r"snapshot\.json|vocabulary\.safetensors|images/[0-9a-f]{64}|(?:views|comparisons)/[0-9]{6,9}\.ndjson"
     r"|manifest\.ndjson|manifest\.sha256"
@@ -201,6 +204,30 @@ class SnapshotReader:
                 raise BadSnapshot(f"its {MANIFEST} does not have the SHA-256 of {SEAL}: one of them was changed")
             if file.read(len(END) + 1) != END:
                 raise BadSnapshot("something stands behind its end, or the end is cut off")
+
+    def digests(self) -> frozenset[bytes]:
+        """SHA-256 of the images of all views, also of those whose image is not in it; nothing is verified.
+
+        Raises
+        ------
+        BadSnapshot
+        """
+        found: set[bytes] = set()
+        keeps_images = self.facts().keep_images
+        with self._path.open("rb") as file:
+            while True:
+                name, size = _read_header(file)
+                if name == MANIFEST:
+                    return frozenset(found)
+                if name.startswith(IMAGE):
+                    found.add(bytes.fromhex(name.removeprefix(IMAGE)))
+                elif name.startswith(VIEWS) and not keeps_images:
+                    if size > MOST_PART:
+                        raise BadSnapshot(f"its part {name} has {size:,} bytes; at most {MOST_PART:,} are taken")
+                    body = _read(file, size, name)
+                    found.update(bytes.fromhex(digest.decode()) for digest in _DIGEST.findall(body))
+                    continue
+                file.seek(size + len(_padding(size)), os.SEEK_CUR)
 
     def parts(self, kind: str) -> Iterator[Part]:
         """Read the parts of a kind again, each compared with what was verified."""

@@ -82,6 +82,7 @@ def _view_line(row: sa.Row[Any], described: dict[str, bytes] | None) -> bytes:
         "enrolled_at": _moment(row.enrolled_at),
         "elapsed_us": row.elapsed_us,
         "sha256": row.sha256,
+        "sent_sha256": row.sent_sha256,
         "width": row.width,
         "height": row.height,
         "byte_count": row.byte_count,

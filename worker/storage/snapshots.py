@@ -1,7 +1,7 @@
 """Snapshots: files of single maps, made at one revision while the service works, and kept in the data folder."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -10,6 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import BadSnapshot, Damaged, NotFound
 from schemas.recipe import DescriptionRecipe
+from schemas.records import Holding
 from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
@@ -17,6 +18,7 @@ from worker.storage.image_files import sync_folder
 from worker.storage.image_store import ImageStore, needs_image
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_recipe, log, map_record
+from worker.storage.snapshot_contents import SnapshotContents
 from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotReader, SnapshotWriter
 from worker.storage.snapshot_rows import comparison_lines, view_lines
 from worker.storage.tables import CELLS, JOBS, VOCABULARIES
@@ -47,6 +49,7 @@ class Snapshots(Part):
     def __init__(self, database: Database, images: ImageStore, folder: Path) -> None:
         super().__init__(database, images)
         self._folder = folder
+        self._contents = SnapshotContents(folder, SUFFIX)
 
     # made
 
@@ -113,6 +116,7 @@ class Snapshots(Part):
             keep_queries=record.keep_queries,
             keep_matches=record.keep_matches,
             refuse_poor=record.refuse_poor,
+            blur=record.blur,
         )
         writer = SnapshotWriter(file, facts)
         try:
@@ -197,6 +201,10 @@ class Snapshots(Part):
                 return SnapshotRecord(SnapshotReader(path).facts(), path.stat().st_size)
         except FileNotFoundError:
             raise NotFound("snapshot", snapshot_id) from None
+
+    def holding(self, digests: Collection[str], started: Sequence[str] = ()) -> tuple[Holding, ...]:
+        """As `SnapshotContents.holding`."""
+        return self._contents.holding(digests, started)
 
     def open(self, snapshot_id: str) -> BinaryIO:
         """The file of a snapshot, for reading; it can be read to its end even if it is deleted meanwhile."""

@@ -73,7 +73,6 @@ class SqlStore:
         self.enrolment = Enrolment(database, images)
         self.jobs = self.workers = Workers(database, images)
         self.views = Views(database, images)
-        self.removals = Removals(database, images)
         self.listings = Listings(database, images)
         self.descriptions = Descriptions(database, images)
         self.comparisons = Comparisons(database, images)
@@ -83,6 +82,7 @@ class SqlStore:
         self.keys = Keys(database, images)
         self.pruning = Pruning(database, images)
         self.snapshots = Snapshots(database, images, data / "snapshots")
+        self.removals = Removals(database, images, self.snapshots.holding)
         self.restoring = Restoring(database, images, self.removals)
         self.uploads = Uploads(data / "imports", database.space)
 

@@ -70,6 +70,7 @@ MAPS = sa.Table(
     sa.Column("refuse_poor", sa.Boolean),  # whether poor images are refused; NULL: no
     sa.Column("drop_images", sa.Boolean),  # whether images are removed once they are described; NULL: no
     sa.Column("shadow", sa.Text),  # id of the job of its shadow: next_recipe waits to be told; NULL: none
+    sa.Column("blur", sa.Text),  # JSON: words whose cells are covered before an image is stored; NULL: none
     _seal(),
     _unsealed("maps", "id"),
     sqlite_autoincrement=True,
@@ -105,10 +106,18 @@ VIEWS = sa.Table(
     sa.Column("failure_code", sa.Text),
     sa.Column("failure_detail", sa.Text),
     sa.Column("elapsed_us", sa.BigInteger, nullable=False, server_default="0"),  # see enrolment_order.py
+    sa.Column("sent_sha256", sa.Text),  # of what was sent, where a blurred image is stored in its place
     _checksum(),
     sa.UniqueConstraint("map_id", "sha256", name="views_once_per_map"),
     sa.Index("views_by_map", "map_id", "seq"),
     sa.Index("views_by_picture", "sha256"),
+    sa.Index(
+        "views_by_sent",
+        "map_id",
+        "sent_sha256",
+        sqlite_where=sa.text("sent_sha256 IS NOT NULL"),
+        postgresql_where=sa.text("sent_sha256 IS NOT NULL"),
+    ),
     sa.Index("views_by_place", "map_id", "place"),
     sa.Index("views_by_capture", "map_id", "captured_at"),
     sa.Index("views_by_elapsed", "map_id", "elapsed_us"),

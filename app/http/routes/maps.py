@@ -11,6 +11,7 @@ from app.http.dependencies import Curates, MapName, no_parameters
 from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
+from app.http.snapshot_presenters import allowed
 from app.http.validation import Parameters, validated
 from schemas.errors import InvalidParameters
 from schemas.requests import PatchMap, PostCalibration, PostRecipe, PutMap
@@ -92,6 +93,8 @@ async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFac
         raise InvalidParameters.of("ranking", f"is missing: some of {', '.join(PatchMap.model_fields)} are needed")
     if changes.ranking is not None:  # first, as the next: they may be refused
         facts = await curator.change_ranking(name, changes.ranking)
+    if changes.blur is not None:
+        facts = await curator.blur(name, changes.blur)
     if changes.keep_images is not None:
         facts = await curator.keep_images(name, changes.keep_images)
     if changes.keep_queries is not None:
@@ -104,9 +107,9 @@ async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFac
 
 
 @router.delete("/maps/{map}", response_model=Deleted, responses=refusals("not-found"))
-async def delete_map(name: MapName, curator: Curates) -> Deleted:
+async def delete_map(name: MapName, curator: Curates, access: Accesses) -> Deleted:
     """Delete a map, its views and their images."""
-    return await curator.delete_map(name)
+    return allowed(await curator.delete_map(name), access.may_use)
 
 
 @router.post(

@@ -13,6 +13,7 @@ from app.http.keys import Accesses, check_map
 from app.http.merge_patch import merge
 from app.http.openapi import refusals, takes_json
 from app.http.parameters import AttributesDocument, DeleteViews, ListViews
+from app.http.snapshot_presenters import allowed
 from app.http.validation import validated
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.records import ViewAttributes
@@ -69,7 +70,7 @@ async def list_views(params: Annotated[ListViews, Query()], curator: Curates, ac
 async def delete_views(params: Annotated[DeleteViews, Query()], curator: Curates, access: Accesses) -> Deleted:
     """Delete the views of a map that pass the filters, or all of them with `all=true`."""
     check_map(access, params.map)
-    return await curator.delete_views(params.map, params.filters())
+    return allowed(await curator.delete_views(params.map, params.filters()), access.may_use)
 
 
 @router.get(
@@ -98,9 +99,9 @@ async def patch_view(view_id: ViewId, request: Request, curator: Curates) -> Vie
 @router.delete(
     "/views/{view_id}", response_model=Deleted, dependencies=[no_parameters], responses=refusals("not-found")
 )
-async def delete_view(view_id: ViewId, curator: Curates) -> Deleted:
+async def delete_view(view_id: ViewId, curator: Curates, access: Accesses) -> Deleted:
     """Delete a view and its image."""
-    return await curator.delete_view(view_id)
+    return allowed(await curator.delete_view(view_id), access.may_use)
 
 
 def _patched(attributes: ViewAttributes, patch: dict[str, Any]) -> ViewAttributes:

@@ -1,0 +1,58 @@
+"""``revisit privacy``: what a map keeps of images and queries, and what it blurs."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from app.cli.console import DONE, Verbs, show, show_json, speaks
+
+if TYPE_CHECKING:
+    from revisit_client.wire import MapFacts
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    parser = verbs.add_parser(
+        "privacy",
+        help="what a map keeps of images, and what it blurs in them",
+        description="Show or change what a map blurs in images before they are stored, and whether it keeps them.",
+    )
+    parser.add_argument("map", nargs="?", default="default")
+    parser.add_argument(
+        "--blur",
+        metavar="WORD,...",
+        help="people, vehicles or labels, covered from the map's first view on; empty: nothing",
+    )
+    parser.add_argument("--drop-images", action="store_true", help="remove all images, for good, once described")
+    speaks(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Change what is asked, then show what the map keeps."""
+    from revisit_client import Revisit
+
+    with Revisit(arguments.url, key=arguments.key) as revisit:
+        if arguments.blur is not None:
+            revisit.blur(arguments.map, *(word.strip() for word in arguments.blur.split(",") if word.strip()))
+        if arguments.drop_images:
+            revisit.keep_images(arguments.map, False)
+        facts = revisit.map(arguments.map)
+    if arguments.json:
+        kept = ("name", "blur", "keep_images", "keep_queries", "keep_matches")
+        show_json({name: getattr(facts, name) for name in kept})
+    else:
+        show("\n".join(_told(facts)))
+    return DONE
+
+
+def _told(facts: "MapFacts") -> list[str]:
+    blurred = f", {' and '.join(facts.blur)} blurred as far as they are found" if facts.blur else ", as they are sent"
+    return [
+        f"{facts.name}: images are {'kept' + blurred if facts.keep_images else 'removed once they are described'}",
+        f"    queries that matched nothing: {_most(facts.keep_queries)}",
+        f"    queries that look unlike what they matched: {_most(facts.keep_matches)}",
+    ]
+
+
+def _most(count: int) -> str:
+    return f"the newest {count:,} are kept" if count else "none is kept"

@@ -1,0 +1,118 @@
+"""What a deletion says: what is gone from where, and which snapshots still have it."""
+
+from pathlib import Path
+
+import pytest
+
+from schemas.records import Filters, Holding, ViewAttributes
+from tests.storage.carried import made, views
+from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, image, recipe
+from worker.storage.store import SqlStore
+
+SECOND = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b91"
+THIRD = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b92"
+
+
+def quiet(done: int, total: int) -> None: ...
+
+
+@pytest.fixture
+def campus(store: SqlStore) -> SqlStore:
+    """Three described views, one of whose images another map has too, and a pending one."""
+    for name in ("gate", "yard", "hall"):
+        enroll(store, name, attributes=ViewAttributes("east" if name != "hall" else "west"))
+    enroll(store, "gate", map="other")
+    describe_all(store)
+    return store
+
+
+def test_what_is_gone_from_where(campus: SqlStore) -> None:
+    campus.jobs.switch_recipe("campus", recipe("next"), NOW)
+    describe_all(campus)  # the descriptions by the recipe of before are kept for the way back
+    campus.maps.keep_queries("campus", 5, matched=True)
+    seq = views(campus)[0].seq
+    by = campus.maps.get("campus").description
+    for name in ("a", "b"):
+        campus.kept_queries.keep("campus", name, by, description(1), image(name), NOW, (seq, 0.5))
+    enroll(campus, "pending", attributes=ViewAttributes("east"))
+
+    receipt = campus.removals.delete_views("campus", Filters(place="east"))
+
+    assert (receipt.views, receipt.descriptions, receipt.searched, receipt.queries) == (3, 4, 2, 2)
+    assert (receipt.images, receipt.images_shared) == (2, 1)
+    assert receipt.revision == campus.maps.revision("campus")
+    assert receipt.snapshots == ()
+    assert campus.kept_queries.newest("campus", 5, matched=True)[1] == 0
+
+
+def test_snapshots_that_still_have_it_are_named_newest_first(campus: SqlStore) -> None:
+    campus.snapshots.make("campus", SECOND, NOW, quiet)
+    gate, yard, hall = views(campus)
+    campus.removals.delete_view(hall.id)
+    campus.snapshots.make("other", THIRD, NOW.replace(hour=13), quiet)
+
+    assert [one.id for one in campus.removals.delete_view(yard.id).snapshots] == [SECOND]
+    receipt = campus.removals.delete_view(gate.id)
+    assert receipt.snapshots == (
+        Holding(THIRD, "other", NOW.replace(hour=13), 1),
+        Holding(SECOND, "campus", NOW, 1),
+    )
+    campus.snapshots.delete(THIRD)
+    whole = campus.removals.delete_map("other")
+    assert [(one.id, one.views) for one in whole.snapshots] == [(SECOND, 1)]
+
+
+def test_a_view_of_later_is_in_no_snapshot_of_before(campus: SqlStore) -> None:
+    campus.snapshots.make("campus", SECOND, NOW, quiet)
+    later = enroll(campus, "later").view
+    describe_all(campus)
+    assert campus.removals.delete_view(later.id).snapshots == ()
+
+
+def test_a_restored_view_is_found_in_the_snapshot_though_it_has_another_id(campus: SqlStore) -> None:
+    campus.snapshots.make("campus", SECOND, NOW, quiet)
+    with campus.snapshots.open(SECOND) as file:
+        restored = campus.restoring.restore(Path(file.name), "copy", NOW)
+    assert restored.new_ids
+    receipt = campus.removals.delete_map("copy")
+    assert [(one.id, one.views) for one in receipt.snapshots] == [(SECOND, 3)]
+    assert (receipt.views, receipt.images, receipt.images_shared) == (3, 0, 3)
+
+
+def test_a_snapshot_without_images_has_the_descriptions(campus: SqlStore) -> None:
+    campus.maps.set_keep_images("campus", False)
+    campus.snapshots.make("campus", SECOND, NOW, quiet)
+    receipt = campus.removals.delete_views("campus", Filters(place="east"))
+    assert [(one.id, one.views) for one in receipt.snapshots] == [(SECOND, 2)]
+    assert receipt.images_shared == 1
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "another"])
+def test_a_snapshot_that_cannot_be_read_stops_no_deletion(campus: SqlStore, data: Path, damage: str) -> None:
+    campus.snapshots.make("campus", SECOND, NOW, quiet)
+    path = data / "snapshots" / f"{SECOND}.snapshot"
+    body = path.read_bytes()
+    damaged = {"cut": body[:2000], "flipped": b"\xff" + body[1:], "empty": b"", "another": b"PK" * 600}
+    path.write_bytes(damaged[damage])
+    view = views(campus)[0]
+    assert campus.removals.delete_view(view.id).snapshots == (Holding(SECOND, None, None, None),)
+    assert len(views(campus)) == 2
+
+
+def test_one_that_is_being_made_is_named_until_it_is_there(campus: SqlStore) -> None:
+    job = campus.jobs.queue_snapshot("campus", NOW)
+    gate, yard, _ = views(campus)
+    assert campus.removals.delete_view(gate.id).snapshots == (), "one that has not begun will not have it"
+    claim = campus.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    assert campus.removals.delete_view(yard.id).snapshots == (Holding(job.id, None, None, None),)
+
+
+def test_the_receipt_of_a_map_counts_what_it_had(campus: SqlStore) -> None:
+    campus.maps.keep_queries("campus", 5)
+    campus.kept_queries.keep("campus", "q", RECIPE.description, description(1), image("q"), NOW)
+    made(campus)
+    receipt = campus.removals.delete_map("campus")
+    assert (receipt.views, receipt.descriptions, receipt.searched, receipt.queries) == (3, 3, 3, 1)
+    assert (receipt.images, receipt.images_shared, receipt.revision) == (2, 1, None)
+    assert [one.views for one in receipt.snapshots] == [3]

@@ -1,0 +1,87 @@
+"""Queries that are kept, blurred where their map says so."""
+
+from collections.abc import Callable
+from datetime import datetime
+from typing import Protocol
+
+from schemas.description import Description
+from schemas.image import Image
+from schemas.recipe import DescriptionRecipe
+from worker.description.describers import Describers
+from worker.description.scheduler import Scheduler
+from worker.service.blurring import Blurring, BlurSettings
+
+
+class KeepsQueries(Protocol):
+    """The part of the store that keeps queries."""
+
+    def keep(
+        self,
+        name: str,
+        query_id: str,
+        recipe: DescriptionRecipe,
+        description: Description,
+        image: bytes,
+        now: datetime,
+        match: tuple[int, float] | None = None,
+        blurred: tuple[str, ...] = (),
+    ) -> None:
+        """Keep a query, unless its map blurs other things than `blurred`."""
+        ...
+
+
+class QueryKeeper:
+    """Keeps queries as the store does; of a blurred one the image and the description are those of what is left.
+
+    Parameters
+    ----------
+    kept : KeepsQueries
+    maps : BlurSettings
+    blurring : Blurring
+    scheduler : Scheduler
+    describers : Describers
+    decode : function
+        Bytes to Image; raises BadImage.
+    """
+
+    def __init__(
+        self,
+        kept: KeepsQueries,
+        maps: BlurSettings,
+        blurring: Blurring,
+        scheduler: Scheduler,
+        describers: Describers,
+        decode: Callable[[bytes], Image],
+    ) -> None:
+        self._kept, self._maps, self._blurring = kept, maps, blurring
+        self._scheduler, self._describers, self._decode = scheduler, describers, decode
+
+    def keep(
+        self,
+        name: str,
+        query_id: str,
+        recipe: DescriptionRecipe,
+        description: Description,
+        image: bytes,
+        now: datetime,
+        match: tuple[int, float] | None = None,
+    ) -> None:
+        """Keep a query; `image` is a small JPEG.
+
+        Raises
+        ------
+        NothingStatic
+            All of it would be blurred, or what is left cannot be described.
+        RevisitError
+            It cannot be blurred or stored now.
+        """
+        words = self._maps.blur(name)
+        if words:
+            blurred = self._blurring.cover(self._decode(image), words, urgent=True)
+            describer = self._describers.of(recipe)
+            # Keypoints of people are features of people: they do not stay either.
+            described = self._scheduler.submit(
+                blurred.image, describer.describe, urgent=True, parallel=describer.keypoints
+            )
+            image, description = blurred.data, described.result().value
+        self._kept.keep(name, query_id, recipe, description, image, now, match, words)

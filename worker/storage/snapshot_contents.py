@@ -1,0 +1,84 @@
+"""Which snapshots have images, or descriptions of them, that were deleted from the maps."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from schemas.errors import BadSnapshot, RevisitError
+from schemas.records import Holding
+from schemas.snapshot import SnapshotFacts
+from worker.storage.disk_errors import translated
+from worker.storage.image_files import DIGEST
+from worker.storage.rows import log
+from worker.storage.snapshot_files import SnapshotReader
+
+KNOWN = 8
+"""Files whose contents are remembered."""
+
+Contents = tuple[SnapshotFacts, frozenset[bytes]]
+"""What a snapshot is, and the SHA-256 of the images of its views."""
+
+
+class SnapshotContents:
+    """Looks into the snapshots of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    suffix : str
+        Of the files.
+    """
+
+    def __init__(self, folder: Path, suffix: str) -> None:
+        self._folder, self._suffix = folder, suffix
+        self._known: OrderedDict[tuple[str, int, int], Contents] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def holding(self, digests: Collection[str], started: Sequence[str]) -> tuple[Holding, ...]:
+        """Snapshots that have images with these SHA-256, newest first; those that cannot be told come last.
+
+        Called after a deletion, which it must not make fail: what cannot be read is told, and logged.
+
+        Parameters
+        ----------
+        digests : collection of str
+        started : sequence of str
+            Ids of snapshots that were being made when the deletion began.
+        """
+        wanted = [bytes.fromhex(digest) for digest in digests if DIGEST.fullmatch(digest)]
+        found, unknown = [], []
+        paths = {path.name.removesuffix(self._suffix): path for path in self._folder.glob(f"*{self._suffix}")}
+        for snapshot_id, path in paths.items():
+            try:
+                with translated("snapshots"):
+                    facts, inside = self._of(path)
+            except FileNotFoundError:  # removed meanwhile
+                continue
+            except RevisitError as error:
+                log.error("whether the snapshot %s has what was deleted is not known: %s", path.name, error.detail)
+                unknown.append(Holding(snapshot_id, None, None, None))
+                continue
+            if held := sum(digest in inside for digest in wanted):
+                found.append((facts.created_at, Holding(snapshot_id, facts.map, facts.created_at, held)))
+        unknown += [Holding(one, None, None, None) for one in started if one not in paths]
+        return tuple([one for _, one in sorted(found, key=lambda pair: pair[0], reverse=True)] + unknown)
+
+    def _of(self, path: Path) -> Contents:
+        """Contents of a file; raises BadSnapshot, OSError."""
+        stat = path.stat()
+        key = (path.name, stat.st_size, stat.st_mtime_ns)
+        with self._lock:
+            if key in self._known:
+                self._known.move_to_end(key)
+                return self._known[key]
+        reader = SnapshotReader(path)
+        try:
+            contents = reader.facts(), reader.digests()
+        except ValueError as error:
+            raise BadSnapshot(f"it cannot be read: {error}") from error
+        with self._lock:
+            self._known[key] = contents
+            while len(self._known) > KNOWN:
+                self._known.popitem(last=False)
+        return contents
