@@ -60,7 +60,7 @@ def test_a_service_that_cannot_search_in_its_database_does_not_start(tmp_path: P
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
     assert started.returncode != 0

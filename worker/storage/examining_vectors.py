@@ -11,6 +11,8 @@ from worker.storage.vector_tables import SEARCHED_MAPS, SEARCHED_VECTORS
 LEAST_RECALL = 0.95
 """Of HNSW; less is a finding."""
 
+NEEDED = "the service does not start before"
+
 TABLE = f"table {SEARCHED_VECTORS.name}"
 
 
@@ -25,10 +27,12 @@ def vector_findings(url: str, *, approximate: bool) -> tuple[str, list[Finding]]
         Whether HNSW is searched.
     """
     engine = dialect.make_reader(url)
+    if engine.dialect.name != "postgresql":  # and its file need not be there
+        return "missing", [Finding("REVISIT_INDEX", vector_tables.SQLITE, NEEDED)]
     try:
         with engine.connect() as plain, dialect.for_reading(plain) as connection, connection.begin():
             if (fault := vector_tables.fault(connection)) is not None:
-                return "missing", [Finding("REVISIT_INDEX", fault, "the service does not start before")]
+                return "missing", [Finding("REVISIT_INDEX", fault, NEEDED)]
             found = [one for row in connection.execute(_SEARCHED) if (one := _short(connection, row)) is not None]
             recalls = [(row.name, row.recall) for row in connection.execute(_SEARCHED) if row.recall is not None]
     except sa.exc.SQLAlchemyError as error:
