@@ -286,10 +286,14 @@ class Filters:
 
 @dataclass(frozen=True)
 class Selection:
-    """Views a search may return, by sequence number: `only` (None: all) without `never`, both ascending int64."""
+    """Views a search may return, by sequence number: `only` (None: all) without `never`, both ascending int64.
+
+    `filters` are left to the index, which applies them inside its search; only one in the database takes any.
+    """
 
     only: Sequence64 | None
     never: Sequence64
+    filters: Filters | None = None
 
 
 @dataclass(frozen=True)
@@ -372,3 +376,28 @@ class Candidates:
     order: Sequence64
     distances: Mapping[str, Floats]
     ranks: Mapping[str, Sequence64]
+
+
+@dataclass(frozen=True, eq=False)
+class VectorsFound:
+    """What a database found for a search, at one revision of the map.
+
+    Parameters
+    ----------
+    revision : int
+        The map's revision that was searched.
+    searched : int
+        Number of views searched.
+    seqs : int64 of shape (n,)
+        Sequence numbers of the nearest views of all channels, ascending.
+    vectors : float32 of shape (n, dimensions)
+        Their histogram vectors, the channels concatenated in the recipe's order.
+    order : int64 of shape (n,)
+        How many views of the map were enrolled before each of them.
+    """
+
+    revision: int
+    searched: int
+    seqs: Sequence64
+    vectors: Floats
+    order: Sequence64

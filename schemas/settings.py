@@ -41,6 +41,9 @@ class Settings(BaseSettings):
     images: str | None = Field(
         None, description="Where images lie: s3://bucket/prefix; default is the folder `pictures` of the data folder."
     )
+    index: Literal["faiss", "pgvector", "pgvector-hnsw"] = Field(
+        "faiss", description="Where vectors are searched: in memory, or in PostgreSQL, exactly or by HNSW."
+    )
     host: str = Field("127.0.0.1", description="Address that `serve` listens on.")
     port: int = Field(8000, ge=0, le=65535, description="Port that `serve` listens on; 0 picks a free one.")
     open: bool = Field(False, description="Allow an address other than loopback although anybody may then call.")

@@ -106,6 +106,12 @@ from .wire_query import (
 from .wire_query import (
     VerificationMatch as VerificationMatch,
 )
+from .wire_readiness import (
+    MapReadiness as MapReadiness,
+)
+from .wire_readiness import (
+    Readiness as Readiness,
+)
 from .wire_shadow import (
     Job as Job,
 )
@@ -341,25 +347,6 @@ class Places(Answer):
 
     places: list[Place]
     next: str | None
-
-
-class MapReadiness(Answer):
-    """Whether a map can be served, and how far its index has followed the database."""
-
-    state: str = Field(description="ok, or what is wrong with it.")
-    revision: int = Field(description="Of the database.")
-    indexed: int | None = Field(
-        description="Revision that the index has; it catches up before every query. null before the first one."
-    )
-
-
-class Readiness(Answer):
-    """Whether the service can enrol and answer, and the state of each part."""
-
-    ready: bool
-    checks: dict[str, str] = Field(description="Name of each part: ok, or what is wrong with it.")
-    maps: dict[str, MapReadiness] = Field(default_factory=dict, description="Each map by its name.")
-    age_s: float = Field(0.0, description="Seconds since the checks were made.")
 
 
 class Version(Answer):

@@ -22,8 +22,9 @@ from worker.loop import Loop
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.search.byte_product import make_product
-from worker.search.catalogue import Catalogue
+from worker.search.choosing import make_catalogue
 from worker.search.flat_index import FlatIndex
+from worker.search.ports import Catalogue, Selecting
 from worker.service.attendance import Attendance, this_process
 from worker.service.blurring import Blurring, BlurringEnrolment
 from worker.service.calibrating import CalibrationService
@@ -48,6 +49,7 @@ from worker.service.searching import Searcher
 from worker.service.settlements import Settlements
 from worker.service.shadows import ShadowService
 from worker.service.snapshots import SnapshotService
+from worker.service.tending import idle_work
 from worker.service.trouble import StoringTrouble
 from worker.service.views import ViewService
 from worker.storage.locks import lock_for_serving
@@ -191,13 +193,14 @@ def build(
     unlock = lock_for_serving(settings.data, datetime.now(UTC)).release if serving else _nothing
     try:
         encoder, segmenter = make_encoder(settings, threads)
-        store = open_store(settings.database_url, settings.data, int(settings.reserve_mb * MEGA), settings.images)
+        reserve = int(settings.reserve_mb * MEGA)
+        store = open_store(settings.database_url, settings.data, reserve, settings.images, settings.index)
         batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
         scheduler = make_scheduler(encoder, batch, settings.queries, segmenter)
         product = make_product(settings)
         general = [general_vocabulary(encoder, name) for name in PRESETS]
         describers = Describers(encoder, store.vocabularies, general, product)
-        catalogue = Catalogue(store.maps, store.descriptions, FlatIndex.of)
+        catalogue, selecting = make_catalogue(store, settings.index)
         decoder = make_decoder(settings)
         trainer = VocabularyTrainer(
             maps=store.maps, views=store.views, vocabularies=store.vocabularies, jobs=store.jobs,
@@ -232,7 +235,7 @@ def build(
                 map_jobs={
                     "vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run, "shadow": shadows.run,
                 },
-                compare=(lambda busy: comparer.step(busy=busy)) if settings.compare else _never,
+                compare=idle_work(store.indexing, comparer if settings.compare else None),
                 decode=decoder.decode_patiently, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
             )  # fmt: skip
@@ -253,7 +256,7 @@ def build(
             settlements=settlements,
             attendance=attendance,
             services=_services(
-                settings, encoder, store, scheduler, describers, catalogue, decoder, product, settlements,
+                settings, encoder, store, scheduler, describers, catalogue, selecting, decoder, product, settlements,
                 default_recipe, loop, attendance, snapshots, shadows, blurring, enrolment,
             ),
             default_recipe=default_recipe,
@@ -274,6 +277,7 @@ def _services(
     scheduler: Scheduler,
     describers: Describers,
     catalogue: Catalogue,
+    selecting: Selecting,
     decoder: Decoder,
     product: Product,
     settlements: Settlements,
@@ -290,7 +294,7 @@ def _services(
     searcher = Searcher(
         maps=store.maps,
         views=store.views,
-        listings=store.listings,
+        listings=selecting,
         descriptions=store.descriptions,
         comparisons=store.comparisons,
         queue=store.jobs,
@@ -384,11 +388,6 @@ def _services(
             product=product,
         ),
     )
-
-
-def _never(busy: bool) -> bool:
-    """Has nothing to do: views are not compared."""
-    return False
 
 
 def _nothing() -> None:

@@ -20,5 +20,5 @@ def run_migrate(arguments: argparse.Namespace) -> int:
     from worker.storage.migrating import migrate
 
     settings.data.mkdir(parents=True, exist_ok=True)
-    show(f"the tables are at revision {migrate(settings.database_url, settings.data)}")
+    show(f"the tables are at revision {migrate(settings.database_url, settings.data, settings.index)}")
     return DONE

@@ -140,6 +140,12 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
     from worker.storage.migrating import newest
     from worker.storage.repairing import is_served
 
+    if settings.index != "faiss":
+        from worker.storage.examining_vectors import vector_findings
+
+        index, lacking = vector_findings(settings.database_url, approximate=settings.index == "pgvector-hnsw")
+        report["index"] = index
+        findings += [str(finding) for finding in lacking]
     found = list(examine(settings.database_url, folder, running=is_served(folder), images=settings.images))
     findings += [str(finding) for finding in found]
     return report | {"tables": newest(), "findings": len(found)}

@@ -90,6 +90,8 @@ class ReadinessCheck:
             "encoder": self._encoder(),
             "worker": self._worker(),
         }
+        if store.vectors is not None and needed["database"] == "ok":
+            needed["index"] = store.vectors.check()
         maps = self._maps() if needed["database"] == "ok" else {}
         broken = {f"map {name}": found.state for name, found in maps.items() if found.state != "ok"}
         ready = all(state == "ok" for state in needed.values())
@@ -123,7 +125,7 @@ class ReadinessCheck:
         return NO_WORKER if runtime.loop is None else "its thread has ended; restart the service"
 
     def _maps(self) -> dict[str, wire.MapReadiness]:
-        indexed = self._runtime.catalogue.revisions()
+        indexed, recalls = self._runtime.catalogue.revisions(), self._runtime.catalogue.recalls()
         found = {}
         for record in self._runtime.store.maps.all():
             state = "ok"
@@ -132,6 +134,9 @@ class ReadinessCheck:
             except RevisitError as error:
                 state = error.detail
             found[record.name] = wire.MapReadiness(
-                state=state, revision=record.revision, indexed=indexed.get(record.name)
+                state=state,
+                revision=record.revision,
+                indexed=indexed.get(record.name),
+                recall=recalls.get(record.name),
             )
         return found

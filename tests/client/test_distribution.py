@@ -26,6 +26,7 @@ PARTS = (
     "wire_health.py",
     "wire_inbox.py",
     "wire_query.py",
+    "wire_readiness.py",
     "wire_snapshots.py",
     "wire_views.py",
 )

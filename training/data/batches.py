@@ -191,7 +191,7 @@ def _stacked(images: Sequence[Pixels]) -> Tensor:
     return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
 
 
-def stream(batches: Batches, start: int, workers: int) -> Iterator[dict[str, Tensor]]:
+def stream(batches: Dataset[dict[str, Tensor]], start: int, workers: int) -> Iterator[dict[str, Tensor]]:
     """Give the batches from step `start` on, without end, drawn by `workers` processes (0: by this one)."""
     loader: DataLoader[dict[str, Tensor]] = DataLoader(
         batches,

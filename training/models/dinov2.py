@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 
 from training.data.images import Pixels
 from training.data.pseudo_labels import Floats16
@@ -42,16 +41,17 @@ class DinoV2:
 
     def __init__(self, path: Path, threads: int = 1, block: int = BLOCK) -> None:
         onnx: Any = importlib.import_module("onnx")
+        runtime: Any = importlib.import_module("onnxruntime")
         model = onnx.load(str(path))
         wanted = f"/blocks.{block}/Add_1_output_0"
         if wanted not in {name for node in model.graph.node for name in node.output}:
             raise ValueError(f"{path} has no output {wanted} within; is it DINOv2 ViT-S/14?")
         del model.graph.output[:]
         model.graph.output.append(onnx.helper.make_tensor_value_info(wanted, onnx.TensorProto.FLOAT, None))
-        options = onnxruntime.SessionOptions()
+        options = runtime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        self._session = onnxruntime.InferenceSession(model.SerializeToString(), options)
+        self._session = runtime.InferenceSession(model.SerializeToString(), options)
 
     def tokens(self, image: Pixels) -> Floats16:
         """Tokens of an RGB image, uint8 (224, 224, 3), row by row: float16 (16, 16, 384)."""

@@ -72,6 +72,10 @@ class Catalogue:
         """The revision of each loaded index by map; waits for no search."""
         return {name: held.index.revision for name, held in list(self._indexes.items())}
 
+    def recalls(self) -> dict[str, float]:
+        """Nothing: every search is exact."""
+        return {}
+
     def forget(self, name: str) -> None:
         """Drop the index of a deleted map."""
         with self._lock:

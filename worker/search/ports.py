@@ -5,10 +5,11 @@ from typing import Protocol
 
 from schemas.comparisons import KnownView
 from schemas.description import Appearance, Floats, Int8s, LocalFeatures
-from schemas.records import Candidates, Changes, MapRecord, Selection
+from schemas.recipe import DescriptionRecipe
+from schemas.records import Candidates, Changes, Filters, MapRecord, Selection, VectorsFound
 
 
-class Index(Protocol):
+class SearchableIndex(Protocol):
     """Nearest histogram vectors of one map, per channel. A cache of the store."""
 
     @property
@@ -21,12 +22,6 @@ class Index(Protocol):
         """Id of the description recipe of its vectors."""
         ...
 
-    def __len__(self) -> int: ...
-
-    def apply(self, changes: Changes) -> None:
-        """Bring the index to the revision of the changes."""
-        ...
-
     def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
         """The union of the `count` nearest views of the selection by each channel.
 
@@ -36,7 +31,92 @@ class Index(Protocol):
         count : int
             Views per channel.
         selection : Selection
+            With filters only where the index lies in the database.
+
+        Raises
+        ------
+        ViewGone
+            The index is no longer that of its map, which has to be taken from the catalogue again.
         """
+        ...
+
+
+class Index(SearchableIndex, Protocol):
+    """An index in memory."""
+
+    def __len__(self) -> int: ...
+
+    def apply(self, changes: Changes) -> None:
+        """Bring the index to the revision of the changes."""
+        ...
+
+
+class Catalogue(Protocol):
+    """The maps' indexes, brought up to date with the store before each search."""
+
+    def index(self, name: str) -> tuple[SearchableIndex, MapRecord]:
+        """The index of a map, with all changes committed before this call, and the map at that revision.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        """
+        ...
+
+    def revisions(self) -> Mapping[str, int]:
+        """The revision of each index that there is by map; waits for no search."""
+        ...
+
+    def recalls(self) -> Mapping[str, float]:
+        """The measured recall of each map that is searched approximately, 0 to 1."""
+        ...
+
+    def forget(self, name: str) -> None:
+        """Drop the index of a deleted map."""
+        ...
+
+
+class Selecting(Protocol):
+    """Which views of a map a search may return."""
+
+    def select(self, name: str, filters: Filters) -> Selection:
+        """The views of a map that the filters select; raises NotFound."""
+        ...
+
+
+class VectorReader(Protocol):
+    """Vectors that the database itself searches."""
+
+    def standing(self, name: str) -> tuple[MapRecord, int, int | None]:
+        """A map, its number, and the revision up to which it can be searched, None: it has to follow; NotFound."""
+        ...
+
+    def follow(self, name: str) -> None:
+        """Bring what is searched up to the map's revision; raises NotFound."""
+        ...
+
+    def revisions(self) -> Mapping[str, int]:
+        """The revision up to which each map is searched."""
+        ...
+
+    def recalls(self) -> Mapping[str, float]:
+        """The measured recall of each map that HNSW searches."""
+        ...
+
+    def nearest(
+        self,
+        name: str,
+        map_id: int,
+        recipe: DescriptionRecipe,
+        vectors: Mapping[str, Floats],
+        count: int,
+        selection: Selection,
+        *,
+        least: int,
+        approximate: bool,
+    ) -> VectorsFound | None:
+        """The nearest views by each channel, as of one revision, at least `least`; None: the map is another by now."""
         ...
 
 

@@ -18,8 +18,8 @@ from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
 from worker.method.own_calibration import Fitted, Indices, Labelled, OwnCalibration, calibrate, consecutive_blocks
-from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
+from worker.search.ports import Catalogue
 from worker.service.comparing import Descriptions
 from worker.service.ports import Comparisons, Listings, Maps, Views
 
@@ -250,8 +250,8 @@ class CalibrationService:
                 raise Conflict(f"the view {view.id} was deleted, or its map was described anew, in the meantime")
             config, fetcher = now.ranking, Fetcher(self._descriptions, self._comparisons, now.description.id)
             count = max(GROUPED, config.searched)
-            found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
             try:
+                found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
                 ranking = cascade.rank(
                     description, found, now.description, config, fetcher, top=GROUPED, product=self._product
                 )

@@ -20,9 +20,8 @@ from worker.method.byte_vectors import Product
 from worker.method.cascade import ViewGone
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_VIEWS, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
-from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
-from worker.search.ports import ComparisonReader, DescriptionReader, Index
+from worker.search.ports import Catalogue, ComparisonReader, DescriptionReader, SearchableIndex
 
 log = logging.getLogger("revisit.worker")
 
@@ -130,7 +129,7 @@ class MapComparer:
         finally:
             self._rest = rest
 
-    def compare(self, seqs: Sequence[int], index: Index, recipe: MapRecipe, among: int) -> list[Comparison]:
+    def compare(self, seqs: Sequence[int], index: SearchableIndex, recipe: MapRecipe, among: int) -> list[Comparison]:
         """Comparisons of some views by a recipe with an index of its own; nothing is stored.
 
         `among`: how many views the index has. Views that were deleted meanwhile are left out.
@@ -139,7 +138,7 @@ class MapComparer:
         return [one for one in made if one is not None]
 
     def _attempt(
-        self, seq: int, index: Index, recipe: DescriptionRecipe, config: RankingConfig, among: int
+        self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
     ) -> Comparison | None:
         """As `_compare`; a view that cannot be compared is logged and left until the map has doubled."""
         try:
@@ -149,7 +148,7 @@ class MapComparer:
             return Comparison(seq, None, None, (), among, 0)
 
     def _compare(
-        self, seq: int, index: Index, recipe: DescriptionRecipe, config: RankingConfig, among: int
+        self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
     ) -> Comparison | None:
         """The comparison of one view; None when views were deleted meanwhile."""
         query = self._descriptions.whole(seq, recipe)
@@ -183,7 +182,7 @@ class MapComparer:
         taken_for = None if level is None else int(others.seqs[0])
         return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best)
 
-    def _search(self, index: Index, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
+    def _search(self, index: SearchableIndex, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
         return index.search(query.vectors, max(2, config.searched), Selection(None, np.array(sorted(never))))
 
     def _rank(

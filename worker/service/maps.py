@@ -13,7 +13,7 @@ from worker.description.ports import Encoder
 from worker.description.presets import Wanted, changed_ranking, make_recipe
 from worker.method.calibration import Calibration
 from worker.method.own_calibration import OwnCalibration
-from worker.search.catalogue import Catalogue
+from worker.search.ports import Catalogue
 from worker.service.blurring import Blurring
 from worker.service.calibrating import own_calibration
 from worker.service.ports import Comparisons, Jobs, Maps, Removals, UploadRemoval

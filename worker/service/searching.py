@@ -1,6 +1,7 @@
 """Searching: which views of a map are like an image, by the map's own recipe."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
@@ -19,11 +20,10 @@ from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.method.cascade import ViewGone
 from worker.method.joining import pooled
-from worker.search.catalogue import Catalogue
 from worker.search.fetcher import Fetcher
 from worker.search.merging import merged
-from worker.search.ports import DescriptionReader
-from worker.service.ports import Comparisons, Listings, Maps, Pending, Views
+from worker.search.ports import Catalogue, DescriptionReader, Selecting
+from worker.service.ports import Comparisons, Maps, Pending, Views
 from worker.service.results import RankedResults, ScoredView, SearchedMap, SearchOutcome
 from worker.service.stopwatch import Stopwatch
 
@@ -56,7 +56,7 @@ class Searcher:
         *,
         maps: Maps,
         views: Views,
-        listings: Listings,
+        listings: Selecting,
         descriptions: DescriptionReader,
         comparisons: Comparisons,
         queue: Pending,
@@ -163,7 +163,7 @@ class Searcher:
         RecipeChanged
             A map's recipe is no longer `recipe`, or the maps are no longer of one kind.
         Unavailable
-            Views that were found were deleted before they could be ranked, `ROUNDS` times.
+            Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
         """
         gone: frozenset[int] = frozenset()
         rounds = 0
@@ -177,12 +177,12 @@ class Searcher:
                 raise RecipeChanged
             config = records[0].ranking
             count = max(top, config.searched if candidates is None else candidates)
-            several = [
-                index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
-                for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
-            ]
-            found = merged(several, count)
             try:
+                several = [
+                    index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
+                    for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
+                ]
+                found = merged(several, count)
                 ranked = cascade.rank(
                     description,
                     found,
@@ -252,4 +252,4 @@ def without(selection: Selection, gone: frozenset[int]) -> Selection:
     """A selection without views that were deleted meanwhile, or are damaged."""
     if not gone:
         return selection
-    return Selection(selection.only, np.union1d(selection.never, np.array(sorted(gone), np.int64)))
+    return replace(selection, never=np.union1d(selection.never, np.array(sorted(gone), np.int64)))

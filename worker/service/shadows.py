@@ -20,9 +20,9 @@ from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
-from worker.search.catalogue import Catalogue, MakeIndex
+from worker.search.catalogue import MakeIndex
 from worker.search.fetcher import Fetcher
-from worker.search.ports import Index
+from worker.search.ports import Catalogue, Index
 from worker.service.comparing import FIRST, ComparisonStore, Descriptions, MapComparer
 from worker.service.inbox import spread
 from worker.service.ports import Comparisons, Listings, Maps, Views

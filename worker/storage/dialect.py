@@ -3,6 +3,8 @@
 import errno
 import os
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -190,6 +192,16 @@ def bounded(silent_s: float, lock: str = "") -> sa.Executable:
     limits = {"lock_timeout": BUSY_S, "idle_in_transaction_session_timeout": silent_s}
     calls = [f"set_config('{name}', '{round(1000 * seconds)}', true)" for name, seconds in limits.items()]
     return sa.text(f"SELECT {', '.join(calls + [lock] * bool(lock))}")
+
+
+@contextmanager
+def raw_cursor(connection: sa.Connection) -> Iterator[Any]:
+    """The driver's own cursor in a transaction, for what SQLAlchemy has no words for."""
+    cursor = connection.connection.cursor()
+    try:
+        yield cursor
+    finally:
+        cursor.close()
 
 
 def is_full(error: BaseException) -> bool:

@@ -27,16 +27,7 @@ class Listings(Part):
     def select(self, name: str, filters: Filters) -> Selection:
         """The views of a map that filters select, as sequence numbers; raises NotFound."""
         with self._database.reading() as connection:
-            map_id = find_map(connection, name).id
-            of_map = VIEWS.c.map_id == map_id
-            seqs = sa.select(VIEWS.c.seq).where(of_map)
-            only = None
-            allowed = allowing(connection, filters, [of_map])
-            if allowed:
-                only = _ascending(connection.scalars(seqs.where(*allowed)))
-            # Each by itself: a search that leaves out the newest views comes with every frame of a robot.
-            never = [_ascending(connection.scalars(seqs.where(e))) for e in excluding(connection, filters, map_id)]
-        return Selection(only, np.unique(np.concatenate([_ascending(()), *never])))
+            return selected(connection, find_map(connection, name).id, filters)
 
     def places(
         self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
@@ -78,6 +69,19 @@ class Listings(Part):
             if _is_text(row.place)
         ]
         return places, following
+
+
+def selected(connection: sa.Connection, map_id: int, filters: Filters) -> Selection:
+    """The views of a map that filters select, as sequence numbers; raises InvalidParameters."""
+    of_map = VIEWS.c.map_id == map_id
+    seqs = sa.select(VIEWS.c.seq).where(of_map)
+    only = None
+    allowed = allowing(connection, filters, [of_map])
+    if allowed:
+        only = _ascending(connection.scalars(seqs.where(*allowed)))
+    # Each by itself: a search that leaves out the newest views comes with every frame of a robot.
+    never = [_ascending(connection.scalars(seqs.where(e))) for e in excluding(connection, filters, map_id)]
+    return Selection(only, np.unique(np.concatenate([_ascending(()), *never])))
 
 
 def _is_text(place: str) -> bool:

@@ -10,7 +10,7 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from schemas.errors import SetupError
-from worker.storage import dialect
+from worker.storage import dialect, vector_tables
 from worker.storage.database import Database
 from worker.storage.locks import MIGRATE, USE, FolderLock, held
 
@@ -61,8 +61,10 @@ def is_current(connection: sa.Connection) -> bool:
     return found == newest()
 
 
-def migrate(url: str, data: Path) -> str:
+def migrate(url: str, data: Path, index: str = "faiss") -> str:
     """Migrate a database while no other process uses its data folder; returns the revision of its tables.
+
+    Where `index` is one in the database, its tables are made too.
 
     Raises
     ------
@@ -72,6 +74,8 @@ def migrate(url: str, data: Path) -> str:
     database = Database(url)
     try:
         enter(database, data, may_migrate=True).release()
+        if index != "faiss":
+            vector_tables.prepare(database)
     finally:
         database.close()
     return newest()

@@ -30,6 +30,9 @@ from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
 from worker.storage.tables import CALLS, CLOCK
 from worker.storage.uploads import Uploads
+from worker.storage.vector_hnsw import VectorIndexing
+from worker.storage.vector_search import VectorSearch
+from worker.storage.vector_tables import prepare
 from worker.storage.views import Views
 from worker.storage.workers import Workers
 
@@ -58,10 +61,18 @@ class SqlStore:
     images : ImageStore
     lost : str or None
         What was wrong with the database's log when the store was opened: rows may be missing.
+    index : str
+        ``faiss``, ``pgvector`` or ``pgvector-hnsw``: whether the database itself searches vectors.
     """
 
     def __init__(
-        self, database: Database, data: Path, share: FolderLock, images: ImageStore, lost: str | None = None
+        self,
+        database: Database,
+        data: Path,
+        share: FolderLock,
+        images: ImageStore,
+        lost: str | None = None,
+        index: str = "faiss",
     ) -> None:
         self._database = database
         self._lost = lost
@@ -85,6 +96,8 @@ class SqlStore:
         self.removals = Removals(database, images, self.snapshots.holding)
         self.restoring = Restoring(database, images, self.removals)
         self.uploads = Uploads(data / "imports", database.space)
+        self.vectors = None if index == "faiss" else VectorSearch(database, images)
+        self.indexing = VectorIndexing(database, images) if index == "pgvector-hnsw" else None
 
     def recover(self) -> None:
         """Clean up after a crash: delete unfinished calls, maps, snapshots and images, and uploads without a job;
@@ -161,7 +174,9 @@ class SqlStore:
         self._share.release()
 
 
-def open_store(url: str, data: Path, reserve_bytes: int = 0, images: str | None = None) -> SqlStore:
+def open_store(
+    url: str, data: Path, reserve_bytes: int = 0, images: str | None = None, index: str = "faiss"
+) -> SqlStore:
     """Open the store of a data folder.
 
     A SQLite file is migrated first, if no other process uses the folder; a PostgreSQL database only when it is empty
@@ -177,6 +192,8 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0, images: str | None 
         Space kept for deletions; see space.py.
     images : str or None
         ``s3://bucket/prefix``; None for the folder ``pictures`` in the data folder.
+    index : str
+        As for `SqlStore`; the tables of another one than ``faiss`` are made when they are missing.
 
     Raises
     ------
@@ -191,7 +208,9 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0, images: str | None 
         lost = _log_fault(database)  # before SQLite reads the log and takes what it cannot read for never written
         share = enter(database, data, may_migrate=migrates_by_itself(database))
         database.space = Space(_folders(database, data), reserve_bytes)
-        return SqlStore(database, data, share, place, lost)
+        if index != "faiss":
+            _prepare_or_release(database, share)
+        return SqlStore(database, data, share, place, lost, index)
     except SetupError:
         database.close()
         raise
@@ -213,6 +232,15 @@ def open_store(url: str, data: Path, reserve_bytes: int = 0, images: str | None 
         raise SetupError(f"the database cannot be used: {error.orig}; see REVISIT_DATABASE") from error
     except BaseException:
         database.close()
+        raise
+
+
+def _prepare_or_release(database: Database, share: FolderLock) -> None:
+    """Make what pgvector needs; the data folder is released where that cannot be."""
+    try:
+        prepare(database)
+    except BaseException:
+        share.release()
         raise
 
 

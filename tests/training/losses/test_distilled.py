@@ -32,7 +32,7 @@ def test_the_head_learns_and_the_network_below_stays_as_it_is() -> None:
     for _ in range(12):
         total, logged = losses(given)
         optimizer.zero_grad()
-        total.backward()  # type: ignore[no-untyped-call]
+        total.backward()
         optimizer.step()
         seen.append(logged["distance"].item())
 

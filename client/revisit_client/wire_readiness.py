@@ -1,0 +1,1 @@
+../../schemas/wire_readiness.py

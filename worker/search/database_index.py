@@ -1,0 +1,135 @@
+"""Search inside the database: one index per map that holds no vectors, and the catalogue of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from schemas.description import Floats
+from schemas.recipe import DescriptionRecipe
+from schemas.records import Candidates, Changes, Filters, MapRecord, Selection, VectorsFound
+from worker.method.cascade import ViewGone
+from worker.search.flat_index import FlatIndex
+from worker.search.ports import VectorReader
+
+_NONE = np.zeros(0, np.int64)
+
+ROUNDS = 10
+"""Attempts to meet a map and its vectors at one revision."""
+
+
+@dataclass(frozen=True)
+class DatabaseIndex:
+    """The index of a map as `standing` found it; see `worker.search.ports.SearchableIndex`.
+
+    The database finds the nearest views; a `FlatIndex` of those alone ranks them, so that distances and ties come out
+    as they do in memory.
+
+    Parameters
+    ----------
+    vectors : VectorReader
+    name : str
+        Of the map.
+    map_id : int
+    of : DescriptionRecipe
+    revision : int
+        What it has at least.
+    approximate : bool
+    """
+
+    vectors: VectorReader
+    name: str
+    map_id: int
+    of: DescriptionRecipe
+    revision: int
+    approximate: bool
+
+    @property
+    def recipe(self) -> str:
+        """Id of the description recipe of its vectors."""
+        return self.of.id
+
+    def search(self, vectors: Mapping[str, Floats], count: int, selection: Selection) -> Candidates:
+        """The union of the `count` nearest views of the selection by each channel.
+
+        Raises
+        ------
+        ViewGone
+            The map was deleted or changed its recipe meanwhile: it has to be taken from the catalogue again.
+        InvalidParameters
+            The filters of the selection do not fit the map.
+        """
+        found = self.vectors.nearest(
+            self.name,
+            self.map_id,
+            self.of,
+            vectors,
+            count,
+            selection,
+            least=self.revision,
+            approximate=self.approximate,
+        )
+        if found is None:
+            raise ViewGone
+        return _ranked(found, self.of, vectors, count)
+
+
+def _ranked(found: VectorsFound, recipe: DescriptionRecipe, vectors: Mapping[str, Floats], count: int) -> Candidates:
+    flat = FlatIndex.of(recipe)
+    flat.apply(Changes(found.revision, recipe.id, found.seqs, found.vectors, _NONE))
+    ranked = flat.search(vectors, count, Selection(None, _NONE))
+    order = found.order[np.searchsorted(found.seqs, ranked.seqs)]
+    return Candidates(found.revision, found.searched, ranked.seqs, order, ranked.distances, ranked.ranks)
+
+
+class DatabaseCatalogue:
+    """The maps' indexes in the database, brought up to date before each search; nothing is kept in memory.
+
+    Parameters
+    ----------
+    vectors : VectorReader
+    approximate : bool
+        Whether HNSW may be used, where it was built.
+    """
+
+    def __init__(self, vectors: VectorReader, *, approximate: bool = False) -> None:
+        self._vectors, self._approximate = vectors, approximate
+
+    def index(self, name: str) -> tuple[DatabaseIndex, MapRecord]:
+        """The index of a map, with all changes committed before this call, and the map at that revision.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        """
+        least: int | None = None
+        for attempt in count():
+            record, map_id, revision = self._vectors.standing(name)
+            least = record.revision if least is None else least
+            # Of a map that others change without a pause, all changes before this call are enough.
+            if revision is not None and revision >= (record.revision if attempt < ROUNDS else least):
+                recipe = record.description
+                return DatabaseIndex(self._vectors, name, map_id, recipe, revision, self._approximate), record
+            self._vectors.follow(name)
+        raise AssertionError("unreachable")
+
+    def revisions(self) -> Mapping[str, int]:
+        """The revision of each map that was searched."""
+        return self._vectors.revisions()
+
+    def recalls(self) -> Mapping[str, float]:
+        """The recall of each map that HNSW searches, against an exact search."""
+        return self._vectors.recalls() if self._approximate else {}
+
+    def forget(self, name: str) -> None:
+        """Nothing is held of a deleted map; its rows went with it."""
+
+
+class InsideSearch:
+    """Leaves filters to the index, so that it applies them inside its search; see `worker.search.ports.Selecting`."""
+
+    def select(self, name: str, filters: Filters) -> Selection:
+        """The filters themselves."""
+        return Selection(None, _NONE, None if filters == Filters() else filters)

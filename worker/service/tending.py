@@ -1,0 +1,31 @@
+"""What a worker does when no job waits: build indexes, compare views."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+
+class Indexing(Protocol):
+    """Indexes that are built in the background."""
+
+    def step(self) -> bool:
+        """Do one piece of work; returns whether there was anything to do."""
+        ...
+
+
+class Comparing(Protocol):
+    """Comparisons of a map's views."""
+
+    def step(self, *, busy: bool = False) -> bool:
+        """Compare a portion of views; returns whether there was anything to do."""
+        ...
+
+
+def idle_work(indexing: Indexing | None, comparer: Comparing | None) -> Callable[[bool], bool]:
+    """One piece of what is given; its argument says whether images wait to be described."""
+
+    def step(busy: bool) -> bool:
+        if indexing is not None and indexing.step():
+            return True
+        return comparer is not None and comparer.step(busy=busy)
+
+    return step

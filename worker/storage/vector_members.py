@@ -1,0 +1,80 @@
+"""Which views of a map are searched in PostgreSQL: their sequence numbers, 8 bytes a view in memory.
+
+A search says how many views it had and how many were enrolled before each that it found. Counting them in the database
+would read the whole map for every query.
+"""
+
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from schemas.records import Sequence64
+from worker.storage.rows import batches
+from worker.storage.tables import DESCRIPTIONS, TOMBSTONES
+from worker.storage.vector_tables import SEARCHED_VECTORS
+
+
+@dataclass(frozen=True)
+class _Known:
+    revision: int  # up to which vectors were added
+    deleted: int  # up to which deletions were followed
+    anew: int
+    seqs: Sequence64
+
+
+class Members:
+    """Follows the searched views of each map by revision; for any thread."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, _Known] = {}
+        self._lock = threading.Lock()
+
+    def of(self, connection: sa.Connection, row: sa.Row[Any], held: sa.Row[Any]) -> Sequence64:
+        """The sequence numbers of a map's searched views in a transaction's snapshot, ascending.
+
+        Parameters
+        ----------
+        connection : Connection
+        row
+            Of the map.
+        held
+            Of the map by a recipe among the searched ones.
+        """
+        with self._lock:
+            known = self._known.get(held.id)
+        if known is None or known.anew != row.anew or known.revision > held.revision or known.deleted > row.revision:
+            own = SEARCHED_VECTORS.c.searched_id == held.id, SEARCHED_VECTORS.c.channel == 0
+            seqs = np.sort(_array(connection.scalars(sa.select(SEARCHED_VECTORS.c.seq).where(*own))))
+        elif (known.revision, known.deleted) == (held.revision, row.revision):
+            return known.seqs
+        else:
+            later = TOMBSTONES.c.map_id == row.id, TOMBSTONES.c.revision > known.deleted
+            gone = _array(connection.scalars(sa.select(TOMBSTONES.c.seq).where(*later)))
+            seqs = np.union1d(np.setdiff1d(known.seqs, gone), _added(connection, row.id, held, known.revision))
+        with self._lock:
+            self._known[held.id] = _Known(int(held.revision), int(row.revision), int(row.anew), seqs)
+        return seqs
+
+
+def _added(connection: sa.Connection, map_id: int, held: sa.Row[Any], revision: int) -> Sequence64:
+    """Views described since a revision that are searched."""
+    since = sa.select(DESCRIPTIONS.c.seq).where(
+        DESCRIPTIONS.c.map_id == map_id,
+        DESCRIPTIONS.c.recipe == held.recipe,
+        DESCRIPTIONS.c.revision > revision,
+        DESCRIPTIONS.c.revision <= held.revision,
+    )
+    own = SEARCHED_VECTORS.c.searched_id == held.id, SEARCHED_VECTORS.c.channel == 0
+    found: list[int] = []
+    for portion in batches(list(connection.scalars(since))):
+        there = sa.select(SEARCHED_VECTORS.c.seq).where(*own, SEARCHED_VECTORS.c.seq.in_(portion))
+        found += connection.scalars(there)
+    return _array(found)
+
+
+def _array(seqs: Iterable[int]) -> Sequence64:
+    return np.fromiter(seqs, np.int64)
