@@ -22,7 +22,7 @@ from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
 from worker.method.places import Places
 from worker.search.fetcher import Fetcher
-from worker.search.ports import Index
+from worker.search.ports import SearchableIndex
 
 ROUNDS = 5
 """Attempts at a query; one is repeated when a view that it found is deleted before it ends."""
@@ -35,7 +35,7 @@ class Side:
     Parameters
     ----------
     recipe : MapRecipe
-    index : Index
+    index : SearchableIndex
         Of the map's views by it.
     fetcher : Fetcher
     levels : MapLevels
@@ -46,7 +46,7 @@ class Side:
     """
 
     recipe: MapRecipe
-    index: Index
+    index: SearchableIndex
     fetcher: Fetcher
     levels: MapLevels
     calibration: Calibration
