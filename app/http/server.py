@@ -1,10 +1,14 @@
 """The uvicorn server: bounded connections, and a stop that answers every caller."""
 
 import asyncio
+import contextlib
+import ctypes
 import logging
 import os
 import signal
 import socket
+import struct
+import sys
 from collections.abc import Callable
 from types import FrameType
 
@@ -25,6 +29,9 @@ STAY_S = 0.5
 
 ACCEPT_S = 0.1
 """Seconds to accept the callers that were connecting when the port is closed."""
+
+_SO_ATTACH_FILTER = 26
+"""`asm-generic/socket.h`; Python does not name it."""
 
 
 def configured(app: ASGIApp, settings: Settings) -> uvicorn.Config:
@@ -102,10 +109,27 @@ class Server(uvicorn.Server):
     async def _close_port(self, sockets: list[socket.socket]) -> None:
         """Close the port so that nobody who has connected is reset: closing resets what waits to be accepted."""
         for listening in sockets:
-            listening.listen(0)  # the system lets nobody else wait
+            _let_nobody_knock(listening)
         await asyncio.sleep(ACCEPT_S)
         for server in self.servers:
             server.close()
         until = asyncio.get_running_loop().time() + STAY_S
         while self.server_state.connections and asyncio.get_running_loop().time() < until and not self.force_exit:
             await asyncio.sleep(0.02)
+
+
+def _let_nobody_knock(listening: socket.socket) -> None:
+    """Keep a listening socket from beginning handshakes; those that are done can still be accepted.
+
+    On Linux by a filter (classic BPF, `socket(7)`) that drops segments with SYN: whoever connects now tries again after
+    a second, and is then refused, for the port is closed. Elsewhere the queue is made as short as it can be: one may
+    still wait in it when the port closes, and is reset.
+    """
+    listening.listen(0)
+    if sys.platform != "linux":
+        return
+    # Load the byte of TCP's flags; with SYN (2) keep 0 bytes of the segment, else all.
+    program = struct.pack("HBBI" * 4, 0x30, 0, 0, 13, 0x45, 1, 0, 2, 0x06, 0, 0, 0xFFFFFFFF, 0x06, 0, 0, 0)
+    held = ctypes.create_string_buffer(program)
+    with contextlib.suppress(OSError):  # a sandbox may allow no filters
+        listening.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("HP", 4, ctypes.addressof(held)))

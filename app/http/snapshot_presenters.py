@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from schemas import wire
-from schemas.records import Removal
+from schemas.removal import Removal
 from schemas.snapshot import RestoredMap, SnapshotRecord
 
 

@@ -27,6 +27,7 @@ PARTS = (
     "wire_inbox.py",
     "wire_query.py",
     "wire_readiness.py",
+    "wire_shadow.py",
     "wire_snapshots.py",
     "wire_views.py",
 )

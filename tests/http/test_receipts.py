@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 
 from app.http.snapshot_presenters import allowed, removal
-from schemas.records import Holding, Removal
+from schemas.removal import Holding, Removal
 
 MADE = datetime(2026, 11, 24, 9, tzinfo=UTC)
 RECEIPT = Removal(

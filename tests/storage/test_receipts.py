@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas.records import Filters, Holding, ViewAttributes
+from schemas.records import Filters, ViewAttributes
+from schemas.removal import Holding
 from tests.storage.carried import made, views
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, image, recipe
 from worker.storage.store import SqlStore

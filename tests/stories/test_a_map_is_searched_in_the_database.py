@@ -56,7 +56,7 @@ def test_what_one_service_acknowledges_the_database_finds_for_the_other(tmp_path
 def test_a_service_that_cannot_search_in_its_database_does_not_start(tmp_path: Path) -> None:
     started = subprocess.run(
         [sys.executable, "-m", "app.cli", "serve", "--data", str(tmp_path), "--encoder", "color", "--port", "0"],
-        env={"PATH": "", "REVISIT_INDEX": "pgvector"},
+        env={"PATH": "", "PYTHONPATH": "client", "REVISIT_INDEX": "pgvector"},
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,

@@ -159,13 +159,20 @@ def test_imports_are_blurred_and_their_archive_does_not_stay(client: httpx.Clien
         ({"blur": [1]}, 422),
         ({"blur": [f"w{n}" for n in range(21)]}, 422),
         ({"blur": ["people", "building"]}, 409),
-        ({"blur": ["people"]}, 200),
-        ({"blur": ["people", "vehicles"]}, 409),
     ],
 )
 def test_what_cannot_be_blurred_is_refused(client: httpx.Client, body: dict[str, object], status: int) -> None:
     enrol(client, jpeg(street(5)))
     assert client.patch("/maps/shop", json=body).status_code == status
+
+
+def test_words_that_were_given_up_are_not_taken_back_while_there_are_views(client: httpx.Client) -> None:
+    client.put("/maps/stall", json={})
+    assert client.patch("/maps/stall", json={"blur": ["people", "vehicles"]}).status_code == 200
+    assert client.post("/enroll", params={"map": "stall"}, content=jpeg(street(6)), headers=JPEG).status_code == 201
+
+    assert client.patch("/maps/stall", json={"blur": ["people"]}).status_code == 200
+    assert client.patch("/maps/stall", json={"blur": ["people", "vehicles"]}).status_code == 409
 
 
 def test_a_kill_while_enrolling_leaves_nobody_on_the_disk(tmp_path: Path) -> None:

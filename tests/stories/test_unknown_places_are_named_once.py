@@ -144,6 +144,16 @@ def test_the_oldest_are_dropped_and_nothing_is_left_of_a_deleted_map(town: Town)
     town.query("dock")
     town.keep(3)
     town.query("tower")
-    assert town.client.delete("/maps/town").json() == {"views": 5, "images": 5, "queries": 2, "revision": None}
+    assert town.client.delete("/maps/town").json() == {
+        "views": 5,
+        "descriptions": 5,
+        "searched": 5,
+        "images": 5,
+        "images_shared": 0,
+        "queries": 2,
+        "revision": None,
+        "snapshots": [],
+        "snapshots_of_others": 0,
+    }
     with sqlite3.connect(town.data / "revisit.db") as database:
         assert database.execute("SELECT count(*) FROM kept_queries").fetchone() == (0,)

@@ -1,7 +1,6 @@
 """A head that learns a teacher's tokens, on the layers of the exported network; a study, which does not ship.
 
-`docs/research/model-card.md` says what it gave. It would be a third field of the encoder, from the same pass: 6 ms
-more on one thread where the network takes 36.
+`docs/research/model-card.md` says what it gave. It would be a third field of the encoder, from the same pass.
 """
 
 from collections.abc import Mapping

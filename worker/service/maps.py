@@ -7,7 +7,8 @@ from typing import Any
 
 from schemas.comparisons import MapLevels
 from schemas.recipe import DescriptionRecipe, MapRecipe
-from schemas.records import JobRecord, MapCounts, MapRecord, Meaning, Removal
+from schemas.records import JobRecord, MapCounts, MapRecord, Meaning
+from schemas.removal import Removal
 from worker.description.describers import Describers
 from worker.description.ports import Encoder
 from worker.description.presets import Wanted, changed_ranking, make_recipe

@@ -16,11 +16,11 @@ from schemas.records import (
     MapCounts,
     MapRecord,
     Position,
-    Removal,
     Selection,
     ViewAttributes,
     ViewRecord,
 )
+from schemas.removal import Removal
 from worker.search.ports import ComparisonReader
 
 

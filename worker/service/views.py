@@ -8,7 +8,8 @@ import numpy as np
 
 from schemas.description import Floats
 from schemas.errors import Conflict, InvalidParameters
-from schemas.records import Filters, Position, Removal, ViewAttributes, ViewRecord
+from schemas.records import Filters, Position, ViewAttributes, ViewRecord
+from schemas.removal import Removal
 from worker.method.label_terms import dropped, presence
 from worker.service.label_search import terms_of
 from worker.service.ports import Listings, Maps, Removals, Views

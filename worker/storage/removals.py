@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import sqlalchemy as sa
 
-from schemas.records import Filters, Holding, Removal
+from schemas.records import Filters
+from schemas.removal import Holding, Removal
 from worker.storage import clock, switching
 from worker.storage.damage import bury
 from worker.storage.database import Database

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from schemas.errors import BadSnapshot, RevisitError
-from schemas.records import Holding
+from schemas.removal import Holding
 from schemas.snapshot import SnapshotFacts
 from worker.storage.disk_errors import translated
 from worker.storage.image_files import DIGEST

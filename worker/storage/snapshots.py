@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import BadSnapshot, Damaged, NotFound
 from schemas.recipe import DescriptionRecipe
-from schemas.records import Holding
+from schemas.removal import Holding
 from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
