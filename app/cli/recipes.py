@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 from app.cli.console import DONE, Verbs, job_progress, json_object, say, show, show_json, speaks, table, wrong_use
 from app.cli.shadow import show_shadow
 
-DEFAULT_QUERIES = 100
-
 if TYPE_CHECKING:
     from revisit_client import Revisit
     from revisit_client.wire import DynamicPreview, Job
 
 EXAMPLE = '{"candidates": 50}'
+
+DEFAULT_QUERIES = 100
+"""Queries of `--shadow` without a number."""
 
 
 def add(verbs: Verbs) -> None:

@@ -81,14 +81,14 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
     Raises
     ------
     Unavailable
-        Views that were found were deleted before they could be ranked, `ROUNDS` times.
+        Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
     """
     began, recipe, config = time.perf_counter(), side.recipe.description, side.recipe.ranking
     gone: set[int] = set() if own is None else {own}
     for _ in range(ROUNDS):
         selection = Selection(among, np.array(sorted(gone), np.int64))
-        found = side.index.search(description.vectors, max(GROUPED, config.searched), selection)
         try:
+            found = side.index.search(description.vectors, max(GROUPED, config.searched), selection)
             ranking = cascade.rank(description, found, recipe, config, side.fetcher, top=GROUPED, product=product)
         except ViewGone as error:
             gone |= error.seqs
