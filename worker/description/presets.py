@@ -105,7 +105,7 @@ _DEFAULT_RANKING = RankingConfig(
     candidates=50,
     shortlist_from=250,
     weights=TermWeights(
-        dense_full=1.7, dense=0.2, histogram={SEMANTIC: 0.04, DETAIL: 0.04}, graph=0.05, verification=0.2
+        dense_full=1.7, dense=0.2, histogram={SEMANTIC: 0.04, DETAIL: 0.04}, graph=0.05, verification=0.4
     ),
     full_resolution_top_k=12,
     detail_only_top_k=6,
