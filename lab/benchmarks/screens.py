@@ -59,7 +59,8 @@ def chromium() -> Iterator["Browser | None"]:
         browser.close()
 
 
-def _jpeg(look: Scene) -> bytes:
+def encoded(look: Scene) -> bytes:
+    """A drawing as JPEG."""
     out = io.BytesIO()
     PilImage.fromarray(look.pixels).save(out, "JPEG", quality=92)
     return out.getvalue()
@@ -70,7 +71,7 @@ def _enrol(url: str) -> None:
         for name, (x, y) in PLACES.items():
             for number, look in enumerate((scene(name), scene(name).at("overcast").seen_from(dx=-0.6, turn=-4))):
                 fields = {"map": "town", "place": name, "x": str(x + 3 * number), "y": str(y), "wait": "true"}
-                http.post("/enroll", files={"image": (f"{number}.jpg", _jpeg(look))}, data=fields).raise_for_status()
+                http.post("/enroll", files={"image": (f"{number}.jpg", encoded(look))}, data=fields).raise_for_status()
 
 
 def _screen(
@@ -101,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             parser.exit(1, "chromium is not installed (Debian: apt-get install chromium)\n")
         _enrol(running.url)
         photo = Path(folder) / "today.jpg"
-        photo.write_bytes(_jpeg(QUERY))
+        photo.write_bytes(encoded(QUERY))
         laptop = _screen(browser, running.url, photo, LAPTOP, "light", 0)
         phone = _screen(browser, running.url, photo, PHONE, "dark", 520)
     both = PilImage.new("RGB", (laptop.width + GAP_PX + phone.width, laptop.height), "white")

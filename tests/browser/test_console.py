@@ -13,13 +13,14 @@ import httpx
 import pytest
 
 from app.http.examples import VIEW
+from lab.benchmarks import first_answer
 from tests.browser.conftest import LAPTOP, PHONE, PLACES, Open, Tab
 from tests.sample_images import drawn, encoded
 from tests.sample_images import photo as drawn_photo
 from tests.stories.running import RunningService
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Route, ViewportSize
+    from playwright.sync_api import Browser, Route, ViewportSize
 
 SCREENS = ("ask", "enrol", "maps", "maps/town", "service")
 
@@ -176,6 +177,15 @@ def test_of_several_photos_one_is_bad_and_the_others_are_enrolled_with_their_pos
     found = {(one["place"], one["position"]["x"], one["position"]["y"]) for one in views(service, "yard")}
     assert found == {("gate, north", 1.5, -2.0), ("yard", 3.0, 4.0), ("yard", 7.0, 8.0)}
     assert tab.page.get_by_role("button", name="Try again: enrol 1 photo").is_enabled()
+
+
+def test_ten_photos_of_a_newcomer_give_a_sure_answer(
+    chromium: "Browser", service: RunningService, tmp_path: Path
+) -> None:
+    photos, queries = first_answer.drawn(tmp_path)
+    *before, last = first_answer.walk(chromium, service.url, photos, queries)
+    assert [step.name for step in before[:2]] == ["the console opens", "10 photos are enrolled"]
+    assert last.seen == f"This is {photos[queries.index(tmp_path / 'asked' / last.name)].stem}"
 
 
 def test_a_photo_is_placed_by_a_click_on_the_plan(opened: Open, service: RunningService, tmp_path: Path) -> None:
