@@ -5,6 +5,7 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from tests.storage.databases import data_folder, postgres_schema, sqlite_url
 from tests.storage.material import NOW, RECIPE, description, enroll, recipe
 from worker.method.cascade import ViewGone
 from worker.search.choosing import Kind, make_catalogue
-from worker.storage import vector_filling, vector_hnsw
+from worker.storage import vector_filling, vector_hnsw, vector_search, vector_tables
 from worker.storage.examining_vectors import vector_findings
 from worker.storage.migrating import migrate, newest
 from worker.storage.store import SqlStore, open_store
@@ -274,6 +275,42 @@ def test_hnsw_is_built_measured_and_fills_what_filters_leave(url: str, monkeypat
             with node.store.maps._database.reading() as connection:
                 names = sa.inspect(connection).get_indexes(SEARCHED_VECTORS.name)
             assert not [one for one in names if str(one["name"]).startswith("searched_hnsw_")]
+
+
+def test_only_the_approximate_search_reads_the_hnsw_index(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vector_hnsw, "LEAST_VIEWS", 40)
+    draw = np.random.default_rng(0)
+    with data_folder() as folder:
+        node = Node(url, folder, "pgvector-hnsw")
+        with closing(node.store):
+            for number in range(60):
+                enroll(node.store, str(number), attributes=attributes(draw))
+            describe_all(node.store, draw)
+            node.search(drawn(draw), 5, Filters())
+            assert node.store.indexing is not None
+            assert node.store.indexing.step(now_s=100.0)
+            with node.store.maps._database.reading() as connection:
+                held = connection.execute(sa.select(vector_tables.SEARCHED_MAPS)).one()
+                vector = drawn(draw)[next(iter(CHANNELS))]
+                scope = vector_search.Scope(held.id, 0, len(vector), [], on_views=False)
+                vector_tables.see_extension(connection)
+                for way in ("seqscan", "sort"):  # sixty rows are read sooner without an index
+                    connection.execute(sa.text(f"SET LOCAL enable_{way} = off"))
+
+                def plan(approximate: bool) -> str:
+                    asked: list[tuple[str, Any]] = []
+
+                    def note(*of: Any) -> None:
+                        asked.append(of[2:4])
+
+                    sa.event.listen(connection, "before_cursor_execute", note)
+                    assert len(vector_search.nearest(connection, scope, vector, 5, approximate=approximate)) == 5
+                    sa.event.remove(connection, "before_cursor_execute", note)
+                    statement, parameters = asked[-1]
+                    return "\n".join(connection.exec_driver_sql(f"EXPLAIN {statement}", parameters).scalars())
+
+                assert "Index Scan using searched_hnsw_" in plan(approximate=True)
+                assert "searched_hnsw_" not in plan(approximate=False)
 
 
 def test_a_database_that_cannot_search_vectors_is_refused_in_words() -> None:
