@@ -163,23 +163,23 @@ async def model_ready(shared: Shared) -> Response:
 @of_model.post("/versions/1/infer")
 async def infer(request: Request, shared: Shared) -> Response:
     """Layers of images, batched with those of others."""
-    asked, pixels = _read(request.headers.get(JSON_LENGTH), await request.body())
-    parameters = _parameters(asked)
+    message, pixels = _read(request.headers.get(JSON_LENGTH), await request.body())
+    parameters = _parameters(message)
     futures = shared.service.submit(pixels, urgent=parameters.get("priority", 0) in (0, QUERY_PRIORITY))
     fields = await _results(futures, parameters.get("timeout", 0) / 1_000_000 or PATIENCE_S)
     layers = await asyncio.to_thread(stacked, fields)
-    wanted = _wanted(asked)
+    wanted = _wanted(message)
     tensors = {name: layers[layer] for layer, name in OUTPUTS.items() if name in wanted}
     said = {"model_name": shared.service.model, "model_version": "1"}
-    if isinstance(asked.get("id"), str):
-        said["id"] = asked["id"]
+    if isinstance(message.get("id"), str):
+        said["id"] = message["id"]
     length, body = packed("outputs", tensors, said)
     return Response(body, media_type=MEDIA_TYPE, headers={JSON_LENGTH: str(length)})
 
 
 def _read(json_length: str | None, body: bytes) -> tuple[dict[str, Any], Bytes2D]:
     """The request and its images, uint8 of shape (n, height, width, 3)."""
-    asked, tensors = unpacked("inputs", json_length, body)
+    message, tensors = unpacked("inputs", json_length, body)
     pixels = tensors.get(PIXELS)
     seen = {name: (str(tensor.dtype), tensor.shape) for name, tensor in tensors.items()}
     if (
@@ -195,12 +195,12 @@ def _read(json_length: str | None, body: bytes) -> tuple[dict[str, Any], Bytes2D
             f"needed is one input {PIXELS}, uint8 of shape (n, height, width, 3), sides multiples of {SIDE}; "
             f"sent were {seen}",
         )
-    return asked, np.asarray(pixels, np.uint8)
+    return message, np.asarray(pixels, np.uint8)
 
 
-def _parameters(asked: dict[str, Any]) -> dict[str, int]:
+def _parameters(message: dict[str, Any]) -> dict[str, int]:
     """The numbers among the parameters of a request."""
-    given = asked.get("parameters", {})
+    given = message.get("parameters", {})
     if not isinstance(given, dict):
         raise BadBody("malformed-body", f"parameters are an object, not {given!r:.50}")
     numbers = {name: given[name] for name in ("priority", "timeout") if name in given}
@@ -210,9 +210,9 @@ def _parameters(asked: dict[str, Any]) -> dict[str, int]:
     return numbers
 
 
-def _wanted(asked: dict[str, Any]) -> set[str]:
+def _wanted(message: dict[str, Any]) -> set[str]:
     """Names of the outputs that a request names; all where it names none."""
-    outputs = asked.get("outputs") or [{"name": name} for name in OUTPUTS.values()]
+    outputs = message.get("outputs") or [{"name": name} for name in OUTPUTS.values()]
     names = {str(one.get("name")) for one in outputs if isinstance(one, dict)} if isinstance(outputs, list) else set()
     if not names or not names <= set(OUTPUTS.values()):
         raise BadBody("malformed-body", f"outputs are among {', '.join(OUTPUTS.values())}")

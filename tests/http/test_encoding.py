@@ -63,12 +63,13 @@ def pixels(*numbers: int, side: int = 32) -> Bytes2D:
 
 
 def ask(
-    client: TestClient, images: Tensor, model: str | None = None, *, name: str = PIXELS, **asked: object
+    client: TestClient, images: Tensor, model: str | None = None, *, name: str = PIXELS, **further: object
 ) -> httpx.Response:
-    length, body = packed("inputs", {name: images}, asked)
+    length, body = packed("inputs", {name: images}, further)
     model = client.app.state.shared.service.model if model is None else model  # type: ignore[attr-defined]
     headers = {JSON_LENGTH: str(length), "content-type": "application/octet-stream"}
-    return client.post(f"/v2/models/{model}/infer", content=body, headers=headers)
+    answer: httpx.Response = client.post(f"/v2/models/{model}/infer", content=body, headers=headers)
+    return answer
 
 
 def numbers_waiting(client: TestClient, count: int) -> None:
@@ -190,7 +191,7 @@ def test_other_weights_are_an_unknown_model_and_it_says_which_there_are(
 
 
 @pytest.mark.parametrize(
-    ("images", "asked"),
+    ("images", "further"),
     [
         (np.zeros((1, 33, 64, 3), np.uint8), {}),
         (np.zeros((1, 32, 64, 4), np.uint8), {}),
@@ -204,14 +205,14 @@ def test_other_weights_are_an_unknown_model_and_it_says_which_there_are(
         (np.zeros((1, 32, 64, 3), np.uint8), {"outputs": "words"}),
     ],
 )
-def test_what_cannot_be_encoded_is_refused(client: TestClient, images: Tensor, asked: dict[str, object]) -> None:
-    answer = ask(client, images, **asked)  # type: ignore[arg-type]
+def test_what_cannot_be_encoded_is_refused(client: TestClient, images: Tensor, further: dict[str, object]) -> None:
+    answer = ask(client, images, **further)  # type: ignore[arg-type]
 
     assert answer.status_code == 400
     assert answer.json()["type"] == "urn:revisit:problem:malformed-body"
 
 
-def test_one_output_can_be_asked_for(client: TestClient) -> None:
+def test_one_output_can_be_wanted_alone(client: TestClient) -> None:
     answer = ask(client, pixels(1), outputs=[{"name": "detail", "parameters": {"binary_data": True}}])
 
     assert list(unpacked("outputs", answer.headers[JSON_LENGTH], answer.content)[1]) == ["detail"]

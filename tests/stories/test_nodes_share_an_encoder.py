@@ -61,13 +61,13 @@ def calls(service: RunningService) -> httpx.Client:
 
 
 def enrolled(client: httpx.Client, number: int, *, wait: bool = False, into: str = "default") -> Any:
-    asked = {"wait": str(wait).lower(), "map": into, "place": str(number)}
-    answer = client.post("/enroll", params=asked, content=street(number))
+    params = {"wait": str(wait).lower(), "map": into, "place": str(number)}
+    answer = client.post("/enroll", params=params, content=street(number))
     assert answer.status_code in (201, 202), answer.text
     return answer.json()["view"]
 
 
-def asked(client: httpx.Client, number: int) -> tuple[httpx.Response, float]:
+def queried(client: httpx.Client, number: int) -> tuple[httpx.Response, float]:
     began = time.monotonic()
     return client.post("/query", content=street(number)), time.monotonic() - began
 
@@ -103,7 +103,7 @@ def test_an_encoder_that_dies_or_hangs_loses_no_image_and_keeps_no_query_waiting
         if number == 8:
             first.kill()
     for client in (a, b):
-        answer, took_s = asked(client, 0)
+        answer, took_s = queried(client, 0)
         assert answer.status_code == 503
         assert answer.headers["content-type"] == "application/problem+json"
         assert int(answer.headers["retry-after"]) >= 1
@@ -121,19 +121,19 @@ def test_an_encoder_that_dies_or_hangs_loses_no_image_and_keeps_no_query_waiting
         until_all(client, kept[client], "ready")
         until_ready(client)
         for number in (3, 12, 20):
-            answer, _ = asked(client, number)
+            answer, _ = queried(client, number)
             assert answer.json()["matches"][0]["view"]["place"] == str(number)
 
     second.signal(signal.SIGSTOP)  # it hangs
     with ThreadPoolExecutor(4) as callers:
-        for answer, took_s in callers.map(lambda number: asked(a, number), range(4)):
+        for answer, took_s in callers.map(lambda number: queried(a, number), range(4)):
             assert answer.status_code == 503
             assert f"the encoder at http://127.0.0.1:{port} does not answer" in answer.json()["detail"]
             assert took_s < WAIT_S
     late = enrolled(a, 30)["id"]
     second.signal(signal.SIGCONT)
     until_all(a, [late], "ready")
-    answer, _ = asked(a, 30)
+    answer, _ = queried(a, 30)
     assert answer.json()["matches"][0]["view"]["id"] == late
 
 

@@ -32,8 +32,8 @@ CONNECT_S = 2.0
 PROBE_S = 2.0
 """Seconds that a server which failed has to answer the small image."""
 
-REST_S = 1
-"""Seconds after a failure in which calls fail at once."""
+REST_S, MOST_REST_S = 1, 5
+"""Seconds after a failure in which calls fail at once: the first, or what the server asks for up to the second."""
 
 IDLE_S = 3.0
 """Seconds for which a silent connection is kept: less than servers keep it (revisit: 5 s)."""
@@ -131,17 +131,20 @@ class InferenceClient:
         return found
 
     def _call(self, pixels: Bytes2D, *, urgent: bool, patience_s: float) -> Mapping[str, Floats]:
-        asked = {
+        wanted = {
             "parameters": {
                 "binary_data_output": True,
                 "priority": QUERY_PRIORITY if urgent else ENROLMENT_PRIORITY,
                 "timeout": round(patience_s * 1_000_000),
             }
         }
-        length, body = packed("inputs", {PIXELS: pixels}, asked)
+        length, body = packed("inputs", {PIXELS: pixels}, wanted)
         try:
             try:
                 status, headers, content = self._post(length, body, patience_s)
+                if status == 503 and headers.get("connection") == "close":
+                    # It stops; behind the same address there may be another.
+                    status, headers, content = self._post(length, body, patience_s)
             except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
                 # It had closed a connection that was kept: encoding twice does no harm.
                 status, headers, content = self._post(length, body, patience_s)
@@ -189,7 +192,7 @@ class InferenceClient:
         if status == 500:
             return FailedImage(f"the encoder at {self._place} answers {status}: {said}")
         after = headers.get("retry-after", "")
-        return self._away(f"answers {status}: {said}", min(30, int(after)) if after.isdecimal() else REST_S)
+        return self._away(f"answers {status}: {said}", min(MOST_REST_S, int(after)) if after.isdecimal() else REST_S)
 
     def _away(self, what: str, retry_after_s: int = REST_S) -> EncoderAway:
         return EncoderAway(f"the encoder at {self._place} {what}", max(REST_S, retry_after_s))
