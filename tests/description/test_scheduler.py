@@ -308,6 +308,24 @@ def test_stopping_does_not_wait_for_an_encoder_that_is_away() -> None:
     assert [type(one.exception(5)) for one in enrolments] == [EncoderAway, EncoderAway]
 
 
+def test_an_image_that_is_to_be_blurred_does_not_wait_for_an_encoder_that_is_away() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=3, queries=5, segmenter=FinerSegmenter())
+    blurred = [scheduler.submit(image(1), number_of, urgent=False, segment=True)]
+    described = [scheduler.submit(image(2), number_of, urgent=False)]  # in one batch with what is to be blurred
+    blurred.append(scheduler.submit(image(3), number_of, urgent=False, segment=True))
+    scheduler.start()
+    assert [one.result(5).value for one in blurred] == [1, 3]
+    described.append(scheduler.submit(image(4), number_of, urgent=False))
+    later = scheduler.submit(image(5), number_of, urgent=False, segment=True)
+
+    assert later.result(5).value == 5
+    assert not any(one.done() for one in described)
+    encoder.there = True
+    assert [one.result(5).value for one in described] == [2, 4]
+    scheduler.stop()
+
+
 def test_a_drawing_says_nothing_of_an_encoder_that_is_away() -> None:
     encoder = AwayEncoder()
     scheduler = Scheduler(encoder, batch=1, queries=5, segmenter=FinerSegmenter())

@@ -226,7 +226,7 @@ class Scheduler:
             if request.urgency == CLOSE and self._held:
                 self._let_go()  # they come before it
                 self._queue.put(request)
-            elif request.urgency == ENROLMENT and self._held and self._waits:
+            elif self._held and self._may_wait(request):
                 self._held.append(request)
             else:
                 return request
@@ -244,10 +244,19 @@ class Scheduler:
         self._away = error
         self._rest_until = time.monotonic() + error.retry_after_s
         for request in left:
-            if request.urgency == ENROLMENT and self._waits:
+            if not self._encodes(request):
+                self._queue.put(request)
+            elif self._may_wait(request):
                 self._held.append(request)
             else:
                 request.future.set_exception(EncoderAway(error.detail, error.retry_after_s))
+
+    def _encodes(self, request: _Request) -> bool:
+        """Whether a request needs the encoder, which may be away, and not the segmenter, which is here."""
+        return not request.segment or self._segmenter is None
+
+    def _may_wait(self, request: _Request) -> bool:
+        return self._waits and request.urgency == ENROLMENT and self._encodes(request)
 
     def _came_back(self) -> None:
         self._away = None
@@ -269,7 +278,7 @@ class Scheduler:
                 encoded = time.perf_counter()
                 timed += 1
                 self._encoded += 1
-                if self._away is not None and not (request.segment and self._segmenter is not None):
+                if self._away is not None and self._encodes(request):
                     self._came_back()
                 waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
                 if request.urgency == QUERY:
