@@ -187,7 +187,7 @@ class RememberingEncoder:
         self.name, self.digest = encoder.name, encoder.digest
         self.layers, self.known_labels = encoder.layers, encoder.known_labels
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         """Fields, from memory where the image was met before."""
         for image in images:
             if image.digest not in self._fields:

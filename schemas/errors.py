@@ -13,7 +13,7 @@
     ├── Conflict           conflict              BlurChanged conflict
     ├── KeyReused          idempotency-key-reused
     ├── Unauthorized       unauthorized          Forbidden   forbidden       OtherSite other-site
-    ├── Busy               too-many-requests     Unavailable, StorageFailed  unavailable
+    ├── Busy               too-many-requests     Unavailable, StorageFailed, EncoderAway  unavailable
     ├── DiskFull           disk-full
     ├── Damaged            damaged               (also the failure code of a view whose stored data is damaged)
     ├── LeaseLost          lease-lost            (in workers; never sent to a client)
@@ -218,6 +218,10 @@ class Unavailable(Busy):
     """The service cannot answer now: it starts, stops, is overtaken by deletions, has no worker or is crowded."""
 
     code = "unavailable"
+
+
+class EncoderAway(Unavailable):
+    """The shared encoder cannot be reached, does not answer in time, is full, or has other weights."""
 
 
 class DiskFull(RevisitError):

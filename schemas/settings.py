@@ -57,6 +57,12 @@ class Settings(BaseSettings):
     weights: Path | None = Field(None, description="Weights file of the encoder `lseg`.")
     bpe: Path | None = Field(None, description="CLIP's byte-pair vocabulary, for the encoder `lseg`.")
     lseg_mode: Literal["windows", "single"] = Field("windows", description="How the encoder `lseg` covers an image.")
+    encoder_url: str | None = Field(
+        None, description="Shared encoder that images are sent to: http://encoder:8100; default is one in the process."
+    )
+    encoder_key: SecretStr | None = Field(
+        None, description="Key of the shared encoder: it asks for it, and a service sends it."
+    )
     device: str = Field("cpu", description="Device of the network: cpu, cuda, cuda:1, ...")
     preset: str = Field("default", description="Preset of maps that are created without naming one.")
     threads: int = Field(0, ge=0, le=256, description="Threads of the network; 0 takes one per core.")
@@ -122,6 +128,20 @@ class Settings(BaseSettings):
         if text is not None and not re.fullmatch(r"https?://[^\s/?#@]+([/?][^\s#]*)?", text):
             raise ValueError("is no address such as https://app.example/hooks/revisit")
         return text
+
+    @field_validator("encoder_url")
+    @classmethod
+    def _encoder(cls, text: str | None) -> str | None:
+        if text is not None and not re.fullmatch(r"https?://[^\s/?#@]+(/[^\s?#]*)?", text):
+            raise ValueError("is no address such as http://encoder:8100 (a key: REVISIT_ENCODER_KEY)")
+        return text
+
+    @field_validator("encoder_key")
+    @classmethod
+    def _encoder_key(cls, key: SecretStr | None) -> SecretStr | None:
+        if key is not None and not re.fullmatch(r"[!-~]{16,}", key.get_secret_value()):
+            raise ValueError("needs 16 visible ASCII characters or more, such as `openssl rand -hex 32` gives")
+        return key
 
     @field_validator("mqtt")
     @classmethod

@@ -32,6 +32,23 @@ def test_every_process_of_revisit_has_settings_that_are_accepted(compose: dict[s
         parser().parse_args(service.get("command", ["serve"]))
 
 
+def test_with_a_shared_encoder_every_process_has_its_address_and_key(compose: dict[str, Any]) -> None:
+    sample = dict(re.findall(r"^(\w+)=(.*)", (FLEET / "sample.env").read_text(), re.MULTILINE))
+    text = re.sub(r"\$\{(\w+):\?[^}]*\}", lambda found: sample[found[1]], (FLEET / "encoder.yaml").read_text())
+    further = yaml.safe_load(text)["services"]
+    encoder = further.pop("encoder")
+
+    parser().parse_args(encoder["command"])
+    key = read_settings(encoder["environment"] | {"REVISIT_DEVICE": "cpu"}).encoder_key
+    assert set(further) == set(OURS) - {"migrate"}
+    for name, service in further.items():
+        given = compose["services"][name]["environment"] | service["environment"]
+        read = read_settings({each: value for each, value in given.items() if each.startswith("REVISIT_")})
+        assert read.encoder_url == f"http://encoder:{read.port}"
+        assert read.encoder_key == key
+    assert set(encoder["depends_on"]) <= set(compose["services"])
+
+
 def test_whatever_is_waited_for_and_mounted_is_there(compose: dict[str, Any]) -> None:
     services, volumes = compose["services"], compose["volumes"]
     for service in services.values():
@@ -60,6 +77,6 @@ def test_the_balancer_knows_every_node(compose: dict[str, Any]) -> None:
 
 
 def test_every_password_comes_from_the_environment_and_is_in_the_sample() -> None:
-    text = (FLEET / "compose.yaml").read_text()
+    text = "".join((FLEET / name).read_text() for name in ("compose.yaml", "encoder.yaml"))
     needed = set(re.findall(r"\$\{(\w+):\?", text))
     assert needed == set(re.findall(r"^(\w+)=", (FLEET / "sample.env").read_text(), re.MULTILINE))

@@ -29,6 +29,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "fleet": FLEET,
     "fleet that grows": (*FLEET, "--set", "nodes.autoscaling.enabled=true,images.endpoint=http://store:9000"),
     "stopped": (*FLEET, "--set", "stopped=true"),
+    "fleet that shares encoders": (*FLEET, "--set", "encoders.replicas=2,encoders.secret=e,encoders.tag=gpu"),
+    "one with an encoder elsewhere": ("--set", "encoders.url=http://triton:8000"),
     "placed": (
         *FLEET,
         "--set-json",
@@ -84,14 +86,18 @@ def test_every_process_is_one_of_ours_with_settings_that_are_accepted(name: str)
     for pod in pods(EXAMPLES[name]):
         (container,) = pod["containers"]
         parser().parse_args(container["args"])
+        secret = {"REVISIT_DATABASE": "postgresql://revisit:secret@database/revisit", "REVISIT_ENCODER_KEY": "k" * 16}
         given = {
-            one["name"]: one.get("value", "postgresql://revisit:secret@database/revisit")
+            one["name"]: one["value"] if "value" in one else secret[one["name"]]
             for one in container["env"]
             if one["name"].startswith("REVISIT_")
         }
-        fleet = name not in ("one", "one behind an ingress")
+        fleet = not name.startswith("one")
         read = read_settings(given)
         assert read.log == "json"
+        if container["args"] == ["encode"]:
+            assert set(given) == {"REVISIT_LOG", "REVISIT_ENCODER_KEY"}
+            continue
         assert read.inline_worker is not fleet
         assert (read.images is not None) is (read.database is not None) is fleet
 
@@ -148,6 +154,24 @@ def test_each_node_is_scraped_once_under_the_job_that_the_alerts_name() -> None:
     assert rule["spec"] == yaml.safe_load(alerts.read_text())
 
 
+def test_nodes_and_workers_send_images_to_the_encoders_and_encoders_to_nobody() -> None:
+    options = EXAMPLES["fleet that shares encoders"]
+    (service,) = [each for each in of_kind("Service", options) if each["metadata"]["name"].endswith("-encoder")]
+    found = {each["metadata"]["name"]: each["spec"]["template"] for kind in ("StatefulSet", "Deployment")
+             for each in of_kind(kind, options)}  # fmt: skip
+    (encoder,) = found["revisit-encoder"]["spec"]["containers"]
+
+    assert encoder["image"] == "revisit:gpu"
+    assert service["spec"]["selector"].items() <= found["revisit-encoder"]["metadata"]["labels"].items()
+    for name in ("revisit", "revisit-worker"):
+        (container,) = found[name]["spec"]["containers"]
+        address = {one["name"]: one.get("value") for one in container["env"]}["REVISIT_ENCODER_URL"]
+        assert address == f"http://{service['metadata']['name']}:{service['spec']['ports'][0]['port']}"
+        assert container["image"] != encoder["image"]
+    (elsewhere,) = (pod["containers"][0] for pod in pods(EXAMPLES["one with an encoder elsewhere"]))
+    assert {"name": "REVISIT_ENCODER_URL", "value": "http://triton:8000"} in elsewhere["env"]
+
+
 def test_what_is_scaled_has_no_number_of_its_own_and_what_is_stopped_has_none_left() -> None:
     growing = EXAMPLES["fleet that grows"]
     scaled = {each["spec"]["scaleTargetRef"]["name"] for each in of_kind("HorizontalPodAutoscaler", growing)}
@@ -170,6 +194,8 @@ REFUSED = {
     "least is more than": (
         "database.secret=d,images.location=s3://p,workers.autoscaling.enabled=true,workers.autoscaling.least=99"
     ),
+    "encoders need encoders.secret": "encoders.replicas=1",
+    "of an encoder elsewhere": "encoders.replicas=1,encoders.secret=e,encoders.url=http://triton:8000",
     "colour": "colour=red",
     "location": "images.location=/mnt/places",
 }

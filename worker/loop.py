@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 from schemas.description import Description
-from schemas.errors import LeaseLost, RevisitError
+from schemas.errors import EncoderAway, LeaseLost, RevisitError
 from schemas.image import Image
 from schemas.log_context import bound
 from schemas.records import Claim, JobKind, MapClaim
@@ -272,6 +272,9 @@ class Loop:
     def _settle(self, item: _Underway) -> None:
         try:
             description = item.future.result().value
+        except EncoderAway:  # the service stops, or else the scheduler would have waited
+            self._jobs.release(item.claim)
+            return
         except Exception as error:
             self._give_up(item.claim, error)
             return

@@ -14,7 +14,7 @@ from worker.description.map_training import VocabularyTrainer
 from worker.description.ports import Encoder, Segmenter
 from worker.description.presets import PRESETS, Wanted, general_vocabulary, make_recipe
 from worker.description.scheduler import Scheduler
-from worker.encoders.choosing import make_encoder
+from worker.encoders.choosing import batch_of, make_encoder
 from worker.images import codec, quality
 from worker.images.apart.pool import make_decoder
 from worker.images.decoder import Decoder
@@ -55,8 +55,6 @@ from worker.service.views import ViewService
 from worker.storage.locks import lock_for_serving
 from worker.storage.migrating import newest
 from worker.storage.store import SqlStore, open_store
-
-GPU_BATCH = 8
 
 
 @dataclass(frozen=True)
@@ -150,6 +148,7 @@ class Runtime:
 
     def stop(self) -> None:
         """Finish running work, put waiting jobs back, and release the data folder."""
+        self.scheduler.stop_waiting()
         if self.loop is not None:
             self.loop.stop()
         self.attendance.stop()
@@ -195,7 +194,7 @@ def build(
         encoder, segmenter = make_encoder(settings, threads)
         reserve = int(settings.reserve_mb * MEGA)
         store = open_store(settings.database_url, settings.data, reserve, settings.images, settings.index)
-        batch = settings.batch or (1 if settings.device == "cpu" else GPU_BATCH)
+        batch = batch_of(settings)
         scheduler = make_scheduler(encoder, batch, settings.queries, segmenter)
         product = make_product(settings)
         general = [general_vocabulary(encoder, name) for name in PRESETS]
@@ -219,7 +218,7 @@ def build(
             make_index=FlatIndex.of, comparer=comparer, describers=describers, scheduler=scheduler,
             decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
         )  # fmt: skip
-        settlements = Settlements(store.views)
+        settlements = Settlements(store.views, lambda: scheduler.away is not None)
         blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
         enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover)
         me = this_process("serve" if serving else "worker")

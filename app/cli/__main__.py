@@ -11,6 +11,7 @@ from app.version import VERSION
 
 GROUPS = (
     "serve",
+    "encode",
     "demo",
     "enroll",
     "recordings",

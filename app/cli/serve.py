@@ -1,7 +1,6 @@
 """``revisit serve | worker``: run the service, or a further process that describes its images."""
 
 import argparse
-import ipaddress
 import logging
 import signal
 import socket
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from app.cli import logs
 from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
+from app.cli.listening import address, is_loopback, listen
 from app.cli.processor import check_processor
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def run_serve(arguments: argparse.Namespace) -> int:
     settings = settings_of(arguments, "host", "port", "open", "preset", "data", "encoder", "device", "threads")
     _refuse_open(settings)
     logs.configure(settings.log, settings.log_level)
-    listening = _listen(settings)
+    listening = listen(settings)
     try:
         return _serve(settings, listening)
     finally:
@@ -87,7 +87,7 @@ def run_serve(arguments: argparse.Namespace) -> int:
 
 def _refuse_open(settings: "Settings") -> None:
     """Raise Failure unless the host is a loopback address, there is a key, one will be made, or `open` is set."""
-    if _is_loopback(settings.host) or settings.open or settings.first_key or _has_keys(settings):
+    if is_loopback(settings.host) or settings.open or settings.first_key or _has_keys(settings):
         return
     raise Failure(
         f"{settings.host} can be reached by others, and there is no key: anybody could read, enrol and delete.\n"
@@ -115,7 +115,7 @@ def make_first_key(keys: "KeyService", settings: "Settings") -> None:
     It is kept before it is printed: one that was printed works. One that could not be printed is forgotten again; after
     a kill between the two, `./revisit keys create` in the container makes another.
     """
-    if _is_loopback(settings.host) or settings.open or not settings.first_key or keys.all():
+    if is_loopback(settings.host) or settings.open or not settings.first_key or keys.all():
         return
     from worker.service.keys import FIRST
 
@@ -125,32 +125,6 @@ def make_first_key(keys: "KeyService", settings: "Settings") -> None:
     except BaseException:
         keys.remove(record.id)
         raise
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _listen(settings: "Settings") -> socket.socket:
-    """Bind the port before anything slow, so that a taken port is reported at once."""
-    listening: socket.socket | None = None
-    try:
-        family = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0][0]
-        # asyncio sets TCP_NODELAY only where the protocol is named; without it each answer takes some 40 ms longer.
-        listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind((settings.host, settings.port))
-    except OSError as error:
-        if listening is not None:
-            listening.close()
-        raise Failure(
-            f"cannot listen on {settings.host}:{settings.port} ({error.strerror or error}); "
-            "is another service running there? --port chooses another port, 0 a free one"
-        ) from None
-    return listening
 
 
 def _serve(settings: "Settings", listening: socket.socket) -> int:
@@ -165,7 +139,7 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
     # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
-    url = _address(settings.host, listening.getsockname()[1])
+    url = address(settings.host, listening.getsockname()[1])
     server = Server(
         configured(application(service), settings),
         settings.grace_s,
@@ -178,11 +152,6 @@ def _serve(settings: "Settings", listening: socket.socket) -> int:
         return FAILED
     log.info("stopped")
     return DONE
-
-
-def _address(host: str, port: int) -> str:
-    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{port}"
 
 
 def announce(runtime: "Runtime", url: str) -> None:
@@ -206,7 +175,7 @@ def announce(runtime: "Runtime", url: str) -> None:
         in_force = sum(key.state(datetime.now(UTC)) == "valid" for key in keys)
         lines.append(f"  keys      {in_force} in force; every call needs one")
     show("\n".join(lines))
-    if not keys and not _is_loopback(settings.host):
+    if not keys and not is_loopback(settings.host):
         log.warning(
             "OPEN: listening on %s without keys; whoever can reach this port may read, enrol and delete",
             settings.host,

@@ -32,7 +32,7 @@ class Metrics:
     """Counters and histograms of one service; `statistics` has the gauges."""
 
     def __init__(self) -> None:
-        self._registry = registry = CollectorRegistry()
+        self.registry = registry = CollectorRegistry()
         self.statistics = StatisticsCollector()
         self.on_stages: list[OnStages] = []
         registry.register(self.statistics)
@@ -124,4 +124,4 @@ class Metrics:
 
     def text(self) -> bytes:
         """All metrics in Prometheus's text format."""
-        return _generate(self._registry)
+        return _generate(self.registry)

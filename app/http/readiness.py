@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas import wire
-from schemas.errors import Busy, RevisitError
+from schemas.errors import Busy, EncoderAway, RevisitError
 from schemas.image import Image
 
 if TYPE_CHECKING:
@@ -109,6 +109,8 @@ class ReadinessCheck:
         before = scheduler.encoded
         try:
             scheduler.submit(TEST_IMAGE, lambda *_: None, urgent=True).result(ENCODER_PATIENCE_S)
+        except EncoderAway as error:
+            return error.detail
         except Busy:
             return "ok"  # it works through as many queries as may wait
         except TimeoutError:

@@ -15,6 +15,7 @@ BENCHMARKS = {
     "ranking": "what each part of the ranking gives, on places with ground truth",
     "geometry": "other local features, other verification, and a learned rule, on the first ten",
     "keys": "what checking keys costs each request",
+    "sharing": "what a shared encoder costs a query, and how much several services describe with one",
     "refreshing": "what accepting proposals gives, on three walks along one way",
     "scale": "every set among thousands of views of other sites",
 }

@@ -75,7 +75,7 @@ class Running:
 
     Parameters
     ----------
-    command : {'serve', 'worker'}
+    command : {'serve', 'worker', 'encode'}
     environment : mapping of str to str
         ``REVISIT_*`` variables; see `settings`.
     warm : bool
@@ -114,19 +114,19 @@ class Running:
         return self._process.is_alive()
 
     def await_ready(self) -> float:
-        """Wait until it serves (or, a worker, describes); returns the seconds since the start.
+        """Wait until it serves or encodes (or, a worker, describes); returns the seconds since the start.
 
         Raises
         ------
         NotStarted
         """
-        wanted = _ADDRESS if self._command == "serve" else re.compile("revisit worker describes")
+        wanted = re.compile("revisit worker describes") if self._command == "worker" else _ADDRESS
         until = time.monotonic() + START_S
         while (found := wanted.search(self.output)) is None:
             if not self.alive or time.monotonic() > until:
                 raise NotStarted(f"`{self._command}` did not start:\n{self.output}")
             time.sleep(0.005)
-        if self._command == "serve":
+        if self._command != "worker":
             self.url = found.group()
         return time.perf_counter() - self.began
 

@@ -6,7 +6,7 @@ import socket
 import pytest
 
 from app.cli.__main__ import main
-from app.cli.serve import _listen
+from app.cli.listening import listen
 from schemas.settings import Settings
 
 Out = pytest.CaptureFixture[str]
@@ -54,7 +54,7 @@ def test_answers_do_not_wait_for_the_acknowledgement_of_their_headers() -> None:
             seen.set_result(mine.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
             writer.close()
 
-        with _listen(Settings(port=0)) as listening:
+        with listen(Settings(port=0)) as listening:
             server = await asyncio.start_server(accepted, sock=listening)
             async with server:
                 _, writer = await asyncio.open_connection(*listening.getsockname()[:2])

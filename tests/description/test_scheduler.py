@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from schemas.description import SEMANTIC, Floats, PixelField
-from schemas.errors import Busy, Unavailable
+from schemas.errors import Busy, EncoderAway, Unavailable
 from schemas.image import Image
 from schemas.log_context import bound, fields
 from schemas.records import Meaning
@@ -27,7 +27,7 @@ class GatedEncoder:
         self.gate = threading.Semaphore(0)
         self.entered = threading.Semaphore(0)
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         for image in images:
             self.entered.release()
             self.gate.acquire()
@@ -238,3 +238,103 @@ def test_a_line_of_any_thread_carries_the_request_that_caused_it() -> None:
     assert [future.result(10).value for future in futures] == [1, 1]
     scheduler.stop()
     assert set(seen) == {(stage, name) for stage in ("finish", "parallel") for name in ("r1", "r2")}
+
+
+class AwayEncoder(GatedEncoder):
+    """One that is shared, and away until it is said to be there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.there = False
+        self.tried: list[bool] = []
+        self.gate.release(99)
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        self.tried.append(urgent)
+        if not self.there:
+            raise EncoderAway("the encoder at http://encoder does not answer", 0)
+        yield from super().encode(images)
+
+
+def test_while_the_encoder_is_away_queries_are_told_and_enrolments_wait() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=2, queries=5)
+    scheduler.start()
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2, 3)]
+    for number in (7, 8):
+        with pytest.raises(EncoderAway, match="does not answer"):
+            scheduler.submit(image(number), number_of, urgent=True).result(5)
+    later = scheduler.submit(image(4), number_of, urgent=False)
+    assert scheduler.away is not None
+    assert not any(one.done() for one in [*enrolments, later])
+
+    encoder.there = True
+    assert [one.result(5).value for one in [*enrolments, later]] == [1, 2, 3, 4]
+    assert encoder.seen == [1, 2, 3, 4]
+    assert scheduler.away is None
+    assert scheduler.submit(image(9), number_of, urgent=True).result(5).value == 9
+    assert {True, False} == set(encoder.tried)
+    assert scheduler.queries_waiting == 0
+    scheduler.stop()
+
+
+def test_a_query_that_gets_through_lets_the_enrolments_go_too() -> None:
+    class OnceAway(AwayEncoder):
+        def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+            if not self.there:
+                raise EncoderAway("away for an hour", 3600)
+            yield from super().encode(images)
+
+    encoder = OnceAway()
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    scheduler.start()
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=True).result(5)
+    encoder.there = True
+
+    assert scheduler.submit(image(3), number_of, urgent=True).result(5).value == 3
+    assert enrolment.result(5).value == 1
+    scheduler.stop()
+
+
+def test_stopping_does_not_wait_for_an_encoder_that_is_away() -> None:
+    scheduler = Scheduler(AwayEncoder(), batch=1, queries=5)
+    scheduler.start()
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2)]
+
+    scheduler.stop()
+
+    assert [type(one.exception(5)) for one in enrolments] == [EncoderAway, EncoderAway]
+
+
+def test_an_image_that_is_to_be_blurred_does_not_wait_for_an_encoder_that_is_away() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=3, queries=5, segmenter=FinerSegmenter())
+    blurred = [scheduler.submit(image(1), number_of, urgent=False, segment=True)]
+    described = [scheduler.submit(image(2), number_of, urgent=False)]  # in one batch with what is to be blurred
+    blurred.append(scheduler.submit(image(3), number_of, urgent=False, segment=True))
+    scheduler.start()
+    assert [one.result(5).value for one in blurred] == [1, 3]
+    described.append(scheduler.submit(image(4), number_of, urgent=False))
+    later = scheduler.submit(image(5), number_of, urgent=False, segment=True)
+
+    assert later.result(5).value == 5
+    assert not any(one.done() for one in described)
+    encoder.there = True
+    assert [one.result(5).value for one in described] == [2, 4]
+    scheduler.stop()
+
+
+def test_a_drawing_says_nothing_of_an_encoder_that_is_away() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=1, queries=5, segmenter=FinerSegmenter())
+    scheduler.start()
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=True).result(5)
+
+    assert scheduler.submit(image(3), number_of, urgent=True, segment=True).result(5).value == 3
+    assert scheduler.away is not None
+    assert not enrolment.done()
+    scheduler.stop()

@@ -36,7 +36,7 @@ class CountingEncoder(ColorEncoder):
         super().__init__()
         self.encoded: list[str] = []
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         self.encoded += [image.digest for image in images]
         return super().encode(images)
 

@@ -21,7 +21,7 @@ START_S = 120
 
 
 class RunningService:
-    """`revisit serve` on a free port, with the encoder that needs no weights.
+    """`revisit serve` on a free port, with the encoder that needs no weights; subclasses run another command.
 
     Parameters
     ----------
@@ -33,12 +33,14 @@ class RunningService:
         Further ``REVISIT_*`` variables.
     """
 
+    command = "serve"
+
     def __init__(self, data: Path, ready: bool = True, /, **environment: str) -> None:
         self.data = data
         settings = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_PORT": "0", "REVISIT_THREADS": "1"}
         clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.cli", "serve"],
+            [sys.executable, "-m", "app.cli", self.command],
             cwd=ROOT,
             env=clean | settings | environment,
             stdout=subprocess.PIPE,
@@ -60,9 +62,9 @@ class RunningService:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self.output.append(line)
-            found = re.search(r"http://127\.0\.0\.1:\d+", line)
+            found = re.search(r"revisit (?:serves|encodes) at (http://127\.0\.0\.1:\d+)", line)
             if found and not self.url:
-                self.url = found.group()
+                self.url = found[1]
                 self._address.set()
         self._address.set()
 
@@ -119,6 +121,15 @@ class RunningService:
             self.stop()
         if kind is not None:
             print("".join(self.output[-LINES:]))  # shown by pytest with the failure
+
+
+class RunningEncoder(RunningService):
+    """`revisit encode`, of the built-in encoder."""
+
+    command = "encode"
+
+    def __init__(self, port: int = 0, ready: bool = True, /, **environment: str) -> None:
+        super().__init__(ROOT, ready, **{"REVISIT_ENCODER": "compact", "REVISIT_PORT": str(port), **environment})
 
 
 @contextmanager

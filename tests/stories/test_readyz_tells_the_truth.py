@@ -74,7 +74,9 @@ def test_an_encoder_that_hangs_is_found_out_within_half_a_second_for_every_probe
     until(client, True)
     go = threading.Event()
     encode = ColorEncoder.encode
-    monkeypatch.setattr(ColorEncoder, "encode", lambda self, images: (go.wait(30), encode(self, images))[1])
+    monkeypatch.setattr(
+        ColorEncoder, "encode", lambda self, images, **how: (go.wait(30), encode(self, images, **how))[1]
+    )
     assert "no image" in until(client, False)["checks"]["encoder"]
     go.set()
     assert until(client, True)["checks"]["encoder"] == "ok"
@@ -85,7 +87,7 @@ def test_an_encoder_that_fails_is_found_out_although_nobody_queries(
 ) -> None:
     until(client, True)
 
-    def fail(*_: object) -> Any:
+    def fail(*_: object, **__: object) -> Any:
         raise RuntimeError("out of memory")
 
     with monkeypatch.context() as broken:

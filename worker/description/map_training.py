@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from schemas.description import PixelField
-from schemas.errors import LeaseLost, RevisitError
+from schemas.errors import EncoderAway, LeaseLost, RevisitError
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, JobProgress, MapClaim, MapRecord, ViewRecord
@@ -125,7 +125,7 @@ class VocabularyTrainer:
                 )
             self._vocabularies.keep(learned.digest, learned.tensors)
             self._jobs.finish_training(claim, recipe.model_copy(update={"vocabulary": learned.digest}), _now())
-        except Stop:
+        except (Stop, EncoderAway):  # the latter only where the service stops while a shared encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or given to another worker", claim.job_id)

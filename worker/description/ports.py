@@ -31,8 +31,20 @@ class Encoder(Protocol):
         """Labels with a text vector; None when it computes one for any label."""
         ...
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
-        """One field per image, in order, each independent of the others in the batch."""
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        """One field per image, in order, each independent of the others in the batch.
+
+        Parameters
+        ----------
+        images : sequence of Image
+        urgent : bool
+            Whether somebody waits for the answer, as for a query: where others send images too, these go first.
+
+        Raises
+        ------
+        EncoderAway
+            From a shared encoder: it cannot be had now.
+        """
         ...
 
     def text_vectors(self, labels: Sequence[str]) -> Floats:

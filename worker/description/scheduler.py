@@ -12,7 +12,7 @@ from itertools import count, groupby
 from typing import Any, Generic, TypeVar
 
 from schemas.description import PixelField
-from schemas.errors import Busy, Unavailable
+from schemas.errors import Busy, EncoderAway, Unavailable
 from schemas.image import Image
 from worker.description.ports import Encoder, Segmenter
 
@@ -66,6 +66,8 @@ class Scheduler:
     A query waits for the running batch and for earlier queries, never for queued enrolments. Its `finish` runs in the
     encoder's thread, so that it does not wait for the description of an enrolment either.
 
+    While a shared encoder is away queries fail with EncoderAway; enrolments wait until it is back.
+
     Parameters
     ----------
     encoder : Encoder
@@ -89,6 +91,10 @@ class Scheduler:
         self._pace_s = 0.2  # seconds per image, a moving average; an initial guess
         self._encoded = 0
         self._closed = False
+        self._held: list[_Request] = []  # enrolments that met an encoder that is away
+        self._rest_until = 0.0
+        self._away: EncoderAway | None = None
+        self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
         self._parallel_queries = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-parallel-queries")
@@ -114,6 +120,11 @@ class Scheduler:
         return self._thread.is_alive() and not self._closed
 
     @property
+    def away(self) -> EncoderAway | None:
+        """Why the encoder could not be had the last time; None once it encodes."""
+        return self._away
+
+    @property
     def segments(self) -> bool:
         """Whether requests with `segment` are encoded by a network of their own."""
         return self._segmenter is not None
@@ -122,12 +133,17 @@ class Scheduler:
         """Start the encoder's thread."""
         self._thread.start()
 
+    def stop_waiting(self) -> None:
+        """From now on enrolments, too, fail with EncoderAway while the encoder is away: nobody has time to wait."""
+        self._waits = False
+
     def stop(self) -> None:
         """Finish all submitted images, then stop."""
         with self._lock:
             if self._closed:
                 return
             self._closed = True
+            self._waits = False
             nothing: Any = None
             self._queue.put(_Request(CLOSE, next(self._numbers), nothing, nothing, Future(), 0))
         if self._thread.is_alive():
@@ -185,10 +201,7 @@ class Scheduler:
             self._pending_queries -= 1
 
     def _run(self) -> None:
-        while True:
-            first = self._queue.get()
-            if first.urgency == CLOSE:
-                return
+        while (first := self._next()).urgency != CLOSE:
             batch = [first]
             while len(batch) < self._batch:
                 try:
@@ -199,7 +212,56 @@ class Scheduler:
                     self._queue.put(following)
                     break
                 batch.append(following)
-            self._serve([r for r in batch if r.future.set_running_or_notify_cancel()])
+            self._serve([r for r in batch if r.future.running() or r.future.set_running_or_notify_cancel()])
+
+    def _next(self) -> _Request:
+        """The next request. While enrolments are held back for the encoder, others join them, and queries go on."""
+        while True:
+            try:
+                rest_s = max(0.0, self._rest_until - time.monotonic()) if self._held else None
+                request = self._queue.get(timeout=rest_s)
+            except queue.Empty:
+                self._let_go()
+                continue
+            if request.urgency == CLOSE and self._held:
+                self._let_go()  # they come before it
+                self._queue.put(request)
+            elif self._held and self._may_wait(request):
+                self._held.append(request)
+            else:
+                return request
+
+    def _let_go(self) -> None:
+        """Put enrolments that were held back into the queue again, in their old places."""
+        held, self._held = self._held, []
+        for request in held:
+            self._queue.put(request)
+
+    def _put_off(self, left: list[_Request], error: EncoderAway) -> None:
+        """The encoder is away: tell those who wait for an answer, and hold the others back."""
+        if self._away is None:
+            log.error("%s; queries are refused and enrolments wait", error.detail, extra={"event": "encoder_away"})
+        self._away = error
+        self._rest_until = time.monotonic() + error.retry_after_s
+        for request in left:
+            if not self._encodes(request):
+                self._queue.put(request)
+            elif self._may_wait(request):
+                self._held.append(request)
+            else:
+                request.future.set_exception(EncoderAway(error.detail, error.retry_after_s))
+
+    def _encodes(self, request: _Request) -> bool:
+        """Whether a request needs the encoder, which may be away, and not the segmenter, which is here."""
+        return not request.segment or self._segmenter is None
+
+    def _may_wait(self, request: _Request) -> bool:
+        return self._waits and request.urgency == ENROLMENT and self._encodes(request)
+
+    def _came_back(self) -> None:
+        self._away = None
+        self._let_go()
+        log.warning("the encoder is back", extra={"event": "encoder_back"})
 
     def _serve(self, batch: list[_Request]) -> None:
         began = time.perf_counter()
@@ -216,11 +278,16 @@ class Scheduler:
                 encoded = time.perf_counter()
                 timed += 1
                 self._encoded += 1
+                if self._away is not None and self._encodes(request):
+                    self._came_back()
                 waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
                 if request.urgency == QUERY:
                     _finish(request, pixel_field, waited_ms, encode_ms)
                 else:
                     self._describing.submit(_finish, request, pixel_field, waited_ms, encode_ms)
+        except EncoderAway as error:
+            self._put_off(batch[timed:], error)
+            return
         except Exception as error:
             left = batch[timed:]
             if len(left) > 1:  # one image must not fail the others
@@ -239,7 +306,7 @@ class Scheduler:
             if segment and self._segmenter is not None:
                 yield from map(self._segmenter.segment, images)
             else:
-                yield from self._encoder.encode(images)
+                yield from self._encoder.encode(images, urgent=batch[0].urgency == QUERY)
 
 
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from schemas.errors import SetupError
 from schemas.settings import Settings
 from worker.configure import configure_torch, keep_freed_memory
 
@@ -9,8 +10,33 @@ if TYPE_CHECKING:
     from worker.description.ports import Encoder, Segmenter
 
 
+TOGETHER = 8
+"""Images encoded together on a GPU, or sent together to a shared encoder, unless the settings say otherwise."""
+
+
+def batch_of(settings: Settings) -> int:
+    """How many images are encoded together; in this process's CPU one by one, which is as fast."""
+    return settings.batch or (1 if settings.device == "cpu" and settings.encoder_url is None else TOGETHER)
+
+
+def patience_of(settings: Settings) -> float:
+    """Seconds for each part of a call of a shared encoder: together less than `wait`, which callers are promised."""
+    return min(10.0, max(1.0, settings.wait / 4))
+
+
 def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter | None]":
-    """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported."""
+    """The encoder that the settings name, and its segmenter, if any; only its own libraries are imported.
+
+    Raises
+    ------
+    SetupError
+        Its files or libraries do not do, or a shared encoder has other weights.
+    """
+    if settings.encoder_url is not None and settings.encoder != "compact":
+        raise SetupError(
+            f"REVISIT_ENCODER={settings.encoder}, but a shared encoder (REVISIT_ENCODER_URL) has compact alone; "
+            "leave one of the two out"
+        )
     if settings.encoder == "color":
         from worker.encoders.color import ColorEncoder
 
@@ -18,6 +44,14 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
     if settings.encoder == "lseg" or settings.device != "cpu":
         keep_freed_memory()
         configure_torch(threads, settings.device)
+    if settings.encoder_url is not None:
+        from worker.encoders.compact.shared import SharedCompactEncoder
+
+        key = None if settings.encoder_key is None else settings.encoder_key.get_secret_value()
+        shared = SharedCompactEncoder(
+            settings.encoder_url, key, patience_of(settings), settings.device, threads=threads
+        )
+        return shared, shared.segmenter()
     if settings.encoder == "compact":
         from worker.encoders.compact.encoder import CompactEncoder
 
@@ -33,3 +67,17 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
         batch=settings.batch,
     )
     return lseg, None
+
+
+def make_encoder_to_share(settings: Settings, threads: int) -> "Encoder":
+    """The encoder compact for images that nodes have prepared; raises SetupError as `make_encoder`."""
+    if settings.encoder_url is not None:
+        raise SetupError("REVISIT_ENCODER_URL is set: this process is such an encoder itself; leave it out here")
+    if settings.encoder != "compact":
+        raise SetupError(f"REVISIT_ENCODER={settings.encoder}, but nodes share the encoder compact alone")
+    if settings.device != "cpu":
+        keep_freed_memory()
+        configure_torch(threads, settings.device)
+    from worker.encoders.compact.encoder import CompactEncoder
+
+    return CompactEncoder(settings.device, threads=threads, prepared=True)

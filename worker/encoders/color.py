@@ -50,7 +50,7 @@ class ColorEncoder:
         self.layers: Mapping[str, int] = {SEMANTIC: 8, DETAIL: 12}
         self.known_labels: frozenset[str] | None = frozenset(COLORS)
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         """One field per image; see `Encoder.encode`."""
         return (self._encode(image) for image in images)
 

@@ -22,10 +22,12 @@ class Settlements:
     Parameters
     ----------
     views : Views
+    encoder_away : function
+        Whether descriptions wait for an encoder that is away.
     """
 
-    def __init__(self, views: Views) -> None:
-        self._views = views
+    def __init__(self, views: Views, encoder_away: Callable[[], bool] = lambda: False) -> None:
+        self._views, self._encoder_away = views, encoder_away
         self._waiting: dict[str, set[Notify]] = defaultdict(set)
         self._lock = threading.Lock()
         self._given_up = False
@@ -38,8 +40,8 @@ class Settlements:
 
     @property
     def in_vain(self) -> bool:
-        """Whether nobody should wait: the service stops, or descriptions cannot be stored."""
-        return self._given_up or self._trouble is not None
+        """Whether nobody should wait: the service stops, the encoder is away, or descriptions cannot be stored."""
+        return self._given_up or self._trouble is not None or self._encoder_away()
 
     def give_up(self) -> None:
         """Wake all callers, now and from now on: the service stops, and their views are described later."""

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from schemas.description import Description
-from schemas.errors import BadImage, LeaseLost, NotFound, NothingStatic, RevisitError, SetupError
+from schemas.errors import BadImage, EncoderAway, LeaseLost, NotFound, NothingStatic, RevisitError, SetupError
 from schemas.image import Image
 from schemas.inbox import KeptQuery
 from schemas.recipe import MapRecipe
@@ -175,7 +175,7 @@ class ShadowService:
                     log.warning("answers cannot be compared for now: %s", error.detail)
                     self._rest(PAUSE_S)
                     _unless(stopping)
-        except _Stop:
+        except (_Stop, EncoderAway):  # the latter only where the service stops while a shared encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or its map deleted", claim.job_id)

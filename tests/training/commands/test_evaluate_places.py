@@ -58,7 +58,7 @@ def test_a_checkpoint_describes_everything_that_it_is_judged_by(
     encoded: list[str] = []
 
     class Watched(CompactEncoder):
-        def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+        def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
             encoded.extend(image.digest for image in images)
             return super().encode(images)
 

@@ -31,6 +31,11 @@ class CompactEncoder:
         other files: graphs for ONNX Runtime, and the members of the segmentation ensemble.
     threads : int
         Threads of ONNX Runtime; those of torch are set for the whole process.
+    encodes : bool
+        False for an instance that only knows labels and segments: the graph of its fields is not loaded then.
+    prepared : bool
+        Whether images come as the network gets them, of sizes as from `input_size.network_size`, from nodes that share
+        this encoder. It then has no segmenter.
 
     Raises
     ------
@@ -40,17 +45,27 @@ class CompactEncoder:
 
     name = "compact"
 
-    def __init__(self, device: str = "cpu", weights: Path = WEIGHTS, *, threads: int = 1) -> None:
+    def __init__(
+        self,
+        device: str = "cpu",
+        weights: Path = WEIGHTS,
+        *,
+        threads: int = 1,
+        encodes: bool = True,
+        prepared: bool = False,
+    ) -> None:
         described = weights.with_suffix(".json")
         if not described.exists():
             raise SetupError(f"the encoder's file {described.name} is not in {weights.parent}")
         facts = json.loads(described.read_text())
         content = verified(described, facts["weights"])
-        members = [facts[member] for member in takewhile(facts.__contains__, ENSEMBLE)]
+        members = [] if prepared else [facts[member] for member in takewhile(facts.__contains__, ENSEMBLE)]
         fine = [verified(described, member["weights"]) for member in members]
         self.digest: str = facts["weights"]["sha256"]
-        self._one_by_one = device == "cpu"
-        self._engine = on_cpu(facts, members, described, threads) if self._one_by_one else on_gpu(content, fine, device)
+        self._one_by_one, self._prepared = device == "cpu", prepared
+        self._engine = (
+            on_cpu(facts, members, described, threads, encodes) if self._one_by_one else on_gpu(content, fine, device)
+        )
         self._members = len(members)
         self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._labels = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
@@ -58,21 +73,24 @@ class CompactEncoder:
         channels = facts["channels"]  # the file calls the layer semantic "words"
         self.layers: Mapping[str, int] = {SEMANTIC: channels["words"], DETAIL: channels["detail"]}
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         """One field per image; see `Encoder.encode`.
 
         On a CPU images are encoded one by one: that is as quick, and the result of an image then cannot depend on
         others in the batch. On a GPU, consecutive images of one size form a batch.
         """
-        if self._one_by_one:
-            for image in images:
-                yield from self._encode([image])
-        else:
-            for _, run in groupby(images, key=lambda p: network_size(p.width, p.height)):
-                yield from self._encode(list(run))
+        for _, run in groupby(images, key=self._size):
+            alike = list(run)
+            for together in [[image] for image in alike] if self._one_by_one else [alike]:
+                yield from self._encode(together)
+
+    def _size(self, image: Image) -> tuple[int, int]:
+        """Width and height of the network's input for an image."""
+        return (image.width, image.height) if self._prepared else network_size(image.width, image.height)
 
     def _encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
-        fields = self._engine.fields(np.stack([resized(image.pixels) for image in images]))
+        pixels = [image.pixels if self._prepared else resized(image.pixels) for image in images]
+        fields = self._engine.fields(np.stack(pixels))
         for image, semantic, detail in zip(images, *fields, strict=True):
             yield PixelField({SEMANTIC: semantic, DETAIL: detail}, image.extent)
 

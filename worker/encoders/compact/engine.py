@@ -22,8 +22,10 @@ class Engine(Protocol):
         ...
 
 
-def on_cpu(facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], described: Path, threads: int) -> Engine:
-    """Build the engine on ONNX Runtime.
+def on_cpu(
+    facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], described: Path, threads: int, encodes: bool = True
+) -> Engine:
+    """Build the engine on ONNX Runtime; without `encodes` it only segments.
 
     Raises
     ------
@@ -38,7 +40,7 @@ def on_cpu(facts: Mapping[str, Any], members: Sequence[Mapping[str, Any]], descr
     for graph in graphs:
         verified(described, graph)
     fields, *fine = (described.with_name(graph["file"]) for graph in graphs)
-    return OnnxEngine(fields, fine, threads=threads)
+    return OnnxEngine(fields if encodes else None, fine, threads=threads)
 
 
 def on_gpu(content: bytes, fine: Sequence[bytes], device: str) -> Engine:

@@ -19,9 +19,9 @@ class OnnxEngine:
 
     Parameters
     ----------
-    fields : Path
+    fields : Path or None
         Graph with the outputs ``words`` (the layer semantic) and ``detail``; its weights lie in the safetensors file
-        beside it.
+        beside it. None for an engine that only segments.
     fine : sequence of Path
         Graphs with the output ``fine_words``, one for each ensemble member, with weights beside them likewise.
     threads : int
@@ -33,12 +33,14 @@ class OnnxEngine:
         ONNX Runtime cannot be imported, or cannot load a graph.
     """
 
-    def __init__(self, fields: Path, fine: Sequence[Path] = (), *, threads: int) -> None:
-        self._fields = _session(fields, threads)
+    def __init__(self, fields: Path | None, fine: Sequence[Path] = (), *, threads: int) -> None:
+        self._fields = None if fields is None else _session(fields, threads)
         self._fine = [_session(graph, threads) for graph in fine]
 
     def fields(self, images: Bytes2D) -> tuple[Floats, Floats]:
         """See `Engine.fields`."""
+        if self._fields is None:
+            raise SetupError("this engine only segments: its fields come from a shared encoder")
         words, detail = self._fields.run(["words", "detail"], {"pictures": images})
         return words, detail
 

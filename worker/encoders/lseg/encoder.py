@@ -134,7 +134,7 @@ class LsegEncoder:
         """Any label has a vector: the text network makes it."""
         return
 
-    def encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         """One field per image, in order, each computed on demand.
 
         In mode ``windows`` the longer side has 520 cells and a field takes up to 554 MB: reduce one before taking the

@@ -15,7 +15,7 @@ helm.sh/chart: {{ .Chart.Name }}-{{ .Chart.Version }}
 {{- end }}
 
 {{- define "revisit.container" -}}
-image: "{{ .Values.image.repository }}:{{ .Values.image.tag | default .Chart.AppVersion }}"
+image: "{{ .Values.image.repository }}:{{ .tag | default .Values.image.tag | default .Chart.AppVersion }}"
 imagePullPolicy: {{ .Values.image.pullPolicy }}
 securityContext:
   allowPrivilegeEscalation: false
@@ -58,15 +58,23 @@ affinity: {{- toYaml . | nindent 2 }}
 {{- end }}
 {{- end }}
 
-{{/* Variables of a process. The argument: root, and settings of its own. */}}
+{{/* Variables of a process. The argument: root, settings of its own, and `encodes` for a shared encoder, which has no data. */}}
 {{- define "revisit.environment" -}}
 {{- $values := .root.Values -}}
 {{- $given := mustMergeOverwrite (dict "REVISIT_LOG" "json") (deepCopy $values.settings) (deepCopy .settings) -}}
-{{- range $name := list "REVISIT_DATA" "REVISIT_HOST" "REVISIT_PORT" "REVISIT_DATABASE" "REVISIT_IMAGES" "REVISIT_INLINE_WORKER" -}}
+{{- range $name := list "REVISIT_DATA" "REVISIT_HOST" "REVISIT_PORT" "REVISIT_DATABASE" "REVISIT_IMAGES" "REVISIT_INLINE_WORKER" "REVISIT_ENCODER_URL" "REVISIT_ENCODER_KEY" -}}
 {{- if hasKey $given $name }}{{ fail (printf "%s is set by the chart; see values.yaml" $name) }}{{ end -}}
 {{- end -}}
 {{- range $name, $value := $given }}
 - {name: {{ $name }}, value: {{ $value | quote }}}
+{{- end }}
+{{- with $values.encoders.secret }}
+- name: REVISIT_ENCODER_KEY
+  valueFrom: {secretKeyRef: {name: {{ . }}, key: {{ $values.encoders.key }}}}
+{{- end }}
+{{- if not .encodes }}
+{{- if or $values.encoders.url (gt (int $values.encoders.replicas) 0) }}
+- {name: REVISIT_ENCODER_URL, value: {{ $values.encoders.url | default (printf "http://%s-encoder:8000" (include "revisit.name" .root)) | quote }}}
 {{- end }}
 {{- if $values.database.secret }}
 - {name: REVISIT_INLINE_WORKER, value: "false"}
@@ -82,6 +90,7 @@ affinity: {{- toYaml . | nindent 2 }}
   valueFrom: {secretKeyRef: {name: {{ . }}, key: AWS_ACCESS_KEY_ID}}
 - name: AWS_SECRET_ACCESS_KEY
   valueFrom: {secretKeyRef: {name: {{ . }}, key: AWS_SECRET_ACCESS_KEY}}
+{{- end }}
 {{- end }}
 {{- end }}
 {{- end }}

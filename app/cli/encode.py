@@ -1,0 +1,93 @@
+"""``revisit encode``: an encoder that several nodes share."""
+
+import argparse
+import logging
+import os
+import signal
+import socket
+from typing import TYPE_CHECKING
+
+from app.cli import logs
+from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
+from app.cli.listening import address, is_loopback, listen
+from app.cli.processor import check_processor
+from app.cli.serve import settings_of
+
+if TYPE_CHECKING:
+    from schemas.settings import Settings
+
+log = logging.getLogger("revisit")
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the command."""
+    encode = verbs.add_parser(
+        "encode",
+        help="encode images for services and workers that have no GPU",
+        description="Encode images for services and workers whose REVISIT_ENCODER_URL names this process, all of them "
+        "together in batches. It keeps nothing. Flags win over REVISIT_* variables.",
+    )
+    encode.add_argument("--host", help="address to listen on (default: 127.0.0.1)")
+    encode.add_argument("--port", type=int, help="port to listen on; 0 picks a free one (default: 8000)")
+    encode.add_argument(
+        "--open",
+        action="store_const",
+        const=True,
+        help="allow an address that others can reach, although anybody may then have images encoded",
+    )
+    encode.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
+    encode.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
+    encode.set_defaults(run=run_encode)
+
+
+def run_encode(arguments: argparse.Namespace) -> int:
+    """Encode until SIGINT or SIGTERM."""
+    check_processor()
+    settings = settings_of(arguments, "host", "port", "open", "device", "threads")
+    if not (is_loopback(settings.host) or settings.open or settings.encoder_key):
+        raise Failure(
+            f"{settings.host} can be reached by others, and there is no key: anybody could keep the encoder busy.\n"
+            "Set REVISIT_ENCODER_KEY here and at the nodes, listen on 127.0.0.1, or say --open if the\n"
+            "network is yours.",
+            2,
+        )
+    logs.configure(settings.log, settings.log_level)
+    listening = listen(settings)
+    try:
+        return _encode(settings, listening)
+    finally:
+        listening.close()
+
+
+def _encode(settings: "Settings", listening: socket.socket) -> int:
+    from app.http.encoding import encoder_application
+    from app.http.server import Server, configured
+    from worker.configure import configure
+    from worker.encoders.choosing import batch_of, make_encoder_to_share
+    from worker.service.encoding import EncodingService
+
+    threads = settings.threads or os.cpu_count() or 1
+    configure(threads)
+    encoder = make_encoder_to_share(settings, threads)
+    app = encoder_application(lambda observe: EncodingService(encoder, batch_of(settings), observe), settings)
+    shared = app.state.shared
+    # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
+    url = address(settings.host, listening.getsockname()[1])
+    server = Server(
+        configured(app, settings),
+        settings.grace_s,
+        drain=shared.drain,
+        announce=lambda: show(
+            f"revisit encodes at {url}\n"
+            f"  encoder   {shared.service.model} on {settings.device}\n"
+            f"  nodes     REVISIT_ENCODER_URL={url}"
+        ),
+    )
+    server.run(sockets=[listening])
+    if not server.started:
+        say("revisit: the encoder could not start; the reason is above")
+        return FAILED
+    log.info("stopped")
+    return DONE

@@ -1,0 +1,291 @@
+"""A shared encoder gives what one in the process gives; whatever happens to it costs a query little time."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+
+from schemas.errors import EncoderAway, SetupError
+from schemas.image import Image
+from schemas.inference import JSON_LENGTH, Tensor, packed, unpacked
+from schemas.settings import Settings
+from tests.sample_images import drawn
+from worker.encoders.choosing import batch_of, make_encoder, patience_of
+from worker.encoders.compact.encoder import CompactEncoder
+from worker.encoders.compact.shared import SharedCompactEncoder
+from worker.encoders.inference_client import FailedImage, InferenceClient
+
+PATIENCE_S = 0.5
+SIZES = ((640, 480), (640, 480), (300, 400), (97, 97), (64, 48))
+
+Answer = Callable[["Handler", dict[str, Tensor]], None]
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["content-length"]))
+        server = self.server
+        assert isinstance(server, InferenceServer)
+        said, tensors = unpacked("inputs", self.headers[JSON_LENGTH], body)
+        server.received.append((self.path, said, self.headers["authorization"], tensors["pictures"].shape))
+        server.answer(self, tensors)
+
+    def give(self, status: int, body: bytes, **headers: str) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name.replace("_", "-"), value)
+        self.send_header("content-length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+class InferenceServer(ThreadingHTTPServer):
+    """Answers by the rule of the moment, and remembers what it received."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.encoder = CompactEncoder(prepared=True)
+        self.received: list[tuple[str, dict[str, object], str | None, tuple[int, ...]]] = []
+        self.answer: Answer = self.right
+        self.url = f"http://127.0.0.1:{self.server_address[1]}"
+
+    def right(self, handler: Handler, tensors: dict[str, Tensor]) -> None:
+        fields = list(self.encoder.encode([Image(np.asarray(one, np.uint8), "0" * 64) for one in tensors["pictures"]]))
+        layers = {
+            name: np.stack([f.layers[layer] for f in fields])
+            for layer, name in (("semantic", "words"), ("detail", "detail"))
+        }
+        length, body = packed("outputs", layers, {})
+        handler.give(200, body, **{JSON_LENGTH.replace("-", "_"): str(length)})
+
+
+@pytest.fixture(scope="module")
+def local() -> CompactEncoder:
+    return CompactEncoder()
+
+
+@pytest.fixture
+def server() -> Iterator[InferenceServer]:
+    with InferenceServer() as serving:
+        thread = threading.Thread(target=serving.serve_forever, args=(0.01,))
+        thread.start()
+        yield serving
+        serving.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def client(server: InferenceServer) -> Iterator[InferenceClient]:
+    one = InferenceClient(server.url, "compact-1", None, PATIENCE_S)
+    yield one
+    one.close()
+
+
+PIXELS = np.zeros((2, 96, 128, 3), np.uint8)
+
+
+def says(status: int, text: str = '{"error": "so it says"}', **headers: str) -> Answer:
+    return lambda handler, _: handler.give(status, text.encode(), **headers)
+
+
+def hangs(handler: Handler, _: dict[str, Tensor]) -> None:
+    time.sleep(4 * PATIENCE_S)
+    handler.close_connection = True
+
+
+def trickles(handler: Handler, _: dict[str, Tensor]) -> None:
+    handler.send_response(200)
+    handler.send_header("content-length", "100000")
+    handler.end_headers()
+    try:
+        for _byte in range(100):
+            handler.wfile.write(b"x")
+            time.sleep(PATIENCE_S / 5)
+    except OSError:
+        pass
+
+
+def breaks_off(handler: Handler, _: dict[str, Tensor]) -> None:
+    handler.close_connection = True
+
+
+def test_every_layer_is_the_same_to_the_byte(server: InferenceServer, local: CompactEncoder) -> None:
+    images = [Image.of(drawn(*size, seed)) for seed, size in enumerate(SIZES)]
+    shared = SharedCompactEncoder(server.url, None, 10)
+
+    found = list(shared.encode(images, urgent=True))
+
+    assert (shared.name, shared.digest, shared.layers) == (local.name, local.digest, local.layers)
+    for mine, other in zip(found, local.encode(images), strict=True):
+        assert mine.extent == other.extent
+        assert list(mine.layers) == list(other.layers)
+        for name, layer in other.layers.items():
+            assert mine.layers[name].dtype == layer.dtype
+            assert mine.layers[name].tobytes() == layer.tobytes()
+    shapes = [shape for _, _, _, shape in server.received[1:]]  # the first call was the trial at the start
+    assert shapes == [(2, 352, 480, 3), (1, 480, 352, 3), (1, 480, 480, 3), (1, 352, 480, 3)]
+    assert server.received[-1][0] == f"/v2/models/compact-{local.digest[:12]}/infer"
+    shared.close()
+
+
+def test_labels_and_drawings_stay_in_the_process(server: InferenceServer, local: CompactEncoder) -> None:
+    shared = SharedCompactEncoder(server.url, None, 10)
+    server.answer = says(503)
+    image = Image.of(drawn(320, 240))
+    mine, other = shared.segmenter(), local.segmenter()
+
+    assert mine is not None
+    assert other is not None
+    assert np.array_equal(mine.segment(image).semantic, other.segment(image).semantic)
+    assert np.array_equal(shared.text_vectors(["road"]), local.text_vectors(["road"]))
+    assert shared.meanings(["road"]) == local.meanings(["road"])
+    shared.close()
+
+
+def test_a_query_says_that_it_goes_first_and_how_long_it_waits(server: InferenceServer) -> None:
+    client = InferenceClient(server.url, "compact-1", "a key of the fleet", 2.0)
+    for urgent in (True, False):
+        client.fields(PIXELS, urgent=urgent)
+
+    received = [said["parameters"] for _, said, _, _ in server.received]
+    assert received == [{"binary_data_output": True, "priority": p, "timeout": 2_000_000} for p in (1, 2)]
+    assert {key for _, _, key, _ in server.received} == {"Bearer a key of the fleet"}
+    client.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (hangs, "does not answer within 0.5 s"),
+        (trickles, "does not answer within 0.5 s"),
+        (breaks_off, "cannot be reached"),
+        (says(503), "answers 503: so it says"),
+        (says(502, "<html>"), "answers 502: <html>"),
+        (says(200, "fine"), "gives an answer of another kind"),
+        (says(200, '{"outputs": []}'), "the output words of 2 images is None"),
+        (says(500), "fails on a test image"),
+        (says(404, '{"error": "unknown model", "detail": "d"}'), "does not have the model compact-1"),
+        (says(401, '{"detail": "no"}'), "refuses the key"),
+    ],
+)
+def test_whatever_is_wrong_with_it_is_said_by_name_and_soon(
+    server: InferenceServer, client: InferenceClient, answer: Answer, why: str
+) -> None:
+    server.answer = answer
+    began = time.monotonic()
+
+    with pytest.raises(EncoderAway) as away:
+        client.fields(PIXELS, urgent=True)
+
+    assert time.monotonic() - began < 6 * PATIENCE_S
+    assert why in away.value.detail
+    assert f"the encoder at {server.url} " in away.value.detail
+
+
+def test_after_a_failure_calls_fail_at_once_until_a_small_image_is_encoded(server: InferenceServer) -> None:
+    now = [0.0]
+    client = InferenceClient(server.url, "compact-1", None, PATIENCE_S, clock=lambda: now[0])
+    server.answer = says(503, Retry_After="4")
+    with pytest.raises(EncoderAway) as away:
+        client.fields(PIXELS, urgent=True)
+    assert away.value.retry_after_s == 4
+
+    for now[0] in (1.0, 3.9):
+        with pytest.raises(EncoderAway, match="answers 503"):
+            client.fields(PIXELS, urgent=True)
+    assert len(server.received) == 1  # it was left alone
+    now[0] = 4.0
+    with pytest.raises(EncoderAway):
+        client.fields(PIXELS, urgent=True)
+    assert server.received[1][3] == (1, 96, 96, 3)
+
+    server.answer = server.right
+    now[0] = 8.0
+    assert client.fields(PIXELS, urgent=True)["semantic"].shape[:3] == (2, 12, 16)
+    assert client.fields(PIXELS, urgent=True)["semantic"].shape[:3] == (2, 12, 16)
+    assert [shape for _, _, _, shape in server.received[2:]] == [(1, 96, 96, 3), PIXELS.shape, PIXELS.shape]
+    client.close()
+
+
+def test_one_that_stops_is_followed_by_another_at_the_same_address(
+    server: InferenceServer, client: InferenceClient
+) -> None:
+    def stops(handler: Handler, tensors: dict[str, Tensor]) -> None:
+        server.answer = server.right
+        handler.close_connection = True
+        handler.give(503, b"{}", Connection="close", Retry_After="10")
+
+    server.answer = stops
+
+    assert len(client.fields(PIXELS, urgent=True)["semantic"]) == 2
+    server.answer = says(503, Retry_After="600")
+    with pytest.raises(EncoderAway) as away:
+        client.fields(PIXELS, urgent=True)
+    assert away.value.retry_after_s == 5
+
+
+def test_images_on_which_a_sound_encoder_fails_are_to_blame_themselves(
+    server: InferenceServer, client: InferenceClient
+) -> None:
+    def fails_on_two(handler: Handler, tensors: dict[str, Tensor]) -> None:
+        (says(500) if len(tensors["pictures"]) == 2 else server.right)(handler, tensors)
+
+    server.answer = fails_on_two
+
+    with pytest.raises(FailedImage, match="answers 500: so it says"):
+        client.fields(PIXELS, urgent=False)
+    assert len(client.fields(PIXELS[:1], urgent=False)["detail"]) == 1
+
+
+def test_a_connection_that_was_closed_meanwhile_is_made_anew(server: InferenceServer, client: InferenceClient) -> None:
+    def closes(handler: Handler, tensors: dict[str, Tensor]) -> None:
+        server.right(handler, tensors)
+        handler.close_connection = True  # without saying so
+
+    server.answer = closes
+
+    for _ in range(3):
+        assert len(client.fields(PIXELS, urgent=False)["semantic"]) == 2
+
+
+@pytest.mark.parametrize(("status", "why"), [(404, "weights"), (400, "weights"), (403, "REVISIT_ENCODER_KEY")])
+def test_other_weights_and_another_key_are_refused_at_the_start(server: InferenceServer, status: int, why: str) -> None:
+    server.answer = says(status)
+
+    with pytest.raises(SetupError, match=why):
+        SharedCompactEncoder(server.url, None, 1)
+
+
+def test_one_that_is_away_at_the_start_is_waited_for(server: InferenceServer) -> None:
+    server.answer = says(503)
+    shared = SharedCompactEncoder(server.url, None, 1)
+    image = Image.of(drawn(64, 48))
+    with pytest.raises(EncoderAway):
+        next(shared.encode([image]))
+
+    server.answer = server.right
+    time.sleep(1.1)
+    assert next(shared.encode([image])).shape == (44, 60)
+    shared.close()
+
+
+def test_only_the_built_in_encoder_is_shared() -> None:
+    with pytest.raises(SetupError, match="compact alone"):
+        make_encoder(Settings(encoder="color", encoder_url="http://encoder:8100"), 1)
+
+
+def test_all_parts_of_a_call_together_take_less_than_callers_wait() -> None:
+    for wait in (4.0, 30.0, 120.0):
+        assert 3 * patience_of(Settings(wait=wait)) < wait
+    assert batch_of(Settings()) == 1
+    assert batch_of(Settings(encoder_url="http://encoder:8100")) > 1

@@ -1,0 +1,269 @@
+"""A shared encoder over HTTP: batches over all callers, bounds, the key, and every refusal in words."""
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from app.http.encoding import encoder_application
+from schemas.description import PixelField
+from schemas.image import Bytes2D, Image
+from schemas.inference import JSON_LENGTH, PIXELS, Tensor, packed, unpacked
+from schemas.settings import read_settings
+from worker.encoders.color import ColorEncoder
+from worker.service.encoding import EncodingService
+
+KEY = "a key that the fleet shares"
+
+
+class GatedEncoder(ColorEncoder):
+    """Encodes whenever the test lets it, and remembers what it was given together."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.batches: list[list[int]] = []
+        self.open = threading.Event()
+        self.open.set()
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        numbers = [int(image.pixels[0, 0, 0]) for image in images]
+        self.batches.append(numbers)
+        self.open.wait(10)
+        if 99 in numbers:
+            raise RuntimeError("this picture kills the network")
+        return super().encode(images)
+
+
+@pytest.fixture
+def encoder() -> GatedEncoder:
+    return GatedEncoder()
+
+
+def serving(encoder: GatedEncoder, *, most: int = 8, **settings: str) -> TestClient:
+    app = encoder_application(
+        lambda observe: EncodingService(encoder, 4, observe, most),
+        read_settings({f"REVISIT_{name.upper()}": value for name, value in settings.items()}),
+    )
+    return TestClient(app, raise_server_exceptions=False)
+
+
+@pytest.fixture
+def client(encoder: GatedEncoder) -> Iterator[TestClient]:
+    with serving(encoder) as one:
+        yield one
+
+
+def pixels(*numbers: int, side: int = 32) -> Bytes2D:
+    return np.stack([np.full((side, 64, 3), number, np.uint8) for number in numbers])
+
+
+def ask(
+    client: TestClient, images: Tensor, model: str | None = None, *, name: str = PIXELS, **further: object
+) -> httpx.Response:
+    length, body = packed("inputs", {name: images}, further)
+    model = client.app.state.shared.service.model if model is None else model  # type: ignore[attr-defined]
+    headers = {JSON_LENGTH: str(length), "content-type": "application/octet-stream"}
+    answer: httpx.Response = client.post(f"/v2/models/{model}/infer", content=body, headers=headers)
+    return answer
+
+
+def numbers_waiting(client: TestClient, count: int) -> None:
+    until = time.monotonic() + 5
+    while client.app.state.shared.service.waiting < count:  # type: ignore[attr-defined]
+        assert time.monotonic() < until
+        time.sleep(0.005)
+
+
+def test_layers_are_those_of_the_encoder_to_the_byte(client: TestClient, encoder: GatedEncoder) -> None:
+    images = np.random.default_rng(3).integers(0, 256, (3, 64, 96, 3), np.uint8)
+
+    answer = ask(client, images, id="7")
+
+    assert answer.status_code == 200
+    said, found = unpacked("outputs", answer.headers[JSON_LENGTH], answer.content)
+    assert said["id"] == "7"
+    assert said["model_name"] == f"color-{encoder.digest[:12]}"
+    for number, field in enumerate(ColorEncoder().encode([Image.of(one) for one in images])):
+        assert found["words"][number].tobytes() == field.layers["semantic"].tobytes()
+        assert found["detail"][number].tobytes() == field.layers["detail"].tobytes()
+
+
+def test_images_of_several_callers_go_through_the_network_together(client: TestClient, encoder: GatedEncoder) -> None:
+    encoder.open.clear()
+    with ThreadPoolExecutor(4) as nodes:
+        first = nodes.submit(ask, client, pixels(1))
+        numbers_waiting(client, 1)
+        answers = [first]
+        for number in (2, 3, 4):
+            answers.append(nodes.submit(ask, client, pixels(number)))
+            numbers_waiting(client, number)
+        encoder.open.set()
+        found = [unpacked("outputs", a.result().headers[JSON_LENGTH], a.result().content)[1] for a in answers]
+
+    assert encoder.batches == [[1], [2, 3, 4]]
+    expected = [next(ColorEncoder().encode([Image.of(pixels(n)[0])])).semantic for n in (1, 2, 3, 4)]
+    for one, semantic in zip(found, expected, strict=True):
+        assert np.array_equal(one["words"][0], semantic)
+    metrics = client.get("/metrics").text
+    assert "revisit_encoder_batch_images_sum 4.0" in metrics
+    assert "revisit_encoder_batch_images_count 2.0" in metrics
+    assert "revisit_encoder_images_waiting 0.0" in metrics
+
+
+def test_queries_go_before_enrolments_of_all_callers(client: TestClient, encoder: GatedEncoder) -> None:
+    encoder.open.clear()
+    with ThreadPoolExecutor(4) as nodes:
+        running = nodes.submit(ask, client, pixels(1))
+        numbers_waiting(client, 1)
+        enrolment = nodes.submit(ask, client, pixels(2, 3), parameters={"priority": 2})
+        numbers_waiting(client, 3)
+        query = nodes.submit(ask, client, pixels(4), parameters={"priority": 1})
+        numbers_waiting(client, 4)
+        encoder.open.set()
+        assert {running.result().status_code, enrolment.result().status_code, query.result().status_code} == {200}
+
+    assert encoder.batches == [[1], [4], [2, 3]]
+
+
+def test_a_full_queue_is_refused_with_a_time_to_come_back_and_queries_have_a_queue_of_their_own(
+    client: TestClient, encoder: GatedEncoder
+) -> None:
+    encoder.open.clear()
+    with ThreadPoolExecutor(4) as nodes:
+        waiting = [nodes.submit(ask, client, pixels(*range(8)), parameters={"priority": 2})]
+        numbers_waiting(client, 8)
+
+        refused = ask(client, pixels(9), parameters={"priority": 2})
+        assert refused.status_code == 503
+        assert int(refused.headers["retry-after"]) >= 1
+        assert refused.headers["content-type"] == "application/problem+json"
+        assert refused.json()["error"] == refused.json()["detail"]
+        assert "8 images are waiting" in refused.json()["detail"]
+
+        waiting.append(nodes.submit(ask, client, pixels(9)))
+        numbers_waiting(client, 9)
+        encoder.open.set()
+        assert [one.result().status_code for one in waiting] == [200, 200]
+
+
+def test_what_a_caller_no_longer_waits_for_is_not_encoded(client: TestClient, encoder: GatedEncoder) -> None:
+    encoder.open.clear()
+    with ThreadPoolExecutor(1) as nodes:
+        running = nodes.submit(ask, client, pixels(1))
+        numbers_waiting(client, 1)
+        late = ask(client, pixels(2, 3), parameters={"timeout": 50_000})
+        encoder.open.set()
+        assert running.result().status_code == 200
+
+    assert late.status_code == 503
+    assert "not done within 0.1 s" in late.json()["detail"] or "within 0.0 s" in late.json()["detail"]
+    assert ask(client, pixels(4)).status_code == 200
+    assert encoder.batches == [[1], [4]]
+
+
+def test_an_image_that_kills_the_network_fails_alone(client: TestClient, encoder: GatedEncoder) -> None:
+    encoder.open.clear()
+    with ThreadPoolExecutor(3) as nodes:
+        nodes.submit(ask, client, pixels(1))
+        numbers_waiting(client, 1)
+        bad = nodes.submit(ask, client, pixels(99))
+        numbers_waiting(client, 2)
+        good = nodes.submit(ask, client, pixels(3))
+        numbers_waiting(client, 3)
+        encoder.open.set()
+        assert (bad.result().status_code, good.result().status_code) == (500, 200)
+    assert bad.result().json()["type"] == "urn:revisit:problem:internal"
+
+
+def test_other_weights_are_an_unknown_model_and_it_says_which_there_are(
+    client: TestClient, encoder: GatedEncoder
+) -> None:
+    answer = ask(client, pixels(1), "color-000000000000")
+
+    assert answer.status_code == 404
+    assert encoder.digest in answer.json()["error"]
+    assert client.get("/v2/models/color-000000000000/ready").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("images", "further"),
+    [
+        (np.zeros((1, 33, 64, 3), np.uint8), {}),
+        (np.zeros((1, 32, 64, 4), np.uint8), {}),
+        (np.zeros((32, 64, 3), np.uint8), {}),
+        (np.zeros((1, 32, 64, 3), np.float32), {}),
+        (np.zeros((1, 32, 64, 3), np.uint8), {"name": "images"}),
+        (np.zeros((1, 32, 64, 3), np.uint8), {"parameters": {"priority": "high"}}),
+        (np.zeros((1, 32, 64, 3), np.uint8), {"parameters": {"timeout": -1}}),
+        (np.zeros((1, 32, 64, 3), np.uint8), {"parameters": [1]}),
+        (np.zeros((1, 32, 64, 3), np.uint8), {"outputs": [{"name": "scores"}]}),
+        (np.zeros((1, 32, 64, 3), np.uint8), {"outputs": "words"}),
+    ],
+)
+def test_what_cannot_be_encoded_is_refused(client: TestClient, images: Tensor, further: dict[str, object]) -> None:
+    answer = ask(client, images, **further)  # type: ignore[arg-type]
+
+    assert answer.status_code == 400
+    assert answer.json()["type"] == "urn:revisit:problem:malformed-body"
+
+
+def test_one_output_can_be_wanted_alone(client: TestClient) -> None:
+    answer = ask(client, pixels(1), outputs=[{"name": "detail", "parameters": {"binary_data": True}}])
+
+    assert list(unpacked("outputs", answer.headers[JSON_LENGTH], answer.content)[1]) == ["detail"]
+
+
+def test_a_body_that_is_too_large_is_refused_before_it_is_read(encoder: GatedEncoder) -> None:
+    with serving(encoder, max_body_mb="0.1") as client:
+        assert ask(client, pixels(*range(8), side=320)).status_code == 413
+
+
+def test_it_says_what_it_is_as_the_protocol_has_it(client: TestClient, encoder: GatedEncoder) -> None:
+    model = client.app.state.shared.service.model  # type: ignore[attr-defined]
+
+    assert "binary_tensor_data" in client.get("/v2").json()["extensions"]
+    facts = client.get(f"/v2/models/{model}").json()
+    assert facts["inputs"] == [{"name": "pictures", "datatype": "UINT8", "shape": [-1, -1, -1, 3]}]
+    assert [(one["name"], one["shape"][-1]) for one in facts["outputs"]] == [("words", 8), ("detail", 12)]
+    for path in ("/livez", "/readyz", "/v2/health/live", "/v2/health/ready", f"/v2/models/{model}/ready"):
+        assert client.get(path).status_code == 200
+
+
+def test_it_is_ready_when_it_encodes_and_says_why_not(encoder: GatedEncoder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.http.encoding.CHECK_S", 0.2)
+    with serving(encoder) as client:
+        assert client.get("/readyz").json()["checks"] == {"encoder": "ok"}
+        assert encoder.batches == [[127]]
+        encoder.open.clear()
+        time.sleep(0.25)
+
+        answer = client.get("/readyz")
+
+        assert answer.status_code == 503
+        assert answer.json()["checks"] == {"encoder": "it has encoded no image for 0 s"}
+        assert "retry-after" in answer.headers
+        encoder.open.set()
+        time.sleep(0.25)
+        assert client.get("/readyz").status_code == 200
+
+
+def test_only_who_has_the_key_is_let_in(encoder: GatedEncoder) -> None:
+    with serving(encoder, encoder_key=KEY.replace(" ", "-")) as client:
+        assert ask(client, pixels(1)).status_code == 401
+        assert client.get("/metrics").status_code == 401
+        assert client.get("/v2").status_code == 401
+        assert client.get("/readyz").status_code == 200
+        client.headers["authorization"] = "Bearer another-key-of-some-length"
+        refused = ask(client, pixels(1))
+        assert refused.status_code == 401
+        assert "REVISIT_ENCODER_KEY" in refused.json()["detail"]
+        assert refused.headers["www-authenticate"].startswith("Bearer")
+        client.headers["authorization"] = f"Bearer {KEY.replace(' ', '-')}"
+        assert ask(client, pixels(1)).status_code == 200
+        assert client.get("/metrics").status_code == 200
+    assert encoder.batches == [[127], [1]]

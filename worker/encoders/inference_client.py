@@ -1,0 +1,221 @@
+"""Calls a server of models by the Open Inference Protocol (KServe v2), so that its failures cost little time.
+
+One that does not answer is given up after some seconds; from then on calls fail at once, and now and again one of them
+tries it with a small image first. So a query never waits for a server that was silent a moment ago.
+"""
+
+import json
+import time
+from collections.abc import Callable, Mapping
+
+import httpx
+import numpy as np
+
+from schemas.description import Floats
+from schemas.errors import BadBody, EncoderAway
+from schemas.image import Bytes2D
+from schemas.inference import (
+    ENROLMENT_PRIORITY,
+    JSON_LENGTH,
+    MEDIA_TYPE,
+    OUTPUTS,
+    PIXELS,
+    QUERY_PRIORITY,
+    Tensor,
+    packed,
+    unpacked,
+)
+
+CONNECT_S = 2.0
+"""Seconds for a connection to be made."""
+
+PROBE_S = 2.0
+"""Seconds that a server which failed has to answer the small image."""
+
+REST_S, MOST_REST_S = 1, 5
+"""Seconds after a failure in which calls fail at once: the first, or what the server asks for up to the second."""
+
+IDLE_S = 3.0
+"""Seconds for which a silent connection is kept: less than servers keep it (revisit: 5 s)."""
+
+PROBE = np.full((1, 96, 96, 3), 127, np.uint8)
+
+_LONGEST_WORD = 300
+
+
+class UnknownModel(EncoderAway):
+    """The server does not have these weights, or does not let this process in: time alone mends neither."""
+
+
+class FailedImage(Exception):
+    """The server works, and failed on these images."""
+
+
+class InferenceClient:
+    """One model of a server.
+
+    Parameters
+    ----------
+    url : str
+        Of the server, without ``/v2``.
+    model : str
+        Its name, which says which weights are meant: `schemas.inference.model_name`.
+    key : str or None
+        Sent as ``Authorization: Bearer``.
+    patience_s : float
+        Seconds in which the server must take a request, begin its answer, and end it, each.
+    clock : function
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        model: str,
+        key: str | None = None,
+        patience_s: float = 7.5,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._place, self._model, self._patience_s, self._clock = url.rstrip("/"), model, patience_s, clock
+        headers = {"user-agent": "revisit", "content-type": MEDIA_TYPE, "accept-encoding": "identity"}
+        if key is not None:
+            headers["authorization"] = f"Bearer {key}"
+        self._http = httpx.Client(headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
+        self._trouble: EncoderAway | None = None
+        self._again_at = 0.0
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._http.close()
+
+    def probe(self) -> None:
+        """Have a small image encoded; raises EncoderAway, of which UnknownModel says that the set-up is wrong."""
+        try:
+            self._call(PROBE, urgent=True, patience_s=min(PROBE_S, self._patience_s))
+        except FailedImage as error:
+            raise self._away(f"fails on a test image ({error})") from None
+
+    def fields(self, pixels: Bytes2D, *, urgent: bool) -> Mapping[str, Floats]:
+        """Layers of images of one size.
+
+        Parameters
+        ----------
+        pixels : uint8 of shape (n, height, width, 3)
+        urgent : bool
+            Whether they go before those that are not.
+
+        Returns
+        -------
+        mapping of layer to float32 of shape (n, rows, columns, channels)
+
+        Raises
+        ------
+        EncoderAway
+            The server cannot be had now; the detail names it and says why.
+        FailedImage
+        """
+        if self._trouble is not None and self._clock() < self._again_at:
+            raise EncoderAway(self._trouble.detail, self._trouble.retry_after_s)
+        try:
+            if self._trouble is not None:
+                self.probe()
+            try:
+                found = self._call(pixels, urgent=urgent, patience_s=self._patience_s)
+            except FailedImage:
+                self.probe()  # if it fails on every image, these are not to blame
+                raise
+        except EncoderAway as error:
+            self._trouble, self._again_at = error, self._clock() + error.retry_after_s
+            raise
+        self._trouble = None
+        return found
+
+    def _call(self, pixels: Bytes2D, *, urgent: bool, patience_s: float) -> Mapping[str, Floats]:
+        wanted = {
+            "parameters": {
+                "binary_data_output": True,
+                "priority": QUERY_PRIORITY if urgent else ENROLMENT_PRIORITY,
+                "timeout": round(patience_s * 1_000_000),
+            }
+        }
+        length, body = packed("inputs", {PIXELS: pixels}, wanted)
+        try:
+            try:
+                status, headers, content = self._post(length, body, patience_s)
+                if status == 503 and headers.get("connection") == "close":
+                    # It stops; behind the same address there may be another.
+                    status, headers, content = self._post(length, body, patience_s)
+            except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
+                # It had closed a connection that was kept: encoding twice does no harm.
+                status, headers, content = self._post(length, body, patience_s)
+        except httpx.TimeoutException:
+            raise self._away(f"does not answer within {patience_s:.1f} s") from None
+        except httpx.HTTPError as error:
+            raise self._away(f"cannot be reached ({str(error) or type(error).__name__})") from None
+        if status != 200:
+            raise self._refused(status, headers, content)
+        try:
+            _, tensors = unpacked("outputs", headers.get(JSON_LENGTH), content)
+            return _layers(tensors, len(pixels))
+        except BadBody as error:
+            raise self._away(f"gives an answer of another kind: {error.detail}") from None
+
+    def _post(self, length: int, body: bytes, patience_s: float) -> tuple[int, httpx.Headers, bytes]:
+        until = self._clock() + patience_s
+        timeout = httpx.Timeout(patience_s, connect=min(CONNECT_S, patience_s))
+        address = f"{self._place}/v2/models/{self._model}/infer"
+        with self._http.stream(
+            "POST", address, content=body, headers={JSON_LENGTH: str(length)}, timeout=timeout
+        ) as answer:
+            begun = self._clock()
+            chunks = []
+            for chunk in answer.iter_raw():  # each of them has its own time, and all together have it once more
+                chunks.append(chunk)
+                if self._clock() > max(until, begun + patience_s):
+                    raise httpx.ReadTimeout("the answer does not end")
+        return answer.status_code, answer.headers, b"".join(chunks)
+
+    def _refused(self, status: int, headers: httpx.Headers, content: bytes) -> Exception:
+        said = _said(content)
+        if status in (400, 404):  # Triton's answer to an unknown model was 400 until 2023
+            return UnknownModel(
+                f"the encoder at {self._place} does not have the model {self._model}, which is the encoder and weights "
+                f"of this version; run the same version of revisit there (it answers {status}: {said})",
+                REST_S,
+            )
+        if status in (401, 403):
+            return UnknownModel(
+                f"the encoder at {self._place} refuses the key; give both REVISIT_ENCODER_KEY the same value "
+                f"(it answers {status}: {said})",
+                REST_S,
+            )
+        if status == 500:
+            return FailedImage(f"the encoder at {self._place} answers {status}: {said}")
+        after = headers.get("retry-after", "")
+        return self._away(f"answers {status}: {said}", min(MOST_REST_S, int(after)) if after.isdecimal() else REST_S)
+
+    def _away(self, what: str, retry_after_s: int = REST_S) -> EncoderAway:
+        return EncoderAway(f"the encoder at {self._place} {what}", max(REST_S, retry_after_s))
+
+
+def _layers(tensors: Mapping[str, Tensor], count: int) -> Mapping[str, Floats]:
+    """The outputs by the names of layers; raises BadBody."""
+    layers: dict[str, Floats] = {}
+    for layer, name in OUTPUTS.items():
+        tensor = tensors.get(name)
+        if tensor is None or tensor.dtype != np.float32 or tensor.ndim != 4 or len(tensor) != count:
+            seen = None if tensor is None else (str(tensor.dtype), tensor.shape)
+            raise BadBody("malformed-body", f"the output {name} of {count} images is {seen}")
+        layers[layer] = np.asarray(tensor, np.float32)
+    return layers
+
+
+def _said(content: bytes) -> str:
+    """What a refusal says: the member ``error`` (KServe) or ``detail`` (RFC 9457) of its JSON, or its beginning."""
+    text = content[:4096].decode(errors="replace").strip()
+    try:
+        told = json.loads(content)
+    except ValueError:
+        told = None
+    said = (told.get("error") or told.get("detail")) if isinstance(told, dict) else text
+    return str(said or "nothing")[:_LONGEST_WORD]

@@ -1,0 +1,154 @@
+"""The use-case of a shared encoder: images of several nodes go through one network together."""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+
+import numpy as np
+
+from schemas.description import Floats, PixelField
+from schemas.errors import EncoderAway, RevisitError
+from schemas.image import Bytes2D, Image
+from schemas.inference import model_name
+from schemas.records import Meaning
+from worker.description.ports import Encoder
+from worker.description.scheduler import Scheduler, Timed
+
+MOST_WAITING = 256
+"""Images of queries that may wait, and as many of enrolments: half a megabyte each."""
+
+TEST_PIXELS = np.full((1, 96, 96, 3), 127, np.uint8)
+
+NAMELESS = "0" * 64
+"""Digest of images whose encoded bytes are not known here; the encoder does not read it."""
+
+
+class EncodingService:
+    """Encodes images for others: queries before enrolments, batches over all callers, a bounded queue.
+
+    Nobody waits for a batch to fill: what has arrived while the network was at work goes together.
+
+    Parameters
+    ----------
+    encoder : Encoder
+    batch : int
+        Most images that go through the network together.
+    observe : function
+        Called with the number of images of each batch.
+    most : int
+        Images of queries that may wait, and as many of enrolments.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        batch: int,
+        observe: Callable[[int], None] = lambda count: None,
+        most: int = MOST_WAITING,
+    ) -> None:
+        self.encoder = encoder
+        self.model = model_name(encoder.name, encoder.digest)
+        self._most = most
+        self._lock = threading.Lock()
+        self._waiting = {True: 0, False: 0}
+        self._scheduler = Scheduler(_Observed(encoder, observe), batch, most)
+
+    @property
+    def waiting(self) -> int:
+        """Images that wait or are in the network."""
+        return sum(self._waiting.values())
+
+    def start(self) -> None:
+        """Start the encoder's thread."""
+        self._scheduler.start()
+
+    def stop(self) -> None:
+        """Finish what was submitted, and stop."""
+        self._scheduler.stop()
+
+    def submit(self, pixels: Bytes2D, *, urgent: bool) -> list["Future[Timed[PixelField]]"]:
+        """Queue images of one size.
+
+        Parameters
+        ----------
+        pixels : uint8 of shape (n, height, width, 3)
+            As the network gets them.
+        urgent : bool
+            Whether they go before those that are not.
+
+        Raises
+        ------
+        EncoderAway
+            Too many wait.
+        Unavailable
+            The process is stopping.
+        """
+        with self._lock:
+            waiting = self._waiting[urgent]
+            if waiting + len(pixels) > self._most:
+                after_s = max(1, round(waiting * self._scheduler.pace_s))
+                raise EncoderAway(
+                    f"{waiting} images are waiting, and no more than {self._most} are let in; try again in {after_s} s",
+                    after_s,
+                )
+            self._waiting[urgent] += len(pixels)
+        futures: list[Future[Timed[PixelField]]] = []
+        try:
+            for one in pixels:
+                futures.append(self._scheduler.submit(Image(one, NAMELESS), _field, urgent=urgent))  # noqa: PERF401
+        finally:
+            self._ended(urgent, len(pixels) - len(futures))
+            for future in futures:
+                future.add_done_callback(lambda _: self._ended(urgent, 1))
+        return futures
+
+    def _ended(self, urgent: bool, count: int) -> None:
+        with self._lock:
+            self._waiting[urgent] -= count
+
+    def check(self, patience_s: float) -> str:
+        """``ok`` once a small image was encoded, or why it was not."""
+        if not self._scheduler.alive:
+            return "its thread has ended; restart it"
+        before = self._scheduler.encoded
+        try:
+            [future] = self.submit(TEST_PIXELS, urgent=True)
+            future.result(patience_s)
+        except EncoderAway:
+            return "ok"  # it works through as many images as may wait
+        except TimeoutError:
+            if self._scheduler.encoded == before:
+                return f"it has encoded no image for {patience_s:.0f} s"
+        except RevisitError as error:
+            return error.detail
+        except Exception as error:
+            return f"it failed on a test image ({type(error).__name__}); its log has the reason"
+        return "ok"
+
+
+def stacked(fields: Sequence[PixelField]) -> Mapping[str, Floats]:
+    """Layers of images of one size, float32 of shape (n, rows, columns, channels) each."""
+    return {name: np.stack([field.layers[name] for field in fields]) for name in fields[0].layers}
+
+
+def _field(image: Image, field: PixelField) -> PixelField:
+    return field
+
+
+class _Observed:
+    """An encoder that tells how many images it is given at a time."""
+
+    def __init__(self, encoder: Encoder, observe: Callable[[int], None]) -> None:
+        self._encoder, self._observe = encoder, observe
+        self.name, self.digest = encoder.name, encoder.digest
+        self.layers, self.known_labels = encoder.layers, encoder.known_labels
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        self._observe(len(images))
+        return self._encoder.encode(images, urgent=urgent)
+
+    def text_vectors(self, labels: Sequence[str]) -> Floats:
+        return self._encoder.text_vectors(labels)
+
+    def meanings(self, labels: Sequence[str]) -> list[Meaning]:
+        return self._encoder.meanings(labels)
