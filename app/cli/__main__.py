@@ -15,6 +15,7 @@ GROUPS = (
     "enroll",
     "recordings",
     "query",
+    "changes",
     "loops",
     "browse",
     "recipes",
