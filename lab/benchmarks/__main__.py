@@ -16,6 +16,7 @@ BENCHMARKS = {
     "geometry": "other local features, other verification, and a learned rule, on the first ten",
     "keys": "what checking keys costs each request",
     "refreshing": "what accepting proposals gives, on three walks along one way",
+    "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
     "scale": "every set among thousands of views of other sites",
 }
 

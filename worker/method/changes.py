@@ -3,8 +3,8 @@
 Both photos are grids of cells, and an affine transform says where each cell of one lies in the other. It is exact for
 one depth alone, so a cell is looked for around there; a cell that nothing around there looks like is *lost*. Lost cells
 of the earlier photo that lie together are a thing that is gone, those of the later one a thing that is new: where floor
-was covered there is floor beside it, so that covered floor is not lost. One of each that carry one label and look alike
-are one thing that moved.
+was covered there is floor beside it, so that covered floor is not lost. One of each that look alike, the more so
+where their labels differ, are one thing that moved.
 
 Light and season alter all cells. Likeness is therefore measured between two levels that the pair itself has: how alike
 cells are at corresponding positions, and how alike at any.
@@ -48,12 +48,17 @@ LARGEST_SHORTAGE = 0.5
 """A cell's shortage of its label is counted up to this."""
 
 WEIGHTS = {"size": 0.83, "contrast": 17.88, "shortage": 2.77, "border": -5.45}
-"""Weights of a region's features in the log-odds that it is a thing that changed (`lab.benchmarks.changes --fit`)."""
+"""Weights of a region's features in the log-odds that it is a thing that changed: a logistic regression on drawn places
+that were refurnished and on photos of places where nothing was (docs/changes.md)."""
 
 BIAS = -6.8
 
 SAME_THING = 0.5
-"""Cosine of the mean cells of a region that is gone and one that is new, from which they are one thing that moved."""
+"""Cosine of the mean cells of a region that is gone and a new one of the same label, from which they are one thing that
+moved."""
+
+SURELY_SAME = 0.76
+"""The same whatever their labels: of a small thing they are guesses, and its next surroundings may tip them."""
 
 LIKE_SIZE = 2.5
 """Two regions are one thing that moved when neither is more than this many times as large as the other."""
@@ -217,7 +222,8 @@ def find(then: Look, now: Look, transform: Doubles, components: Components, sure
     for one, other in _moved(gone, new, transform):
         gone.remove(one)
         new.remove(other)
-        changes.append(Change("moved", one.label, None, min(one.confidence, other.confidence), one.spot, other.spot))
+        label = max(one, other, key=lambda end: end.confidence).label
+        changes.append(Change("moved", label, None, min(one.confidence, other.confidence), one.spot, other.spot))
     changes += [Change("gone", one.label, one.instead, one.confidence, one.spot, None) for one in gone]
     changes += [Change("new", one.label, one.instead, one.confidence, None, one.spot) for one in new]
     changes.sort(key=lambda one: -one.confidence)
@@ -300,7 +306,8 @@ def _moved(gone: list[Region], new: list[Region], transform: Doubles) -> list[tu
             apart = float(np.linalg.norm(expected - other.spot.centre))
             alike = float(one.mean @ other.mean)
             sized = 1 / LIKE_SIZE <= ratio <= LIKE_SIZE
-            if one.label == other.label and sized and apart > REACH and alike >= SAME_THING:
+            least = SAME_THING if one.label == other.label else SURELY_SAME
+            if sized and apart > REACH and alike >= least:
                 pairs.append((alike, one, other))
     pairs.sort(key=lambda pair: -pair[0])
     chosen: list[tuple[Region, Region]] = []

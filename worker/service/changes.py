@@ -150,14 +150,32 @@ class ChangeService:
             raise InvalidParameters.of("since", f"is a view of the map {then.map!r}, the other of {now.map!r}")
         return self._maps.get(now.map), then, self._photo(then), self._photo(now, "now")
 
-    def _compare(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
-        features = [local_features(photo.image.pixels, KEYPOINTS) for photo in (then, now)]
+    def compare(self, then: Image, now: Image, recipe: DescriptionRecipe) -> tuple[int, Changes | None]:
+        """What changed from one photo to another, by the labels of a recipe.
+
+        Returns
+        -------
+        inliers : int
+            Keypoints that fit one geometry.
+        found : Changes or None
+            None when there are fewer than `LEAST_INLIERS`.
+
+        Raises
+        ------
+        Busy
+        """
+        features = [local_features(image.pixels, KEYPOINTS) for image in (then, now)]
         [aligned] = verification.verify(features[0], features[1:])
         if aligned.transform is None or aligned.inliers < LEAST_INLIERS:
-            detail = NOT_ALIGNED.format(aligned.inliers, LEAST_INLIERS)
-            return Comparison("not-aligned", detail, view.id, owner.description)
-        looks = [self._look(photo.image, owner.description) for photo in (then, now)]
+            return aligned.inliers, None
+        looks = [self._look(image, recipe) for image in (then, now)]
         found = changes.find(looks[0], looks[1], aligned.transform.astype(np.float64), components)
+        return aligned.inliers, found
+
+    def _compare(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
+        inliers, found = self.compare(then.image, now.image, owner.description)
+        if found is None:
+            return Comparison("not-aligned", NOT_ALIGNED.format(inliers, LEAST_INLIERS), view.id, owner.description)
         return Comparison("compared", "", view.id, owner.description, found)
 
     def _drawn(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> bytes:
