@@ -40,8 +40,8 @@ class Changes(Answer):
     compared: float = Field(
         description="Share of the later photo that could be compared: seen in both, of nothing that moves.", ge=0, le=1
     )
-    likeness: float | None = Field(
+    similarity: float | None = Field(
         description="Cosine that is usual between corresponding cells: the smaller, the more light and season differ."
     )
     changes: list[Change] = Field(description="Most confident first. Empty: nothing changed that could be told.")
-    links: dict[str, str] = Field(description="`picture`: both photos with the changes outlined.")
+    links: dict[str, str] = Field(description="`drawing`: both photos with the changes outlined.")

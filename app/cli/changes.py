@@ -15,7 +15,7 @@ def add(verbs: Verbs) -> None:
     parser = verbs.add_parser("changes", help="say what changed between two views of a place")
     parser.add_argument("view", metavar="VIEW", help="id of the later view")
     parser.add_argument("--since", required=True, metavar="VIEW", help="id of the earlier view")
-    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw both, with what changed outlined")
+    parser.add_argument("--drawing", type=Path, metavar="PNG", help="draw both, with what changed outlined")
     speaks(parser)
     parser.set_defaults(run=run)
 
@@ -26,9 +26,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     with Revisit(arguments.url, key=arguments.key) as revisit:
         changes = revisit.changes(arguments.view, arguments.since)
-        if arguments.picture is not None:
-            arguments.picture.write_bytes(revisit.draw_changes(arguments.view, arguments.since))
-            say(f"changes: {arguments.picture}")
+        if arguments.drawing is not None:
+            arguments.drawing.write_bytes(revisit.draw_changes(arguments.view, arguments.since))
+            say(f"changes: {arguments.drawing}")
     if arguments.json:
         show_json(changes.model_dump(mode="json"))
     else:

@@ -7,8 +7,8 @@ from worker.method.changes import Change, Spot
 from worker.service.changes import Comparison
 
 
-def changes(comparison: Comparison, picture: str) -> wire.Changes:
-    """What changed, or why that cannot be said; `picture` is the address of its drawing."""
+def changes(comparison: Comparison, drawing: str) -> wire.Changes:
+    """What changed, or why that cannot be said; `drawing` is the address of its drawing."""
     found, recipe = comparison.found, comparison.recipe
     told = () if found is None or recipe is None else [_change(one, recipe.labels) for one in found.changes]
     return wire.Changes(
@@ -16,9 +16,9 @@ def changes(comparison: Comparison, picture: str) -> wire.Changes:
         detail=comparison.detail or None,
         since=comparison.since,
         compared=0.0 if found is None else found.compared,
-        likeness=None if found is None else found.likeness,
+        similarity=None if found is None else found.similarity,
         changes=list(told),
-        links={"picture": picture} if comparison.status in ("compared", "not-aligned") else {},
+        links={"drawing": drawing} if comparison.status in ("compared", "not-aligned") else {},
     )
 
 

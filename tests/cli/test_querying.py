@@ -76,7 +76,7 @@ CHANGED = {
     "detail": None,
     "since": "v1",
     "compared": 0.9,
-    "likeness": 0.8,
+    "similarity": 0.8,
     "changes": [
         {
             "kind": "gone",
@@ -87,7 +87,7 @@ CHANGED = {
             "now": None,
         }
     ],
-    "links": {"picture": "/queries/q1/changes.png"},
+    "links": {"drawing": "/queries/q1/changes.png"},
 }
 
 
@@ -116,7 +116,7 @@ def test_two_views_are_compared(service: FakeService, tmp_path: Path, capsys: Ou
     service.replies["GET /views/v2/changes"] = 200, CHANGED | {"changes": []}
     service.replies["GET /views/v2/changes.png"] = 200, b"a png"
 
-    assert main(["changes", "v2", "--since", "v1", "--picture", str(tmp_path / "changed.png")]) == 0
+    assert main(["changes", "v2", "--since", "v1", "--drawing", str(tmp_path / "changed.png")]) == 0
     assert "nothing changed that could be told" in capsys.readouterr().out
     assert (tmp_path / "changed.png").read_bytes() == b"a png"
     assert main(["changes", "v2", "--since", "v1", "--json"]) == 0

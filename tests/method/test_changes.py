@@ -6,7 +6,7 @@ import pytest
 from schemas.description import Floats
 from worker.description.describer import components
 from worker.method import changes
-from worker.method.changes import Look
+from worker.method.changes import PhotoCells
 from worker.method.unit_length import unit
 
 ROWS, COLUMNS, CHANNELS = 40, 60, 24
@@ -19,7 +19,7 @@ LEFT: Box = (slice(12, 22), slice(8, 18))
 RIGHT: Box = (slice(12, 22), slice(40, 50))
 
 
-def place(*things: tuple[Box, int], light: float = 0.0, shift: int = 0) -> Look:
+def place(*things: tuple[Box, int], light: float = 0.0, shift: int = 0) -> PhotoCells:
     """A textured floor with things; `light` mixes noise into every cell, `shift` moves the camera by columns."""
     rng = np.random.default_rng(0)
     kinds = unit(rng.standard_normal((4, CHANNELS)))
@@ -34,7 +34,7 @@ def place(*things: tuple[Box, int], light: float = 0.0, shift: int = 0) -> Look:
         cells = unit(cells + light * unit(noise))
     scores: Floats = np.full((*seen.shape, 4), 0.1, np.float32)
     np.put_along_axis(scores, seen[..., None], 0.5, axis=-1)
-    return Look(cells, scores, seen != PERSON, EXTENT)
+    return PhotoCells(cells, scores, seen != PERSON, EXTENT)
 
 
 def kinds_of(found: changes.Changes) -> list[tuple[str, int]]:

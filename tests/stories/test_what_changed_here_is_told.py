@@ -94,7 +94,7 @@ def test_two_views_are_compared_and_drawn(client: Revisit) -> None:
 
     assert {(one.kind, one.instead is None) for one in found.changes} <= {("gone", False), ("new", False)}
     assert [one.kind for one in found.changes].count("gone") == 1
-    assert found.links == {"picture": f"/views/{now}/changes.png?since={then}"}
+    assert found.links == {"drawing": f"/views/{now}/changes.png?since={then}"}
     with PilImage.open(io.BytesIO(client.draw_changes(now, since=then))) as sheet:
         assert sheet.width == 1280
     back = client.changes(then, since=now)
@@ -104,7 +104,7 @@ def test_two_views_are_compared_and_drawn(client: Revisit) -> None:
 def test_the_drawing_of_a_query_is_kept_and_another_has_a_version(client: Revisit, url: str) -> None:
     answer = client.query(taken(HALL), map="house", changes=True)
     assert answer.changes is not None
-    assert answer.changes.links == {"picture": f"/queries/{answer.query.id}/changes.png"}
+    assert answer.changes.links == {"drawing": f"/queries/{answer.query.id}/changes.png"}
     assert client.draw_changes_of_query(answer.query.id)[:4] == b"\x89PNG"
 
     one, other = (view.id for view in client.views("house", limit=2))

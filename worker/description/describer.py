@@ -23,7 +23,7 @@ from worker.description.ports import Encoder
 from worker.description.vocabularies import Vocabulary
 from worker.method import context_graph, dense_cells, labels, sampling, static_mask, vocabulary
 from worker.method.byte_vectors import Product, float_product, quantise
-from worker.method.changes import Look
+from worker.method.changes import PhotoCells
 from worker.method.context_graph import Regions
 
 
@@ -79,7 +79,7 @@ class Describer:
             segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
         )
 
-    def look(self, field: PixelField, segmented: PixelField) -> Look:
+    def look(self, field: PixelField, segmented: PixelField) -> PhotoCells:
         """An image's cells as changes are found in them: labels are those of `segmented`, which may be finer.
 
         All labels of the recipe that move count as moving, without its margin: nothing of them may seem to have
@@ -89,7 +89,7 @@ class Describer:
         layers = {name: dense_cells.grid(layer, rows, columns) for name, layer in field.layers.items()}
         scores = labels.scores(dense_cells.average(segmented.layers[SEMANTIC], rows, columns), self._text)
         static = static_mask.static_cells(scores, self._dynamic)
-        return Look(dense_cells.join(layers, {}), scores, static, field.extent)
+        return PhotoCells(dense_cells.join(layers, {}), scores, static, field.extent)
 
     def keypoints(self, image: Image) -> LocalFeatures | None:
         """Local features for verification; None when the recipe has none. They do not need the pixel field."""

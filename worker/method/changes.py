@@ -3,11 +3,11 @@
 Both photos are grids of cells, and an affine transform says where each cell of one lies in the other. It is exact for
 one depth alone, so a cell is looked for around there; a cell that nothing around there looks like is *lost*. Lost cells
 of the earlier photo that lie together are a thing that is gone, those of the later one a thing that is new: where floor
-was covered there is floor beside it, so that covered floor is not lost. One of each that look alike, the more so
-where their labels differ, are one thing that moved.
+was covered there is floor beside it, so that covered floor is not lost. One of each that look alike are one thing
+that moved.
 
-Light and season alter all cells. Likeness is therefore measured between two levels that the pair itself has: how alike
-cells are at corresponding positions, and how alike at any.
+Light and season alter all cells. Similarity is therefore measured between two levels that the pair itself has: how
+alike cells are at corresponding positions, and how alike at any.
 """
 
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ REACH = 0.05
 """How far around its expected position a cell is looked for, as a fraction of the longer side: room for parallax."""
 
 LOST = 0.65
-"""A cell is lost below this likeness, where 1 is usual at corresponding positions and 0 at any."""
+"""A cell is lost below this similarity, where 1 is usual at corresponding positions and 0 at any."""
 
 SMALLEST = 0.004
 """Regions of a smaller share of the photo are left out: they are as often noise as things."""
@@ -65,7 +65,7 @@ LIKE_SIZE = 2.5
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class PhotoCells:
     """A photo as cells.
 
     Parameters
@@ -146,13 +146,13 @@ class Changes:
         Most confident first.
     compared : float
         Share of the later photo that could be compared: within the earlier one, and static in both.
-    likeness : float
+    similarity : float
         Cosine that is usual between corresponding cells: the smaller, the more light and season differ.
     """
 
     changes: tuple[Change, ...]
     compared: float
-    likeness: float
+    similarity: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,18 +190,18 @@ class _Compared:
     """One photo against another; arrays are (rows, columns), `at` rows and columns of the expected positions."""
 
     comparable: Booleans
-    likeness: Doubles
+    similarity: Doubles
     shortage: Doubles
     at: tuple[Indices, Indices]
     usual: float
 
 
-def find(then: Look, now: Look, transform: Doubles, components: Components, sure: float = SURE) -> Changes:
+def find(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Components, sure: float = SURE) -> Changes:
     """What is gone, new or moved.
 
     Parameters
     ----------
-    then, now : Look
+    then, now : PhotoCells
         By one encoder and one list of labels.
     transform : float of shape (2, 3)
         Affine, invertible: positions (x, y, 1) in `then` to those in `now`, fractions of the longer side.
@@ -230,13 +230,13 @@ def find(then: Look, now: Look, transform: Doubles, components: Components, sure
     return Changes(tuple(changes), float(after.comparable.mean()), (before.usual + after.usual) / 2)
 
 
-def regions(here: Look, there: Look, transform: Doubles, components: Components) -> list[Region]:
+def regions(here: PhotoCells, there: PhotoCells, transform: Doubles, components: Components) -> list[Region]:
     """Regions of one photo that another lacks, whatever their confidence; `transform` leads to the other."""
     return _regions(here, there, _compare(here, there, transform), components)
 
 
-def _compare(here: Look, there: Look, transform: Doubles) -> _Compared:
-    """Look for each cell of one photo in the other, around where it is expected."""
+def _compare(here: PhotoCells, there: PhotoCells, transform: Doubles) -> _Compared:
+    """PhotoCells for each cell of one photo in the other, around where it is expected."""
     rows, columns = there.shape
     x, y = (np.arange(n) + 0.5 for n in here.shape[::-1])
     across, down = np.meshgrid(x / here.shape[1] * here.extent[0], y / here.shape[0] * here.extent[1])
@@ -264,8 +264,8 @@ def _compare(here: Look, there: Look, transform: Doubles) -> _Compared:
     return _Compared(comparable, (likest - chance) / max(usual - chance, 1e-6), shortage, at, usual)
 
 
-def _regions(here: Look, there: Look, compared: _Compared, components: Components) -> list[Region]:
-    numbers = components(compared.comparable & (_smooth(compared.likeness) < LOST))
+def _regions(here: PhotoCells, there: PhotoCells, compared: _Compared, components: Components) -> list[Region]:
+    numbers = components(compared.comparable & (_smooth(compared.similarity) < LOST))
     found = []
     for number in range(1, int(numbers.max(initial=0)) + 1):
         cells = numbers == number

@@ -19,7 +19,7 @@ from worker.description.local_features import local_features
 from worker.description.scheduler import Scheduler
 from worker.images.changes import Mark, Side, changes_png
 from worker.method import changes, verification
-from worker.method.changes import Change, Changes, Look
+from worker.method.changes import Change, Changes, PhotoCells
 from worker.service.explanations import Explanations
 from worker.service.ports import Maps, Views
 from worker.service.sheets import name_of
@@ -118,7 +118,7 @@ class ChangeService:
             return Comparison("no-match", NO_MATCH)
         first = explained.results.views[0].view
         with suppress(ImageNotKept):
-            return self._compare(self._maps.get(first.map), first, self._photo(first), self._asked(query_id))
+            return self._compare(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
         return Comparison("image-not-kept", NOT_KEPT, first.id)
 
     def draw_query(self, query_id: str) -> bytes:
@@ -129,14 +129,14 @@ class ChangeService:
         NotFound, ImageNotKept, Busy
         """
         first = self._explanations.get(query_id).view(None).view
-        return self._drawn(self._maps.get(first.map), first, self._photo(first), self._asked(query_id))
+        return self._drawn(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
 
     def version(self, view_id: str, since: str) -> str:
         """A version of the drawing of two views, for an ETag; raises NotFound."""
         one, other = self._views.get(view_id), self._views.get(since)
         return f"{one.id}-{other.id}-{self._maps.get(one.map).description.id}-changes"
 
-    def _asked(self, query_id: str) -> _Photo:
+    def _query_photo(self, query_id: str) -> _Photo:
         return _Photo(self._explanations.get(query_id).image, "now: query")
 
     def _photo(self, view: ViewRecord, when: str = "then") -> _Photo:
@@ -190,7 +190,7 @@ class ChangeService:
         ]
         return changes_png(sides[0], sides[1], told(comparison.found, names))
 
-    def _look(self, image: Image, recipe: DescriptionRecipe) -> Look:
+    def _look(self, image: Image, recipe: DescriptionRecipe) -> PhotoCells:
         """An image as cells: embeddings of the encoder, labels of the segmenter where there is one."""
         submit = partial(self._scheduler.submit, image, _field, urgent=True)
         field = submit().result().value
