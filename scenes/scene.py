@@ -33,6 +33,11 @@ def _built(seed: int, kind: Kind) -> Place:
     return KINDS[kind](np.random.default_rng([seed, sorted(KINDS).index(kind)]))
 
 
+def place_of(scene: "Scene") -> Place:
+    """The fixed part of a scene; shared, so not to be changed."""
+    return _built(scene.seed, scene.kind)
+
+
 @dataclass(frozen=True)
 class Scene:
     """A place made from a seed, and how it is seen.

@@ -16,6 +16,15 @@ from .wire_calibration import (
 from .wire_calibration import (
     PrecisionThreshold as PrecisionThreshold,
 )
+from .wire_changes import (
+    Change as Change,
+)
+from .wire_changes import (
+    Changes as Changes,
+)
+from .wire_changes import (
+    Spot as Spot,
+)
 from .wire_deletions import (
     Deleted as Deleted,
 )

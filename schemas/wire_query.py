@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from .wire_changes import Changes
 from .wire_views import Answer, LabelShare, Position, View
 
 
@@ -222,4 +223,5 @@ class QueryAnswer(Answer):
     drive: DriveFacts | None = Field(None, description="With `drive`: what its images say together.")
     matches: list[Match]
     estimate: Estimate | None
+    changes: Changes | None = Field(None, description="With `changes=true`: what changed since the first match.")
     timing_ms: dict[str, float]

@@ -29,6 +29,7 @@ from worker.service.attendance import Attendance, this_process
 from worker.service.blurring import Blurring, BlurringEnrolment
 from worker.service.calibrating import CalibrationService
 from worker.service.calibrations import calibration_of, shipped_calibration
+from worker.service.changes import ChangeService
 from worker.service.comparing import MapComparer
 from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
@@ -66,6 +67,7 @@ class Services:
     searcher: Searcher
     views: ViewService
     renderings: RenderingService
+    changes: ChangeService
     maps: MapService
     jobs: JobService
     calibration: CalibrationService
@@ -319,6 +321,14 @@ def _services(
         workers=lambda: attendance.alive,
         resembles=Resemblances(store.maps, store.descriptions, searcher).of,
     )
+    renderings = RenderingService(
+        maps=store.maps, views=store.views, descriptions=store.descriptions, describers=describers,
+        scheduler=scheduler, decode=decoder.decode, thumbnail=decoder.thumbnail, explanations=explanations,
+    )  # fmt: skip
+    changes = ChangeService(
+        maps=store.maps, views=store.views, describers=describers, scheduler=scheduler, decode=decoder.decode,
+        explanations=explanations,
+    )  # fmt: skip
     return Services(
         enroll=enroll,
         inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
@@ -337,16 +347,8 @@ def _services(
         ),
         searcher=searcher,
         views=ViewService(maps=store.maps, views=store.views, removals=store.removals, listings=store.listings),
-        renderings=RenderingService(
-            maps=store.maps,
-            views=store.views,
-            descriptions=store.descriptions,
-            describers=describers,
-            scheduler=scheduler,
-            decode=decoder.decode,
-            thumbnail=decoder.thumbnail,
-            explanations=explanations,
-        ),
+        renderings=renderings,
+        changes=changes,
         maps=MapService(
             maps=store.maps,
             removals=store.removals,

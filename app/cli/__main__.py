@@ -16,6 +16,7 @@ GROUPS = (
     "enroll",
     "recordings",
     "query",
+    "changes",
     "loops",
     "browse",
     "recipes",

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from app.cli.changes import changes_text
 from app.cli.console import DONE, Verbs, say, show, show_json, speaks, table
 from app.cli.filters import chooses, chosen
 
@@ -30,6 +31,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
     chooses(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
+    parser.add_argument("--changes", type=Path, metavar="PNG", help="say and draw what changed since the best match")
     speaks(parser)
     parser.set_defaults(run=run)
 
@@ -48,12 +50,16 @@ def run(arguments: argparse.Namespace) -> int:
             candidates=arguments.candidates,
             precision=arguments.precision,
             explain=arguments.explain is not None,
+            changes=arguments.changes is not None or None,
             drive=arguments.drive,
             **filters,
         )
         if arguments.explain is not None and answer.matches:
             arguments.explain.write_bytes(revisit.explanation(answer.query.id))
             say(f"explanation: {arguments.explain}")
+        if answer.changes is not None and answer.changes.links:
+            arguments.changes.write_bytes(revisit.draw_changes_of_query(answer.query.id))
+            say(f"changes: {arguments.changes}")
     if arguments.json:
         show_json(answer.model_dump(mode="json"))
     else:
@@ -86,6 +92,8 @@ def told(answer: "QueryAnswer") -> str:
         radius = answer.estimate.radius_m
         within = "" if radius is None else f", within {radius:.1f} m"
         lines.append(f"taken at {where}{within} ({len(answer.estimate.views)} views)")
+    if answer.changes is not None:
+        lines.append(changes_text(answer.changes))
     if (total := answer.timing_ms.get("total")) is not None:
         lines.append(f"{total:.0f} ms")
     return "\n".join(lines)

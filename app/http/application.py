@@ -19,6 +19,7 @@ from app.http.openapi import document
 from app.http.other_sites import OtherSites
 from app.http.rate_limits import RateLimit
 from app.http.routes import (
+    changes,
     compreface,
     console,
     enroll,
@@ -105,7 +106,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     for group in (enroll, query):
         app.include_router(group.router)
     app.include_router(maps.previews, dependencies=[once_each, documented_body])
-    of_maps = (views, images, maps, shadow, imports, map_health, unknown, proposals, places, jobs, snapshots)
+    of_maps = (views, images, changes, maps, shadow, imports, map_health, unknown, proposals, places, jobs, snapshots)
     for group in (localize, *of_maps, compreface, health, console):
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]

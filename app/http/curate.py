@@ -9,6 +9,7 @@ from typing import Any, BinaryIO, Protocol
 
 from app.http import presenters, snapshot_presenters
 from app.http.calibration_report import calibration_report
+from app.http.curate_changes import ChangeCuration
 from app.http.curate_kept import KeptQueryCuration
 from app.http.curate_shadow import RecipeCuration, wanted_of
 from app.http.health_report import map_health
@@ -19,6 +20,7 @@ from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAt
 from schemas.requests import PostCalibration, PutMap
 from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
+from worker.service.changes import ChangeService
 from worker.service.health import HealthService
 from worker.service.importing import ImportService
 from worker.service.inbox import InboxService
@@ -58,7 +60,7 @@ class Calls(Protocol):
         ...
 
 
-class Curator(KeptQueryCuration, RecipeCuration):
+class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
     """Everything a user does besides enrolling and querying.
 
     Parameters
@@ -76,6 +78,7 @@ class Curator(KeptQueryCuration, RecipeCuration):
         Answers of calls with an Idempotency-Key.
     imports : ImportService
     shadows : ShadowService
+    changes : ChangeService
     """
 
     def __init__(
@@ -92,10 +95,12 @@ class Curator(KeptQueryCuration, RecipeCuration):
         calls: Calls,
         imports: ImportService,
         shadows: ShadowService,
+        changes: ChangeService,
     ) -> None:
         self._views, self._renderings, self._maps, self._jobs, self._calls = views, renderings, maps, jobs, calls
         self._calibrations, self._health, self._inbox, self._proposals = calibrations, health, inbox, proposals
         self._snapshots, self._imports, self._shadows = snapshots, imports, shadows
+        self._changes = changes
 
     # views
 

@@ -61,13 +61,19 @@ async def _within(access: Access, kind: str, name: str, map_name: Awaitable[str]
     return name
 
 
-async def _view_id(
-    view_id: Annotated[str, Path(description="Id of the view.")], access: Accesses, curator: Curates
-) -> str:
+async def usable_view(view_id: str, access: Access, curator: Curator) -> str:
+    """The id of a view; raises NotFound when it belongs to a map that the caller may not use."""
+
     async def map_name() -> str:
         return (await curator.view(view_id)).map
 
     return view_id if access.maps is None else await _within(access, "view", view_id, map_name())
+
+
+async def _view_id(
+    view_id: Annotated[str, Path(description="Id of the view.")], access: Accesses, curator: Curates
+) -> str:
+    return await usable_view(view_id, access, curator)
 
 
 async def _job_id(

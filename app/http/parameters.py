@@ -227,6 +227,9 @@ class QueryParameters(FilterParameters):
         False,
         description="List the regions and local features that matched, and keep what the explanation is drawn from.",
     )
+    changes: bool = Field(
+        False, description="Say what is gone, new or moved since the first match was taken; explains the query too."
+    )
 
     @classmethod
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
@@ -373,14 +376,6 @@ class GraphParameters(Parameters):
     """Parameters of `GET /views/{id}/graph.png`."""
 
     legend: bool = Field(False, description="A key below the photo. Without it the drawing is as large as the photo.")
-
-
-class ExplanationParameters(Parameters):
-    """Parameters of `GET /queries/{id}/explanation.png`."""
-
-    view: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,64}$")] | None = Field(
-        None, description="View id of the match to explain. Default: the best match."
-    )
 
 
 class AttributesDocument(PositionParameters):

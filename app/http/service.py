@@ -79,6 +79,7 @@ class Service:
                 runtime.store.calls,
                 services.imports,
                 services.shadows,
+                services.changes,
             ),
             lifecycle,
             settings,

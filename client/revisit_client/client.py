@@ -156,6 +156,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         candidates: int | None = None,
         precision: float | None = None,
         explain: bool | None = None,
+        changes: bool | None = None,
         drive: str | None = None,
         drive_timeout: float | None = None,
         near: tuple[float, float, float] | None = None,
@@ -185,6 +186,8 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
             Share of answers with the status matched that must be right, 0.5 to 0.999. None: the map's.
         explain : bool or None
             Whether matches list their correspondences, and `explanation` can draw them.
+        changes : bool or None
+            Whether the answer says what is gone, new or moved since the first match was taken.
         drive : str or None
             Name of a drive that the image is the next one of: the evidence of its images adds up.
         drive_timeout : float or None
@@ -208,7 +211,12 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         """
         chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
-        options |= {"maps": None if maps is None else ",".join(maps), "drive": drive, "drive_timeout": drive_timeout}
+        options |= {
+            "changes": changes,
+            "maps": None if maps is None else ",".join(maps),
+            "drive": drive,
+            "drive_timeout": drive_timeout,
+        }
         name, data = named(image)
         return self._connection.receive(
             wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}

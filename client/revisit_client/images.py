@@ -1,5 +1,6 @@
 """Calls that answer images."""
 
+from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.parameters import texts
 
@@ -14,6 +15,18 @@ class ImageCalls:
         return self._connection.send(
             "GET", f"/queries/{query_id}/explanation.png", params=texts({"view": view})
         ).content
+
+    def changes(self, view_id: str, since: str) -> wire.Changes:
+        """What is gone, new or moved from the view `since` to another one of the same place."""
+        return self._connection.receive(wire.Changes, "GET", f"/views/{view_id}/changes", params={"since": since})
+
+    def draw_changes(self, view_id: str, since: str) -> bytes:
+        """PNG of both views, with what changed outlined."""
+        return self._connection.send("GET", f"/views/{view_id}/changes.png", params={"since": since}).content
+
+    def draw_changes_of_query(self, query_id: str) -> bytes:
+        """PNG of the first match and the photo of a query made with `changes`, with what changed outlined."""
+        return self._connection.send("GET", f"/queries/{query_id}/changes.png").content
 
     def image(self, view_id: str) -> bytes:
         """The image as it was enrolled, byte for byte."""

@@ -17,6 +17,7 @@ BENCHMARKS = {
     "keys": "what checking keys costs each request",
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
     "refreshing": "what accepting proposals gives, on three walks along one way",
+    "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
     "scale": "every set among thousands of views of other sites",
 }
 

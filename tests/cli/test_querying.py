@@ -71,6 +71,58 @@ def test_why_is_drawn_into_a_file(service: FakeService, image: Path, tmp_path: P
     assert (tmp_path / "why.png").read_bytes() == b"a png"
 
 
+CHANGED = {
+    "status": "compared",
+    "detail": None,
+    "since": "v1",
+    "compared": 0.9,
+    "similarity": 0.8,
+    "changes": [
+        {
+            "kind": "gone",
+            "label": "cabinet",
+            "instead": "wall",
+            "confidence": 0.75,
+            "then": {"centre": [0.25, 0.5], "extent": [0.1, 0.2], "share": 0.021},
+            "now": None,
+        }
+    ],
+    "links": {"drawing": "/queries/q1/changes.png"},
+}
+
+
+def test_what_changed_is_told_and_drawn(service: FakeService, image: Path, tmp_path: Path, capsys: Out) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match()) | {"changes": CHANGED}
+    service.replies["GET /queries/q1/changes.png"] = 200, b"a png"
+
+    assert main(["query", str(image), "--changes", str(tmp_path / "changed.png")]) == 0
+    told = capsys.readouterr().out
+    assert "90 % of the photo could be compared" in told
+    assert ["gone", "cabinet", "wall", "0.750", "0.25,", "0.50", "-", "2.1", "%"] in [
+        line.split() for line in told.splitlines()
+    ]
+    assert (tmp_path / "changed.png").read_bytes() == b"a png"
+
+
+def test_photos_that_cannot_be_compared_are_not_drawn(service: FakeService, image: Path, tmp_path: Path) -> None:
+    nothing = {"status": "image-not-kept", "detail": "no photo", "changes": [], "links": {}, "compared": 0.0}
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match()) | {"changes": CHANGED | nothing}
+
+    assert main(["query", str(image), "--changes", str(tmp_path / "changed.png")]) == 0
+    assert not (tmp_path / "changed.png").exists()
+
+
+def test_two_views_are_compared(service: FakeService, tmp_path: Path, capsys: Out) -> None:
+    service.replies["GET /views/v2/changes"] = 200, CHANGED | {"changes": []}
+    service.replies["GET /views/v2/changes.png"] = 200, b"a png"
+
+    assert main(["changes", "v2", "--since", "v1", "--drawing", str(tmp_path / "changed.png")]) == 0
+    assert "nothing changed that could be told" in capsys.readouterr().out
+    assert (tmp_path / "changed.png").read_bytes() == b"a png"
+    assert main(["changes", "v2", "--since", "v1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["since"] == "v1"
+
+
 def test_a_point_in_the_south_and_every_filter_are_sent(service: FakeService, image: Path) -> None:
     service.replies["POST /query"] = 200, answers.query_answer(answers.match())
     service.replies["GET /views"] = 200, {"views": [], "next": None}

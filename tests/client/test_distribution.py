@@ -22,6 +22,7 @@ PACKAGE = ROOT / "client" / "revisit_client"
 PARTS = (
     "wire.py",
     "wire_calibration.py",
+    "wire_changes.py",
     "wire_deletions.py",
     "wire_health.py",
     "wire_inbox.py",

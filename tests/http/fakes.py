@@ -33,6 +33,7 @@ from schemas.statistics import (
     ServiceStatistics,
     StoreStatistics,
 )
+from tests.http.fake_changes import FakeChanges
 from tests.http.fake_inbox import FakeInbox
 from tests.http.fake_shadows import FakeShadows
 from tests.http.fake_snapshots import FakeSnapshots
@@ -76,7 +77,7 @@ class Kept:
 
 
 @dataclass
-class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox):
+class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
     """Use-cases that answer like the real ones but describe nothing."""
 
     limits: Limits = field(default_factory=lambda: Limits(max_bytes=2_000_000, max_pixels=1_000_000))

@@ -369,3 +369,18 @@ def test_probes_do_not_count_as_guessing(locked: Locked) -> None:
     for _ in range(FAILURES + 1):
         assert locked.call("GET", "/readyz", None).status_code == 200
     assert locked.call("GET", "/maps", None).status_code == 401
+
+
+def test_a_view_of_another_map_is_not_compared_with_one_of_its_own(locked: Locked) -> None:
+    own = locked.client.post(
+        "/enroll?map=crypt", content=JPEG, headers=IMAGE | {"authorization": f"Bearer {locked.admin}"}
+    ).json()["view"]["id"]
+    headers = {"authorization": f"Bearer {locked.keys.make('sexton', 'read', 'crypt')}"}
+
+    for drawing in ("", ".png"):
+        path = f"/views/{own}/changes{drawing}?since="
+        refused = locked.client.get(path + locked.view, headers=headers)
+        unknown = locked.client.get(path + "unknown", headers=headers)
+        assert (refused.status_code, unknown.status_code) == (404, 404)
+        assert refused.json()["detail"].replace(locked.view, "unknown") == unknown.json()["detail"]
+        assert locked.client.get(path + own, headers=headers).status_code == 200

@@ -142,10 +142,16 @@ def test_a_parameter_that_cannot_be_used_is_named(
 def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedClient) -> None:
     answer = client.post("/query?journey=monday-7", content=photo(), headers=JPEG)
     assert answer.json()["detail"] == (
-        "journey: is unknown; known are after, before, candidates, drive, drive_timeout, exclude, exclude_last, "
-        "explain, frame, map, maps, "
+        "journey: is unknown; known are after, before, candidates, changes, drive, drive_timeout, exclude, "
+        "exclude_last, explain, frame, map, maps, "
         "metadata.KEY, near, place, precision, top, where"
     )
+
+
+def test_what_changed_is_told_on_request_alone(client: CheckedClient) -> None:
+    assert client.post("/query", content=photo(), headers=JPEG).json()["changes"] is None
+    told = client.post("/query?changes=true", content=photo(), headers=JPEG).json()["changes"]
+    assert (told["status"], told["changes"]) == ("not-aligned", [])
 
 
 def test_a_query_takes_one_image(client: CheckedClient) -> None:

@@ -298,15 +298,15 @@ def test_only_the_approximate_search_reads_the_hnsw_index(url: str, monkeypatch:
                     connection.execute(sa.text(f"SET LOCAL enable_{way} = off"))
 
                 def plan(approximate: bool) -> str:
-                    asked: list[tuple[str, Any]] = []
+                    statements: list[tuple[str, Any]] = []
 
                     def note(*of: Any) -> None:
-                        asked.append(of[2:4])
+                        statements.append(of[2:4])
 
                     sa.event.listen(connection, "before_cursor_execute", note)
                     assert len(vector_search.nearest(connection, scope, vector, 5, approximate=approximate)) == 5
                     sa.event.remove(connection, "before_cursor_execute", note)
-                    statement, parameters = asked[-1]
+                    statement, parameters = statements[-1]
                     return "\n".join(connection.exec_driver_sql(f"EXPLAIN {statement}", parameters).scalars())
 
                 assert "Index Scan using searched_hnsw_" in plan(approximate=True)

@@ -5,7 +5,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from schemas.description import Appearance, Booleans, ContextGraph, Description, Floats, LocalFeatures, PixelField
+from schemas.description import (
+    SEMANTIC,
+    Appearance,
+    Booleans,
+    ContextGraph,
+    Description,
+    Floats,
+    LocalFeatures,
+    PixelField,
+)
 from schemas.errors import NothingStatic
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
@@ -14,6 +23,7 @@ from worker.description.ports import Encoder
 from worker.description.vocabularies import Vocabulary
 from worker.method import context_graph, dense_cells, labels, sampling, static_mask, vocabulary
 from worker.method.byte_vectors import Product, float_product, quantise
+from worker.method.changes import PhotoCells
 from worker.method.context_graph import Regions
 
 
@@ -68,6 +78,18 @@ class Describer:
         return context_graph.build(
             segmentation.labels, segmentation.static, field.semantic, field.extent, components, least
         )
+
+    def look(self, field: PixelField, segmented: PixelField) -> PhotoCells:
+        """An image's cells as changes are found in them: labels are those of `segmented`, which may be finer.
+
+        All labels of the recipe that move count as moving, without its margin: nothing of them may seem to have
+        changed.
+        """
+        rows, columns = field.shape
+        layers = {name: dense_cells.grid(layer, rows, columns) for name, layer in field.layers.items()}
+        scores = labels.scores(dense_cells.average(segmented.layers[SEMANTIC], rows, columns), self._text)
+        static = static_mask.static_cells(scores, self._dynamic)
+        return PhotoCells(dense_cells.join(layers, {}), scores, static, field.extent)
 
     def keypoints(self, image: Image) -> LocalFeatures | None:
         """Local features for verification; None when the recipe has none. They do not need the pixel field."""

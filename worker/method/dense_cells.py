@@ -50,10 +50,15 @@ def grid(field: Floats, rows: int, columns: int) -> Floats:
     -----
     Without centring, the component common to all cells (light, camera) dominates every cosine.
     """
+    cells = average(field, rows, columns)
+    return unit(cells - cells.mean(axis=(0, 1)), ROUNDING)
+
+
+def average(field: Floats, rows: int, columns: int) -> Floats:
+    """Average a field of embeddings over equal cells; parameters as of `grid`, the result of unit length too."""
     height, width, channels = field.shape
     down = (_coverage(height, rows) @ field.reshape(height, -1)).reshape(rows, width, channels)
-    cells = unit(_coverage(width, columns) @ down, ROUNDING)
-    return unit(cells - cells.mean(axis=(0, 1)), ROUNDING)
+    return unit(_coverage(width, columns) @ down, ROUNDING)
 
 
 def reduce(cells: Floats, projection: Floats) -> Floats:

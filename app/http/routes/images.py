@@ -7,9 +7,9 @@ from fastapi.responses import Response
 
 from app.http.conditional import is_fresh, quoted
 from app.http.dependencies import Curates, QueryId, ViewId, no_parameters
+from app.http.image_parameters import ExplanationParameters
 from app.http.openapi import DRAWN_BY, answers_bytes, refusals
 from app.http.parameters import (
-    ExplanationParameters,
     GraphParameters,
     SegmentationParameters,
     ThumbnailParameters,

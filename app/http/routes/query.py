@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from app.http.body import IMAGE_PART, take
-from app.http.dependencies import Measures, Recognises
+from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import QUERY_ANSWER
 from app.http.geopose import OGC, basic_ypr, wants_geopose
 from app.http.keys import Accesses, check_map
@@ -36,7 +36,9 @@ router = APIRouter(tags=["enrol and query"])
         ),
     },
 )
-async def query(request: Request, recogniser: Recognises, metrics: Measures, access: Accesses) -> Response:
+async def query(
+    request: Request, recogniser: Recognises, curator: Curates, metrics: Measures, access: Accesses
+) -> Response:
     """Which views of a map, or of several, show the place of this image?
 
     With `Accept: application/geopose+json` the answer is the pose of these views, as OGC GeoPose 1.0 (Basic-YPR).
@@ -56,10 +58,12 @@ async def query(request: Request, recogniser: Recognises, metrics: Measures, acc
         candidates=params.candidates,
         filters=params.filters(),
         precision=params.precision,
-        explain=params.explain,
+        explain=params.explain or params.changes,
         drive=params.drive,
         drive_timeout_s=params.drive_timeout,
     )
+    if params.changes:
+        answer = answer.model_copy(update={"changes": await curator.changes_of_query(answer.query.id)})
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
     if wants_geopose(request.headers.get("accept", "")):

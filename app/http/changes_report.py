@@ -1,0 +1,37 @@
+"""Turns what changed at a place into the models of `schemas.wire`."""
+
+from collections.abc import Sequence
+
+from schemas import wire
+from worker.method.changes import Change, Spot
+from worker.service.changes import Comparison
+
+
+def changes(comparison: Comparison, drawing: str) -> wire.Changes:
+    """What changed, or why that cannot be said; `drawing` is the address of its drawing."""
+    found, recipe = comparison.found, comparison.recipe
+    told = () if found is None or recipe is None else [_change(one, recipe.labels) for one in found.changes]
+    return wire.Changes(
+        status=comparison.status,
+        detail=comparison.detail or None,
+        since=comparison.since,
+        compared=0.0 if found is None else found.compared,
+        similarity=None if found is None else found.similarity,
+        changes=list(told),
+        links={"drawing": drawing} if comparison.status in ("compared", "not-aligned") else {},
+    )
+
+
+def _change(change: Change, labels: Sequence[str]) -> wire.Change:
+    return wire.Change(
+        kind=change.kind,
+        label=labels[change.label],
+        instead=None if change.instead is None else labels[change.instead],
+        confidence=change.confidence,
+        then=_spot(change.then),
+        now=_spot(change.now),
+    )
+
+
+def _spot(spot: Spot | None) -> wire.Spot | None:
+    return None if spot is None else wire.Spot(centre=spot.centre, extent=spot.extent, share=spot.share)

@@ -1,0 +1,1 @@
+../../schemas/wire_changes.py

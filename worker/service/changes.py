@@ -1,0 +1,221 @@
+"""What changed at a place: between two views of it, or between a view and a query that matched it."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from schemas.description import PixelField
+from schemas.errors import ImageNotKept, InvalidParameters
+from schemas.image import Image
+from schemas.recipe import DescriptionRecipe
+from schemas.records import MapRecord, ViewRecord
+from worker.description.describer import components
+from worker.description.describers import Describers
+from worker.description.local_features import local_features
+from worker.description.scheduler import Scheduler
+from worker.images.changes import Mark, Side, changes_png
+from worker.method import changes, verification
+from worker.method.changes import Change, Changes, PhotoCells
+from worker.service.explanations import Explanations
+from worker.service.ports import Maps, Views
+from worker.service.sheets import name_of
+
+KEYPOINTS = 300
+"""Local features of each photo, which align the two."""
+
+LEAST_INLIERS = 12
+"""Fewer keypoints than this align no two photos well enough to say what changed."""
+
+Status = Literal["compared", "not-aligned", "image-not-kept", "no-match"]
+
+NOT_KEPT = "the map keeps no images, so there is no photo of the place as it was"
+NOT_ALIGNED = (
+    "{} keypoints fit one geometry, and {} are needed to say where a thing should be: take the photo from nearer "
+    "to where the view was taken, by better light"
+)
+NO_MATCH = "the photo matched no view, so there is nothing to compare it with"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What changed since a view was taken, or why that cannot be said.
+
+    Parameters
+    ----------
+    status : {"compared", "not-aligned", "image-not-kept", "no-match"}
+    detail : str
+        Why nothing was compared; empty where it was.
+    since : str or None
+        Id of the earlier view.
+    recipe : DescriptionRecipe or None
+        Whose labels these are.
+    found : Changes or None
+        None unless compared.
+    """
+
+    status: Status
+    detail: str = ""
+    since: str | None = None
+    recipe: DescriptionRecipe | None = None
+    found: Changes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Photo:
+    image: Image
+    title: str
+
+
+class ChangeService:
+    """The use-case `what changed here`.
+
+    Parameters
+    ----------
+    maps, views
+        Parts of the store.
+    describers : Describers
+    scheduler : Scheduler
+    decode : function
+        Bytes to Image; raises BadImage.
+    explanations : Explanations
+        The latest explained queries.
+    """
+
+    def __init__(
+        self,
+        *,
+        maps: Maps,
+        views: Views,
+        describers: Describers,
+        scheduler: Scheduler,
+        decode: Callable[[bytes], Image],
+        explanations: Explanations,
+    ) -> None:
+        self._maps, self._views, self._describers = maps, views, describers
+        self._scheduler, self._decode, self._explanations = scheduler, decode, explanations
+
+    def between(self, view_id: str, since: str) -> Comparison:
+        """What changed from the view `since` to another one of its map.
+
+        Raises
+        ------
+        NotFound, InvalidParameters, ImageNotKept, Busy
+        """
+        return self._compare(*self._two(view_id, since))
+
+    def draw_between(self, view_id: str, since: str) -> bytes:
+        """Both views with what changed outlined, as PNG; raises as `between`."""
+        return self._drawn(*self._two(view_id, since))
+
+    def of_query(self, query_id: str) -> Comparison:
+        """What changed from the first match of an explained query to its image; raises NotFound, Busy."""
+        explained = self._explanations.get(query_id)
+        if explained.headline.status == "no_match" or not explained.results.views:
+            return Comparison("no-match", NO_MATCH)
+        first = explained.results.views[0].view
+        with suppress(ImageNotKept):
+            return self._compare(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
+        return Comparison("image-not-kept", NOT_KEPT, first.id)
+
+    def draw_query(self, query_id: str) -> bytes:
+        """The first match of an explained query and its image with what changed outlined, as PNG.
+
+        Raises
+        ------
+        NotFound, ImageNotKept, Busy
+        """
+        first = self._explanations.get(query_id).view(None).view
+        return self._drawn(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
+
+    def version(self, view_id: str, since: str) -> str:
+        """A version of the drawing of two views, for an ETag; raises NotFound."""
+        one, other = self._views.get(view_id), self._views.get(since)
+        return f"{one.id}-{other.id}-{self._maps.get(one.map).description.id}-changes"
+
+    def _query_photo(self, query_id: str) -> _Photo:
+        return _Photo(self._explanations.get(query_id).image, "now: query")
+
+    def _photo(self, view: ViewRecord, when: str = "then") -> _Photo:
+        return _Photo(self._decode(self._views.image(view.id)), f"{when}: {name_of(view)}")
+
+    def _two(self, view_id: str, since: str) -> tuple[MapRecord, ViewRecord, _Photo, _Photo]:
+        now, then = self._views.get(view_id), self._views.get(since)
+        if now.id == then.id:
+            raise InvalidParameters.of("since", "is the view itself; name another view of the place")
+        if now.map != then.map:
+            raise InvalidParameters.of("since", f"is a view of the map {then.map!r}, the other of {now.map!r}")
+        return self._maps.get(now.map), then, self._photo(then), self._photo(now, "now")
+
+    def compare(self, then: Image, now: Image, recipe: DescriptionRecipe) -> tuple[int, Changes | None]:
+        """What changed from one photo to another, by the labels of a recipe.
+
+        Returns
+        -------
+        inliers : int
+            Keypoints that fit one geometry.
+        found : Changes or None
+            None when there are fewer than `LEAST_INLIERS`.
+
+        Raises
+        ------
+        Busy
+        """
+        features = [local_features(image.pixels, KEYPOINTS) for image in (then, now)]
+        [aligned] = verification.verify(features[0], features[1:])
+        if aligned.transform is None or aligned.inliers < LEAST_INLIERS:
+            return aligned.inliers, None
+        looks = [self._look(image, recipe) for image in (then, now)]
+        found = changes.find(looks[0], looks[1], aligned.transform.astype(np.float64), components)
+        return aligned.inliers, found
+
+    def _compare(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
+        inliers, found = self.compare(then.image, now.image, owner.description)
+        if found is None:
+            return Comparison("not-aligned", NOT_ALIGNED.format(inliers, LEAST_INLIERS), view.id, owner.description)
+        return Comparison("compared", "", view.id, owner.description, found)
+
+    def _drawn(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> bytes:
+        comparison = self._compare(owner, view, then, now)
+        sides = [Side(photo.image.pixels, photo.title) for photo in (then, now)]
+        if comparison.found is None:
+            return changes_png(sides[0], sides[1], f"not compared: {comparison.detail}")
+        names = owner.description.labels
+        sides = [
+            replace(side, marks=[mark for one in comparison.found.changes if (mark := _mark(one, when, names))])
+            for side, when in zip(sides, ("then", "now"), strict=True)
+        ]
+        return changes_png(sides[0], sides[1], told(comparison.found, names))
+
+    def _look(self, image: Image, recipe: DescriptionRecipe) -> PhotoCells:
+        """An image as cells: embeddings of the encoder, labels of the segmenter where there is one."""
+        submit = partial(self._scheduler.submit, image, _field, urgent=True)
+        field = submit().result().value
+        segmented = submit(segment=True).result().value if self._scheduler.segments else field
+        return self._describers.of(recipe).look(field, segmented)
+
+
+def told(found: Changes, names: Sequence[str]) -> str:
+    """What changed, in a sentence."""
+    words = [
+        f"{names[one.label]} {one.kind}"
+        + ("" if one.instead is None else f" ({names[one.instead]} in the other photo)")
+        for one in found.changes
+    ]
+    share = f"{100 * found.compared:.0f} % of the later photo could be compared"
+    return f"{', '.join(words) or 'nothing changed that could be told'}; {share}"
+
+
+def _mark(change: Change, when: str, names: Sequence[str]) -> Mark | None:
+    """A change as it is outlined in the photo of then, or of now; None where it is not seen there."""
+    spot = change.then if when == "then" else change.now
+    if spot is None:
+        return None
+    return Mark(change.kind, f"{names[change.label]} {change.kind} {change.confidence:.2f}", spot.cells)
+
+
+def _field(image: Image, field: PixelField) -> PixelField:
+    return field
