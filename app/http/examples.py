@@ -84,6 +84,7 @@ QUERY_ANSWER: dict[str, Any] = {
     "pending": 0,
     "maps": None,
     "drive": None,
+    "changes": None,
     "status": "matched",
     "confidence": 0.97,
     "reason": {"code": "sure", "detail": "one place stands out from all others", "remedy": "nothing", "rival": None},

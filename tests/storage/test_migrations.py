@@ -187,8 +187,12 @@ def test_a_recipe_of_before_becomes_the_halves_that_are_made_today(name: str) ->
     description, ranked = halves(json.loads(BEFORE[name]["body"]))
 
     assert (identity(description), description) == (today.description.id, today.description.model_dump(mode="json"))
-    # Maps of before go without the shortlist, which changes answers in large maps.
-    assert RankingConfig.model_validate(ranked) == today.ranking.model_copy(update={"shortlist_from": 0})
+    # Maps of before go without the shortlist, which changes answers in large maps, and keep their weights.
+    ranking_then = RankingConfig.model_validate(ranked)
+    weights = today.ranking.weights.model_copy(update={"verification": ranking_then.weights.verification})
+    assert ranking_then == today.ranking.model_copy(update={"shortlist_from": 0, "weights": weights})
+    if "default" in name:
+        assert ranking_then.weights.verification == 0.2
 
 
 def test_a_data_folder_of_before_keeps_its_views_descriptions_jobs_and_their_order(

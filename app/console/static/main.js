@@ -87,7 +87,7 @@ function signIn(problem = null) {
         "div",
         { class: "row" },
         h("button", { type: "submit", class: "first" }, "Sign in"),
-        h("button", { type: "button", onclick: () => dialog.close() }, "Close"),
+        h("button", { type: "button", onclick: leave }, "Close"),
         key.get() &&
           h(
             "button",
@@ -96,7 +96,7 @@ function signIn(problem = null) {
               class: "danger",
               onclick: () => {
                 key.forget();
-                dialog.close();
+                leave();
                 restart();
               },
             },
@@ -111,7 +111,7 @@ function signIn(problem = null) {
     key.set(input.value.trim());
     try {
       await call("GET", "/maps", { quiet: true });
-      dialog.close();
+      leave();
       announce("signed in");
       restart();
     } catch (error) {
@@ -121,6 +121,11 @@ function signIn(problem = null) {
       input.focus();
       input.select();
     }
+  }
+  // At once: the event of a closed dialog may come after the answer that asks for a key again.
+  function leave() {
+    dialog.close();
+    dialog.remove();
   }
   dialog.addEventListener("close", () => dialog.remove());
   document.body.append(dialog);
