@@ -313,6 +313,7 @@ def _services(
         queue=store.jobs,
         settlements=settlements,
         decode=decoder.decode,
+        taken=decoder.taken,
         look_for_problem=quality.problem_of,
         default_recipe=default_recipe,
         limit=settings.queue,

@@ -105,6 +105,7 @@ class EnrollParameters(PositionParameters):
         description="Refuse an image that is dark, overexposed, covered or blurred; false: enrol it, and say so in "
         "`warnings`. Default: the map's.",
     )
+    exif: bool = Field(False, description="Take position, heading and time from the image's EXIF where none is given.")
     wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")
 
     def attributes(self) -> ViewAttributes:

@@ -62,6 +62,7 @@ class Recogniser:
         wait: bool,
         *,
         refuse_poor: bool | None,
+        exif: bool = False,
     ) -> list[wire.Enrolled | RevisitError]:
         """Keep images and describe them.
 
@@ -76,6 +77,8 @@ class Recogniser:
             bound is too short, return once the images are durable.
         refuse_poor : bool or None
             Whether images that are dark, overexposed, covered or blurred are refused; None: as the map says.
+        exif : bool
+            Whether the images' EXIF says where and when they were taken, where `attributes` do not.
 
         Returns
         -------
@@ -85,17 +88,17 @@ class Recogniser:
         """
         until = time.monotonic() + self._wait_s
         accepted = [
-            await self._submit(data, map_name, replace(attributes, filename=name), wait, refuse_poor)
+            await self._submit(data, map_name, replace(attributes, filename=name), wait, refuse_poor, exif)
             for name, data in images
         ]
         return [one if isinstance(one, RevisitError) else await self._outcome(one, wait, until) for one in accepted]
 
     async def _submit(
-        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool | None
+        self, data: bytes, map_name: str, attributes: ViewAttributes, wait: bool, refuse_poor: bool | None, exif: bool
     ) -> Accepted | RevisitError:
         try:
             return await asyncio.to_thread(
-                self._enroll.submit, data, map_name, attributes, waits=wait, refuse_poor=refuse_poor
+                self._enroll.submit, data, map_name, attributes, waits=wait, refuse_poor=refuse_poor, exif=exif
             )
         except RevisitError as error:
             return error

@@ -104,6 +104,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         metadata: Mapping[str, Any] | None = None,
         filename: str | None = None,
         refuse_poor: bool | None = None,
+        exif: bool = False,
         wait: bool = True,
         idempotency_key: str | None = None,
     ) -> wire.Enrolled:
@@ -131,6 +132,8 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         refuse_poor : bool or None
             Refuse an image that is dark, overexposed, covered or blurred, instead of enrolling it with a
             warning. None: as the map says.
+        exif : bool
+            Take position, heading and time from the image's EXIF where none is given.
         wait : bool
             True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
         idempotency_key : str or None
@@ -138,7 +141,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         """
         attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
-        fields |= texts({"refuse_poor": refuse_poor})
+        fields |= texts({"refuse_poor": refuse_poor, "exif": exif or None})
         # One key for all repetitions of this call: the service does the work once even when an answer is lost.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = named(image)

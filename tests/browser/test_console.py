@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 import pytest
+from PIL import Image as PilImage
 
 from app.http.examples import VIEW
 from lab.benchmarks import first_answer
@@ -186,6 +187,20 @@ def test_ten_photos_of_a_newcomer_give_a_sure_answer(
     *before, last = first_answer.walk(chromium, service.url, photos, queries)
     assert [step.name for step in before[:2]] == ["the console opens", "10 photos are enrolled"]
     assert last.seen == f"This is {photos[queries.index(tmp_path / 'asked' / last.name)].stem}"
+
+
+def test_photos_say_themselves_where_they_were_taken(opened: Open, service: RunningService, tmp_path: Path) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 0.0), 16: "T", 17: 90.0})
+    (tmp_path / "phone.jpg").write_bytes(encoded(drawn(96, 64, 230), "jpeg", exif=exif))
+    tab = opened("enrol")
+    tab.page.get_by_label("or a new map").fill("phone")
+    tab.page.get_by_label("Choose photos").set_input_files([tmp_path / "phone.jpg"])
+    tab.page.get_by_label("Position and time from the photos (EXIF)").check()
+    tab.page.get_by_role("button", name="Enrol 1 photo").click()
+    tab.page.locator(".files .done").get_by_text("enrolled at -27.400000, 153.000000").wait_for()
+    [view] = views(service, "phone")
+    assert (view["position"]["lat"], view["position"]["heading"]) == (pytest.approx(-27.4), 90)
 
 
 def test_a_photo_is_placed_by_a_click_on_the_plan(opened: Open, service: RunningService, tmp_path: Path) -> None:

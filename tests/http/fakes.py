@@ -99,11 +99,11 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
             raise self.fails[name]
 
     async def enroll(
-        self, images: Sequence[Any], map_name: str, attributes: ViewAttributes, wait: bool, *, refuse_poor: bool
+        self, images: Sequence[Any], map_name: str, attributes: ViewAttributes, wait: bool, **given: bool | None
     ) -> list[wire.Enrolled | RevisitError]:
         self._may_fail("enroll")
         self.given = {"map": map_name, "said": attributes, "wait": wait, "names": [name for name, _ in images]}
-        self.given |= {"refuse_poor": refuse_poor}
+        self.given |= given
         self.enrolments += 1
         if self.hold is not None:
             await self.hold.wait()

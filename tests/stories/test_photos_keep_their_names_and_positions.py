@@ -2,14 +2,17 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from PIL import Image as PilImage
 
 from app.http.application import create_app
 from scenes import scene
 from schemas.settings import Settings
 from schemas.values import LONGEST_FILE_NAME, file_name
 from tests.openapi import CheckedClient
+from tests.sample_images import drawn, encoded
 from tests.stories.photos import photo
 from worker.runtime import build
 
@@ -35,6 +38,27 @@ def test_a_photo_is_shown_by_the_name_it_was_sent_with(client: CheckedClient) ->
     assert [view["filename"] for view in client.get("/views").json()["views"]] == ["lane 1.jpg", "IMG_7.jpg", None]
     found = client.post("/query", content=green, **JPEG).json()["matches"][0]["view"]
     assert found["filename"] == "IMG_7.jpg"
+
+
+def test_exif_says_where_and_when_a_photo_was_taken_if_that_is_wanted(client: CheckedClient) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 0.0), 16: "T", 17: 90.0})
+    exif.get_ifd(0x8825).update({29: "2026:05:04", 7: (9.0, 30.0, 0.0)})
+
+    def enrolled(seed: int, **fields: str) -> dict[str, Any]:
+        files = {"image": ("a.jpg", encoded(drawn(64, 48, seed), "jpeg", exif=exif))}
+        view: dict[str, Any] = client.post("/enroll", files=files, data=fields).json()["view"]
+        return {name: value for name, value in (view["position"] or {}).items() if value is not None} | {
+            "captured_at": view["captured_at"]
+        }
+
+    moment = {"captured_at": "2026-05-04T09:30:00.000000Z"}
+    assert enrolled(1) == {"captured_at": None}
+    assert enrolled(2, exif="true") == {"lat": -27.4, "lon": 153.0, "heading": 90.0} | moment
+    given = {"lat": "-27.5", "lon": "153.1", "captured_at": "2026-01-01T00:00:00Z"}
+    said = {"lat": -27.5, "lon": 153.1, "captured_at": "2026-01-01T00:00:00.000000Z"}
+    assert enrolled(3, exif="true", **given) == said
+    assert enrolled(4, exif="true", x="1", y="2", map="metric") == {"x": 1.0, "y": 2.0} | moment
 
 
 def test_several_photos_have_the_names_of_their_parts(client: CheckedClient) -> None:

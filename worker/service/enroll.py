@@ -1,9 +1,10 @@
 """Enrol an image: store it, have it described, report the outcome."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, PoorImage, RevisitError, StorageFailed, Unavailable
 from schemas.image import Image
@@ -11,6 +12,7 @@ from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
 from worker.service import steady
 from worker.service.blurring import BlurringEnrolment
+from worker.service.completing import completed
 from worker.service.ports import JobQueue, Maps, Removals, Views
 from worker.service.resemblances import Resemblance
 from worker.service.settlements import Settlements
@@ -90,6 +92,8 @@ class EnrollService:
         Waits for a view to be described.
     decode : function
         Bytes to Image; raises BadImage.
+    taken : function
+        Bytes to what their EXIF says of place and time, by our names.
     look_for_problem : function
         What is wrong with an image, in words, or None.
     default_recipe : MapRecipe
@@ -116,6 +120,7 @@ class EnrollService:
         queue: JobQueue,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
+        taken: Callable[[bytes], Mapping[str, Any]] = lambda data: {},
         look_for_problem: Callable[[Image], str | None],
         default_recipe: MapRecipe,
         limit: int,
@@ -126,7 +131,8 @@ class EnrollService:
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
-        self._decode, self._look_for_problem, self._default_recipe = decode, look_for_problem, default_recipe
+        self._decode, self._taken = decode, taken
+        self._look_for_problem, self._default_recipe = look_for_problem, default_recipe
         self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
         self._resembles = resembles
 
@@ -138,6 +144,7 @@ class EnrollService:
         *,
         waits: bool = False,
         refuse_poor: bool | None = None,
+        exif: bool = False,
     ) -> Accepted:
         """Store an image durably and queue its description.
 
@@ -150,6 +157,8 @@ class EnrollService:
             Whether the caller wants to wait for the description, which is refused when no worker is alive.
         refuse_poor : bool, optional
             Whether an image that is dark, overexposed, covered or blurred is not to be enrolled; None: as the map says.
+        exif : bool
+            Whether the image's EXIF says where and when it was taken, where `attributes` do not.
 
         Raises
         ------
@@ -170,6 +179,8 @@ class EnrollService:
             raise Unavailable(NO_WORKER, NO_WORKER_RETRY_S)
         if waits and isinstance(self._settlements.trouble, DiskFull | StorageFailed):
             raise self._settlements.trouble
+        if exif:
+            attributes = completed(attributes, self._taken(data))
         submitted = self._enrolment.submit(
             map_name, data, image, attributes, self._default_recipe, datetime.now(UTC), steady.reading_s()
         )

@@ -3,7 +3,7 @@
 import { call } from "./api.js";
 import { mapSelect } from "./choice.js";
 import { attributesOf, positionsOf } from "./csv.js";
-import { announce, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
+import { announce, checkbox, count, field, h, picker, problemBox, takesDrops } from "./dom.js";
 import { placing } from "./placing.js";
 import { FRAMES, typedPosition } from "./positions.js";
 import { RECORDINGS, recording } from "./recording.js";
@@ -36,6 +36,7 @@ export function enrolScreen() {
     {},
     FRAMES.map(([value, text]) => h("option", { value }, text)),
   );
+  const exif = checkbox("Position and time from the photos (EXIF), where none is given");
   const list = h("ul", { class: "files", "aria-label": "Photos to enrol", tabindex: "0", hidden: true });
   const told = h("div");
   const bar = h("progress", { value: 0, max: 1, "aria-label": "Photos enrolled", hidden: true });
@@ -199,6 +200,7 @@ export function enrolScreen() {
     const spot = typedPosition(one.position.value, frame.value);
     for (const [key, value] of Object.entries(spot)) form.append(key, value);
     for (const [key, value] of Object.entries(one.more)) form.append(key, value);
+    if (exif.box.checked) form.append("exif", "true");
     return form;
   }
 
@@ -214,7 +216,9 @@ export function enrolScreen() {
         mark(one, "waiting", "sending …");
         const { view, created, warnings } = await call("POST", "/enroll", { form: formOf(one, map) });
         const came = created ? "enrolled" : "was there already";
-        mark(one, "done", [came, ...warnings.map((warning) => warning.detail)].join("; "));
+        const { lat, lon } = view.position ?? {};
+        const where = exif.box.checked && lat != null ? ` at ${lat.toFixed(6)}, ${lon.toFixed(6)}` : "";
+        mark(one, "done", [came + where, ...warnings.map((warning) => warning.detail)].join("; "));
         one.place.value ||= view.place ?? "";
         return;
       } catch (error) {
@@ -287,6 +291,7 @@ export function enrolScreen() {
           field("Place", place),
           field("Positions are in", frame),
         ),
+        exif.label,
         onPlan.element,
         told,
         h("div", { class: "row" }, start, clear),

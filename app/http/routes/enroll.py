@@ -74,7 +74,7 @@ async def enroll(
 
     async def work() -> Response:
         outcomes = await recogniser.enroll(
-            images, params.map, params.attributes(), params.wait, refuse_poor=params.refuse_poor
+            images, params.map, params.attributes(), params.wait, refuse_poor=params.refuse_poor, exif=params.exif
         )
         for outcome in outcomes:
             if isinstance(outcome, Enrolled):
