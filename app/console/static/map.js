@@ -10,6 +10,7 @@ import {
   decimals,
   facts,
   field,
+  folded,
   h,
   moment,
   percent,
@@ -215,6 +216,7 @@ export function mapScreen(name) {
           );
         }),
       ),
+      shares(map),
       facts(
         plain.map(([key, value]) => [
           key,
@@ -230,6 +232,27 @@ export function mapScreen(name) {
       told,
       train,
     );
+  }
+
+  /** How much of all views each label covers, read once it is unfolded. */
+  function shares(map) {
+    const body = h("div");
+    async function read() {
+      const dynamic = map.labels.map((label) => label.label).join(",");
+      try {
+        const { labels } = await call("GET", `${path}/dynamic`, { query: { dynamic, limit: 1 } });
+        const seen = labels.filter((one) => one.views).sort((one, other) => other.share - one.share);
+        body.replaceChildren(
+          seen.length ? bars(seen.map((one) => [one.label, one.share])) : "No view is described yet.",
+        );
+      } catch (error) {
+        body.replaceChildren(problemBox(error));
+      }
+    }
+    return folded("How much of the views each label covers", () => {
+      read();
+      return body;
+    });
   }
 
   function removal() {
