@@ -297,16 +297,6 @@ def test_the_views_of_a_place_are_shown_alone(opened: Open) -> None:
     tab.awaits(".grid .cell", 2)
 
 
-def test_the_shares_of_a_maps_labels_are_shown(opened: Open) -> None:
-    tab = opened("maps/town")
-    tab.page.get_by_text("How much of the views each label covers").click()
-    rows = tab.page.locator("details", has_text="each label covers").locator(".bars li")
-    rows.first.wait_for()
-    shares = [float(text.split()[0]) for text in rows.locator(".number").all_inner_texts() if text[0].isdigit()]
-    assert shares == sorted(shares, reverse=True)
-    assert shares[0] > 10
-
-
 def test_a_name_is_shown_as_text_whatever_it_contains(opened: Open, service: RunningService) -> None:
     hostile = "<img src=x onerror=alert(1)><b>gate</b>"
     enrolled(service, "odd", range(400, 401), place=hostile)

@@ -318,3 +318,13 @@ def test_a_video_is_imported_with_a_frame_every_two_seconds(
     panel.get_by_text("Done: filmed.").wait_for()
     views = httpx.get(f"{service.url}/views?map=filmed").json()["views"]
     assert [view["metadata"]["video_s"] for view in views] == [0, 2, 4]
+
+
+def test_the_shares_of_a_maps_labels_are_shown(opened: Open) -> None:
+    tab = opened("maps/town")
+    tab.page.get_by_text("How much of the views each label covers").click()
+    rows = tab.page.locator("details", has_text="each label covers").locator(".bars li")
+    rows.first.wait_for()
+    shares = [float(text.split()[0]) for text in rows.locator(".number").all_inner_texts() if text[0].isdigit()]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] > 10

@@ -124,10 +124,11 @@ def test_a_job_that_there_is_not_has_no_events(client: CheckedClient) -> None:
 def test_how_long_a_job_takes_is_not_how_long_the_service_took_to_answer(
     client: CheckedClient, runtime: FakeRuntime, caplog: pytest.LogCaptureFixture
 ) -> None:
-    runtime.recogniser.job_states = ["running", "running", "running", "done"]
+    looks = 12
+    runtime.recogniser.job_states = ["running"] * looks + ["done"]
 
     with caplog.at_level("INFO", "revisit.access"):
         client.get("/jobs/j9/events")
 
     (record,) = [r for r in caplog.records if getattr(r, "route", "") == "/jobs/{job_id}/events"]
-    assert record.__dict__["ms"] < 2 * LOOK_S * 1000
+    assert record.__dict__["ms"] < looks / 2 * LOOK_S * 1000
