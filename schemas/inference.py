@@ -31,6 +31,9 @@ OUTPUTS: Mapping[str, str] = {SEMANTIC: "words", DETAIL: "detail"}
 QUERY_PRIORITY, ENROLMENT_PRIORITY = 1, 2
 """Values of the parameter ``priority``: the lower goes first (Triton's extension for scheduling)."""
 
+PROBE: npt.NDArray[np.uint8] = np.full((1, 96, 96, 3), 127, np.uint8)
+"""A small image, grey, by which it is tried whether a server encodes."""
+
 _TYPES: Mapping[str, type] = {"UINT8": np.uint8, "FP32": np.float32}
 _NAMES: Mapping[np.dtype[Any], str] = {np.dtype(kind): name for name, kind in _TYPES.items()}
 

@@ -35,3 +35,11 @@ def photo(seed: int = 0, form: str = "jpeg") -> bytes:
 def png_chunk(kind: bytes, body: bytes) -> bytes:
     """One chunk of a PNG with its length and checksum."""
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def exif_of_a_phone() -> PilImage.Exif:
+    """Taken at 27.4 south, 153 east, facing east, on 4 May 2026 at 9:30 UTC."""
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 0.0), 16: "T", 17: 90.0})
+    exif.get_ifd(0x8825).update({29: "2026:05:04", 7: (9.0, 30.0, 0.0)})
+    return exif

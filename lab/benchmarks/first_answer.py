@@ -1,4 +1,4 @@
-"""A stranger's first ten photos in the console, with the time of each step: ``python -m lab.benchmarks.first_answer``.
+"""A newcomer's first ten photos in the console, with the time of each step: ``python -m lab.benchmarks.first_answer``.
 
 Starts the service on an empty folder, opens the console in Chromium, enrols ten photos with their places, and asks with
 others until an answer is sure. ``--photos`` is a folder whose files are named after their places; ``--ask`` has other
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 TEN = 10
-MORE_PLACES = ("rose garden", "castle park", "river meadow", "bakers row", "harbour road", "school lane")
+MORE_PLACES = ("harbour road", "school lane")
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".heic")
 LIMIT_MS = 60_000
 
@@ -77,7 +77,7 @@ def walk(browser: "Browser", url: str, photos: Sequence[Path], queries: Sequence
 def drawn(folder: Path) -> tuple[list[Path], list[Path]]:
     """Ten places as files named after them, and others of the same places: a step aside, at dusk."""
     both: tuple[list[Path], list[Path]] = [], []
-    for number, name in enumerate(tuple(dict.fromkeys((*PLACES, *MORE_PLACES)))[:TEN]):
+    for number, name in enumerate((*PLACES, *MORE_PLACES)):
         looks = scene(name), scene(name).at("dusk").seen_from(dx=0.5, turn=3)
         for kind, look, found in zip(("enrolled", "asked"), looks, both, strict=True):
             (folder / kind).mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ def drawn(folder: Path) -> tuple[list[Path], list[Path]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the steps; 1 when no answer was sure."""
-    parser = argparse.ArgumentParser(prog="first_answer", description="a stranger's first ten photos, timed")
+    parser = argparse.ArgumentParser(prog="first_answer", description="a newcomer's first ten photos, timed")
     parser.add_argument("--photos", type=Path, help="a folder; the first ten are enrolled, their names are the places")
     parser.add_argument("--ask", type=Path, help="a folder with other photos of the same places")
     options = parser.parse_args(arguments)

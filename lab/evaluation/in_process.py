@@ -11,14 +11,12 @@ from lab.evaluation.contender import Contender
 from lab.evaluation.gallery import Artist
 from lab.evaluation.querying import Retriever
 from lab.evaluation.service import ServiceRetriever, map_of_its_own
-from schemas.description import PixelField
-from schemas.image import Image
 from schemas.recipe import DescriptionParameters
 from schemas.settings import Settings
 from worker.description import vocabularies
 from worker.description.describer import Describer
 from worker.description.presets import Wanted, make_recipe
-from worker.description.scheduler import Scheduler
+from worker.description.scheduler import Scheduler, field_alone
 from worker.description.vocabularies import Vocabulary
 from worker.encoders.choosing import make_encoder
 from worker.runtime import MakeEncoder, Runtime, build
@@ -102,14 +100,10 @@ def train_vocabulary(
         Too few images for these sizes.
     """
     decoded = (runtime.decode(path.read_bytes()) for path in images)
-    fields = (runtime.scheduler.submit(image, _field, urgent=False).result().value for image in decoded)
+    fields = (runtime.scheduler.submit(image, field_alone, urgent=False).result().value for image in decoded)
     learned = vocabularies.train(fields, lambda field: describer.segment(field).static, parameters, parameters.seed)
     runtime.store.vocabularies.keep(learned.digest, learned.tensors)
     return learned
-
-
-def _field(_: Image, field: PixelField) -> PixelField:
-    return field
 
 
 def _artist(retriever: Retriever) -> Artist | None:

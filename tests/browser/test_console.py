@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 import pytest
-from PIL import Image as PilImage
 
 from app.http.examples import VIEW
 from lab.benchmarks import first_answer
 from tests.browser.conftest import LAPTOP, PHONE, PLACES, Open, Tab
-from tests.sample_images import drawn, encoded
+from tests.sample_images import drawn, encoded, exif_of_a_phone
 from tests.sample_images import photo as drawn_photo
 from tests.stories.running import RunningService
 
@@ -190,9 +189,7 @@ def test_ten_photos_of_a_newcomer_give_a_sure_answer(
 
 
 def test_photos_say_themselves_where_they_were_taken(opened: Open, service: RunningService, tmp_path: Path) -> None:
-    exif = PilImage.Exif()
-    exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 0.0), 16: "T", 17: 90.0})
-    (tmp_path / "phone.jpg").write_bytes(encoded(drawn(96, 64, 230), "jpeg", exif=exif))
+    (tmp_path / "phone.jpg").write_bytes(encoded(drawn(96, 64, 230), "jpeg", exif=exif_of_a_phone()))
     tab = opened("enrol")
     tab.page.get_by_label("or a new map").fill("phone")
     tab.page.get_by_label("Choose photos").set_input_files([tmp_path / "phone.jpg"])

@@ -195,6 +195,9 @@ def test_other_weights_are_an_unknown_model_and_it_says_which_there_are(
     [
         (np.zeros((1, 33, 64, 3), np.uint8), {}),
         (np.zeros((1, 32, 64, 4), np.uint8), {}),
+        (np.zeros((0, 32, 64, 3), np.uint8), {}),
+        (np.zeros((1, 0, 64, 3), np.uint8), {}),
+        (np.zeros((9, 32, 64, 3), np.uint8), {}),  # more than ever may wait
         (np.zeros((32, 64, 3), np.uint8), {}),
         (np.zeros((1, 32, 64, 3), np.float32), {}),
         (np.zeros((1, 32, 64, 3), np.uint8), {"name": "images"}),

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image as PilImage
 
 from app.http.application import create_app
 from scenes import scene
 from schemas.settings import Settings
 from schemas.values import LONGEST_FILE_NAME, file_name
 from tests.openapi import CheckedClient
-from tests.sample_images import drawn, encoded
+from tests.sample_images import drawn, encoded, exif_of_a_phone
 from tests.stories.photos import photo
 from worker.runtime import build
 
@@ -41,12 +40,8 @@ def test_a_photo_is_shown_by_the_name_it_was_sent_with(client: CheckedClient) ->
 
 
 def test_exif_says_where_and_when_a_photo_was_taken_if_that_is_wanted(client: CheckedClient) -> None:
-    exif = PilImage.Exif()
-    exif.get_ifd(0x8825).update({1: "S", 2: (27.0, 24.0, 0.0), 3: "E", 4: (153.0, 0.0, 0.0), 16: "T", 17: 90.0})
-    exif.get_ifd(0x8825).update({29: "2026:05:04", 7: (9.0, 30.0, 0.0)})
-
     def enrolled(seed: int, **fields: str) -> dict[str, Any]:
-        files = {"image": ("a.jpg", encoded(drawn(64, 48, seed), "jpeg", exif=exif))}
+        files = {"image": ("a.jpg", encoded(drawn(64, 48, seed), "jpeg", exif=exif_of_a_phone()))}
         view: dict[str, Any] = client.post("/enroll", files=files, data=fields).json()["view"]
         return {name: value for name, value in (view["position"] or {}).items() if value is not None} | {
             "captured_at": view["captured_at"]

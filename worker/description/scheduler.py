@@ -318,3 +318,8 @@ def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_
         request.future.set_exception(error)
         return
     request.future.set_result(Timed(value, queue_ms, encode_ms, (time.perf_counter() - began) * 1000))
+
+
+def field_alone(image: Image, field: PixelField) -> PixelField:
+    """What finishes a request for a pixel field: nothing more."""
+    return field

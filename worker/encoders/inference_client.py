@@ -20,6 +20,7 @@ from schemas.inference import (
     MEDIA_TYPE,
     OUTPUTS,
     PIXELS,
+    PROBE,
     QUERY_PRIORITY,
     Tensor,
     packed,
@@ -37,8 +38,6 @@ REST_S, MOST_REST_S = 1, 5
 
 IDLE_S = 3.0
 """Seconds for which a silent connection is kept: less than servers keep it (revisit: 5 s)."""
-
-PROBE = np.full((1, 96, 96, 3), 127, np.uint8)
 
 _LONGEST_WORD = 300
 

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from schemas.description import PixelField
 from schemas.errors import ImageNotKept, InvalidParameters
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
@@ -16,7 +15,7 @@ from schemas.records import MapRecord, ViewRecord
 from worker.description.describer import components
 from worker.description.describers import Describers
 from worker.description.local_features import local_features
-from worker.description.scheduler import Scheduler
+from worker.description.scheduler import Scheduler, field_alone
 from worker.images.changes import Mark, Side, changes_png
 from worker.method import changes, verification
 from worker.method.changes import Change, Changes, PhotoCells
@@ -192,7 +191,7 @@ class ChangeService:
 
     def _look(self, image: Image, recipe: DescriptionRecipe) -> PhotoCells:
         """An image as cells: embeddings of the encoder, labels of the segmenter where there is one."""
-        submit = partial(self._scheduler.submit, image, _field, urgent=True)
+        submit = partial(self._scheduler.submit, image, field_alone, urgent=True)
         field = submit().result().value
         segmented = submit(segment=True).result().value if self._scheduler.segments else field
         return self._describers.of(recipe).look(field, segmented)
@@ -215,7 +214,3 @@ def _mark(change: Change, when: str, names: Sequence[str]) -> Mark | None:
     if spot is None:
         return None
     return Mark(change.kind, f"{names[change.label]} {change.kind} {change.confidence:.2f}", spot.cells)
-
-
-def _field(image: Image, field: PixelField) -> PixelField:
-    return field

@@ -7,17 +7,15 @@ from concurrent.futures import Future
 import numpy as np
 
 from schemas.description import Floats, PixelField
-from schemas.errors import EncoderAway, RevisitError
+from schemas.errors import BadBody, EncoderAway, RevisitError
 from schemas.image import Bytes2D, Image
-from schemas.inference import model_name
+from schemas.inference import PROBE, model_name
 from schemas.records import Meaning
 from worker.description.ports import Encoder
-from worker.description.scheduler import Scheduler, Timed
+from worker.description.scheduler import Scheduler, Timed, field_alone
 
 MOST_WAITING = 256
 """Images of queries that may wait, and as many of enrolments: half a megabyte each."""
-
-TEST_PIXELS = np.full((1, 96, 96, 3), 127, np.uint8)
 
 NAMELESS = "0" * 64
 """Digest of images whose encoded bytes are not known here; the encoder does not read it."""
@@ -78,11 +76,15 @@ class EncodingService:
 
         Raises
         ------
+        BadBody
+            So many are never let in together.
         EncoderAway
             Too many wait.
         Unavailable
             The process is stopping.
         """
+        if len(pixels) > self._most:
+            raise BadBody("malformed-body", f"{len(pixels)} images at once; no more than {self._most} are let in")
         with self._lock:
             waiting = self._waiting[urgent]
             if waiting + len(pixels) > self._most:
@@ -95,7 +97,7 @@ class EncodingService:
         futures: list[Future[Timed[PixelField]]] = []
         try:
             for one in pixels:
-                futures.append(self._scheduler.submit(Image(one, NAMELESS), _field, urgent=urgent))  # noqa: PERF401
+                futures.append(self._scheduler.submit(Image(one, NAMELESS), field_alone, urgent=urgent))  # noqa: PERF401
         finally:
             self._ended(urgent, len(pixels) - len(futures))
             for future in futures:
@@ -112,7 +114,7 @@ class EncodingService:
             return "its thread has ended; restart it"
         before = self._scheduler.encoded
         try:
-            [future] = self.submit(TEST_PIXELS, urgent=True)
+            [future] = self.submit(PROBE, urgent=True)
             future.result(patience_s)
         except EncoderAway:
             return "ok"  # it works through as many images as may wait
@@ -129,10 +131,6 @@ class EncodingService:
 def stacked(fields: Sequence[PixelField]) -> Mapping[str, Floats]:
     """Layers of images of one size, float32 of shape (n, rows, columns, channels) each."""
     return {name: np.stack([field.layers[name] for field in fields]) for name in fields[0].layers}
-
-
-def _field(image: Image, field: PixelField) -> PixelField:
-    return field
 
 
 class _Observed:

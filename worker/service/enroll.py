@@ -120,7 +120,7 @@ class EnrollService:
         queue: JobQueue,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
-        taken: Callable[[bytes], Mapping[str, Any]] = lambda data: {},
+        taken: Callable[[bytes], Mapping[str, Any]],
         look_for_problem: Callable[[Image], str | None],
         default_recipe: MapRecipe,
         limit: int,
