@@ -10,7 +10,7 @@ from uuid6 import uuid7
 
 from schemas.description import Description
 from schemas.recipe import DescriptionRecipe
-from worker.storage import packing
+from worker.storage import checksums, packing
 from worker.storage.tables import APPEARANCES, CELLS, CLOCK, DESCRIPTIONS, KEYPOINTS, MAPS, VECTORS, VIEWS
 
 NOISE = 0.5
@@ -55,9 +55,10 @@ def fill(
         for start in range(0, count, BLOCK):
             seqs = range(first + start, first + min(start + BLOCK, count))
             picks = [seq % len(descriptions) for seq in seqs]
-            connection.execute(sa.insert(VIEWS), [_view(seq, row.id) for seq in seqs])
-            connection.execute(
-                sa.insert(DESCRIPTIONS),
+            _insert(connection, VIEWS, [_view(seq, row.id) for seq in seqs])
+            _insert(
+                connection,
+                DESCRIPTIONS,
                 [
                     {
                         "seq": seq, "recipe": recipe.id, "map_id": row.id, "revision": revision,
@@ -76,18 +77,26 @@ def fill(
             if recipe.parameters.local_features is not None:
                 bodies[KEYPOINTS] = [parts[pick][KEYPOINTS] for pick in picks]
             for table, column in bodies.items():
-                rows = [{"seq": s, "recipe": recipe.id, "body": b} for s, b in zip(seqs, column, strict=True)]
+                rows = [
+                    {"seq": s, "recipe": recipe.id, "body": b, "checksum": checksums.of_body(s, recipe.id, b)}
+                    for s, b in zip(seqs, column, strict=True)
+                ]
                 connection.execute(sa.insert(table), rows)
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(revision=revision))
         connection.execute(sa.update(CLOCK).values(revision=sa.func.max(CLOCK.c.revision, revision)))
     engine.dispose()
 
 
+def _insert(connection: sa.Connection, table: sa.Table, rows: Sequence[dict[str, Any]]) -> None:
+    """Insert rows with their checksums."""
+    connection.execute(sa.insert(table), [{**row, "checksum": checksums.of_row(table, row)} for row in rows])
+
+
 def _view(seq: int, map_id: int) -> dict[str, Any]:
     return {
         "seq": seq, "id": str(uuid7()), "map_id": map_id, "place": f"place {seq}", "x": float(seq), "y": 0.0,
         "metadata": "{}", "enrolled_at": datetime.now(UTC), "sha256": f"{seq:064x}", "width": 640, "height": 480,
-        "byte_count": 100_000, "format": "jpeg", "state": "ready",
+        "byte_count": 100_000, "format": "jpeg", "state": "ready", "elapsed_us": seq,
     }  # fmt: skip
 
 

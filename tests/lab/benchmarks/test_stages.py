@@ -1,12 +1,18 @@
 """The stages of enrolling and querying, measured on a small map with the encoder that needs no weights."""
 
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from app.cli.study import over_http
 from lab.benchmarks import __main__ as benchmarks
+from lab.benchmarks.filling import fill
+from lab.benchmarks.stages import drawn
+from schemas.records import Filters
+from schemas.settings import Settings
+from worker.runtime import build
 
 
 def test_every_stage_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -57,3 +63,15 @@ def test_calls_over_http_are_given_by_the_command_line(capsys: pytest.CaptureFix
 def test_an_unknown_benchmark_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert benchmarks.main(["speed"]) == 2
     assert "there are: stages, lseg, kitti_protocols, ranking" in capsys.readouterr().err
+
+
+def test_filled_views_are_whole_and_found(tmp_path: Path) -> None:
+    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    recipe, image = runtime.default_recipe, runtime.decode(drawn(1)[0])
+    describer = runtime.describers.of(recipe.description)
+    description = describer.describe(image, next(iter(runtime.encoder.encode([image]))), None)
+    runtime.store.maps.put("default", recipe, datetime.now(UTC))
+    fill(runtime.settings.database_url, "default", recipe.description, [description], 30)
+    results = runtime.services.searcher.search({"default": Filters()}, recipe.description, description, top=5)
+    assert [scored.view.state for scored in results.views] == ["ready"] * 5
+    assert results.searched == 30
