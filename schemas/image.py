@@ -55,6 +55,22 @@ class Image:
         return extent_of(self.width, self.height)
 
 
+@dataclass(frozen=True)
+class PreparedImage(Image):
+    """An image as a segmentation network sees it, for one that is shared: the photo itself stays with who has it.
+
+    Parameters
+    ----------
+    scales : tuple of uint8 of shape (height, width, 3)
+        The image at each scale, smallest first; `pixels` is the last of them.
+    grid : (int, int)
+        Rows and columns of the segmentation.
+    """
+
+    scales: tuple[Bytes2D, ...] = ()
+    grid: tuple[int, int] = (0, 0)
+
+
 def extent_of(width: int, height: int) -> tuple[float, float]:
     """(width, height) in pixels to fractions of the longer side."""
     longer = max(width, height)

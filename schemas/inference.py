@@ -31,6 +31,18 @@ OUTPUTS: Mapping[str, str] = {SEMANTIC: "words", DETAIL: "detail"}
 QUERY_PRIORITY, ENROLMENT_PRIORITY = 1, 2
 """Values of the parameter ``priority``: the lower goes first (Triton's extension for scheduling)."""
 
+SEGMENTED = "segmentation"
+"""Name of the output of a segmenter: float32 of shape (1, rows, columns, channels), unit length."""
+
+ROWS, COLUMNS = "rows", "columns"
+"""Parameters of a request to a segmenter: the size of the segmentation."""
+
+
+def scale_name(number: int) -> str:
+    """Name of a segmenter's input: the image at one of its scales, from 0 on, as `PIXELS` with n = 1."""
+    return f"{PIXELS}.{number}"
+
+
 PROBE: npt.NDArray[np.uint8] = np.full((1, 96, 96, 3), 127, np.uint8)
 """A small image, grey, by which it is tried whether a server encodes."""
 
@@ -41,6 +53,11 @@ _NAMES: Mapping[np.dtype[Any], str] = {np.dtype(kind): name for name, kind in _T
 def model_name(encoder: str, digest: str) -> str:
     """Name of a model: encoder and weights. Who asks for other weights than a server has asks for an unknown model."""
     return f"{encoder}-{digest[:12]}"
+
+
+def segmenter_name(encoder: str, digest: str) -> str:
+    """Name of the model that segments: its digest is that of all that decides what is drawn."""
+    return f"{encoder}-segmenter-{digest[:12]}"
 
 
 def packed(

@@ -20,7 +20,7 @@ from app.version import VERSION
 ROOT = Path(__file__).parents[1]
 FAKE = """#!/bin/sh
 case $1 in
--c) echo "$0" ;;
+-c) case $2 in *metadata*) echo "${TORCH:-2.13.0}" ;; *) echo "$0" ;; esac ;;
 -V) echo "Python 3.11.9" ;;
 -P) shift; echo "ran $*" ;;
 -m)
@@ -186,6 +186,13 @@ def test_cuda_is_installed_on_request_and_serves_afterwards(
     assert re.search(r" torch==[0-9.]+$", torch)
     assert "--no-deps" not in torch
     assert checkout.run("version").stderr == ""
+
+
+def test_a_cpu_build_is_not_taken_for_cuda(checkout: Checkout) -> None:
+    refused = checkout.run("--gpu", "version", USUAL="cuda", TORCH="2.13.0+cpu")
+    assert refused.returncode == 1
+    assert "CPU build of torch, from an index or folder that PIP_EXTRA_INDEX_URL, PIP_FIND_LINKS" in refused.stderr
+    assert checkout.run("--gpu", "version", USUAL="cuda").stdout == "ran -m app.cli version\n"
 
 
 def test_a_slim_installation_has_no_torch_and_nothing_that_only_torch_needs(checkout: Checkout) -> None:

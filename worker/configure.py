@@ -47,7 +47,7 @@ def configure_torch(threads: int, device: str = "cpu") -> None:
     Raises
     ------
     SetupError
-        There is no torch, or no such device.
+        There is no torch, or no such device: what to do.
     """
     if not has_torch():
         raise SetupError(
@@ -57,8 +57,25 @@ def configure_torch(threads: int, device: str = "cpu") -> None:
     import torch
 
     torch.set_num_threads(threads)
-    if device != "cpu" and not torch.cuda.is_available():
-        raise SetupError(f"REVISIT_DEVICE={device}, but this torch sees no GPU; set it to cpu")
+    if device == "cpu":
+        return
+    kind, _, number = device.partition(":")
+    if kind != "cuda" or not (number.isdecimal() or device == "cuda"):
+        raise SetupError(f"REVISIT_DEVICE={device} is no device; it is cpu, cuda, or cuda:1 for the second GPU")
+    if torch.version.cuda is None and torch.version.hip is None:
+        raise SetupError(
+            f"REVISIT_DEVICE={device}, but no CUDA device was found: this installation has the CPU build of torch. "
+            "Install it with `./revisit --gpu set-up` (TORCH=gpu for an image), or set REVISIT_DEVICE=cpu"
+        )
+    if not torch.cuda.is_available():
+        raise SetupError(
+            f"REVISIT_DEVICE={device}, but no CUDA device was found. `nvidia-smi` should list one here: if it does "
+            "not, install NVIDIA's driver; in a container, start it with `--gpus all`, which needs NVIDIA's "
+            "container toolkit. Or set REVISIT_DEVICE=cpu"
+        )
+    count = torch.cuda.device_count()
+    if number and int(number) >= count:
+        raise SetupError(f"REVISIT_DEVICE={device}, but the last CUDA device here is cuda:{count - 1}; set it to that")
 
 
 def keep_freed_memory() -> None:

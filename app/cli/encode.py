@@ -68,8 +68,10 @@ def _encode(settings: "Settings", listening: socket.socket) -> int:
 
     threads = settings.threads or os.cpu_count() or 1
     configure(threads)
-    encoder = make_encoder_to_share(settings, threads)
-    app = encoder_application(lambda observe: EncodingService(encoder, batch_of(settings), observe), settings)
+    encoder, segmenter = make_encoder_to_share(settings, threads)
+    app = encoder_application(
+        lambda observe: EncodingService(encoder, batch_of(settings), observe, segmenter=segmenter), settings
+    )
     shared = app.state.shared
     # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -82,6 +84,7 @@ def _encode(settings: "Settings", listening: socket.socket) -> int:
         announce=lambda: show(
             f"revisit encodes at {url}\n"
             f"  encoder   {shared.service.model} on {settings.device}\n"
+            f"  segmenter {shared.service.segmenting_model or 'none'}\n"
             f"  nodes     REVISIT_ENCODER_URL={url}"
         ),
     )

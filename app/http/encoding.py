@@ -19,10 +19,23 @@ from app.http.metrics import MEDIA_TYPE as METRICS_TYPE
 from app.http.metrics import Metrics
 from app.http.middleware import STARTING_RETRY_S, BodyLimit, ReadinessGate, RequestContext
 from app.version import VERSION
-from schemas.description import PixelField
+from schemas.description import SEMANTIC, PixelField
 from schemas.errors import BadBody, EncoderAway, NotFound, RevisitError, Unauthorized
 from schemas.image import Bytes2D
-from schemas.inference import JSON_LENGTH, MEDIA_TYPE, OUTPUTS, PIXELS, QUERY_PRIORITY, packed, unpacked
+from schemas.inference import (
+    COLUMNS,
+    JSON_LENGTH,
+    MEDIA_TYPE,
+    OUTPUTS,
+    PIXELS,
+    QUERY_PRIORITY,
+    ROWS,
+    SEGMENTED,
+    Tensor,
+    packed,
+    scale_name,
+    unpacked,
+)
 from schemas.settings import Settings
 from schemas.wire import Readiness
 from worker.description.scheduler import Timed
@@ -36,6 +49,9 @@ CHECK_S = 2.0
 
 SIDE = 32
 """Sides of images are multiples of this many pixels, so that the network needs no padding."""
+
+MOST_CELLS = 1024
+"""Rows or columns of a segmentation at most: many more than those of any photo."""
 
 _BATCHES = (1, 2, 4, 8, 16, 32, 64, 128)
 
@@ -97,10 +113,13 @@ async def _key(request: Request, shared: Shared) -> None:
 
 async def _model(model: str, shared: Shared) -> None:
     service = shared.service
-    if model != service.model:
+    if model not in (service.model, service.segmenting_model):
         encoder = service.encoder
         raise NotFound(
-            "model", model, f"this is {service.model}: the encoder {encoder.name} with weights {encoder.digest}"
+            "model",
+            model,
+            f"there are {service.model}, the encoder {encoder.name} with weights {encoder.digest}, and "
+            f"{service.segmenting_model or 'no segmenter'}",
         )
 
 
@@ -138,18 +157,22 @@ async def metrics(shared: Shared) -> Response:
 
 
 @of_model.get("")
-async def model(shared: Shared) -> dict[str, Any]:
-    """The tensors of the model."""
-    channels = shared.service.encoder.layers
+async def model(model: str, shared: Shared) -> dict[str, Any]:
+    """The tensors of a model."""
+    service = shared.service
+    channels = service.encoder.layers
+    if service.segmenter is not None and model == service.segmenting_model:
+        inputs = [(scale_name(number), [1, -1, -1, 3]) for number in range(service.segmenter.scales)]
+        outputs = [(SEGMENTED, [1, -1, -1, channels[SEMANTIC]])]
+    else:
+        inputs = [(PIXELS, [-1, -1, -1, 3])]
+        outputs = [(name, [-1, -1, -1, channels[layer]]) for layer, name in OUTPUTS.items()]
     return {
-        "name": shared.service.model,
+        "name": model,
         "versions": ["1"],
         "platform": "revisit",
-        "inputs": [{"name": PIXELS, "datatype": "UINT8", "shape": [-1, -1, -1, 3]}],
-        "outputs": [
-            {"name": name, "datatype": "FP32", "shape": [-1, -1, -1, channels[layer]]}
-            for layer, name in OUTPUTS.items()
-        ],
+        "inputs": [{"name": name, "datatype": "UINT8", "shape": shape} for name, shape in inputs],
+        "outputs": [{"name": name, "datatype": "FP32", "shape": shape} for name, shape in outputs],
     }
 
 
@@ -161,41 +184,74 @@ async def model_ready(shared: Shared) -> Response:
 
 @of_model.post("/infer")
 @of_model.post("/versions/1/infer")
-async def infer(request: Request, shared: Shared) -> Response:
-    """Layers of images, batched with those of others."""
-    message, pixels = _read(request.headers.get(JSON_LENGTH), await request.body())
+async def infer(model: str, request: Request, shared: Shared) -> Response:
+    """Layers of images, batched with those of others, or the segmentation of one."""
+    service = shared.service
+    message, sent = unpacked("inputs", request.headers.get(JSON_LENGTH), await request.body())
     parameters = _parameters(message)
-    futures = shared.service.submit(pixels, urgent=parameters.get("priority", 0) in (0, QUERY_PRIORITY))
-    fields = await _results(futures, parameters.get("timeout", 0) / 1_000_000 or PATIENCE_S)
-    layers = await asyncio.to_thread(stacked, fields)
-    wanted = _wanted(message)
-    tensors = {name: layers[layer] for layer, name in OUTPUTS.items() if name in wanted}
-    said = {"model_name": shared.service.model, "model_version": "1"}
+    urgent = parameters.get("priority", 0) in (0, QUERY_PRIORITY)
+    patience_s = parameters.get("timeout", 0) / 1_000_000 or PATIENCE_S
+    if service.segmenter is not None and model == service.segmenting_model:
+        scales, grid = _scales(sent, service.segmenter.scales), _grid(parameters)
+        [field] = await _results([service.submit_segmentation(scales, grid, urgent=urgent)], patience_s)
+        tensors: dict[str, Tensor] = {SEGMENTED: field.semantic[None]}
+    else:
+        wanted = _wanted(message)
+        fields = await _results(service.submit(_pixels(sent), urgent=urgent), patience_s)
+        layers = await asyncio.to_thread(stacked, fields)
+        tensors = {name: layers[layer] for layer, name in OUTPUTS.items() if name in wanted}
+    said = {"model_name": model, "model_version": "1"}
     if isinstance(message.get("id"), str):
         said["id"] = message["id"]
     length, body = packed("outputs", tensors, said)
     return Response(body, media_type=MEDIA_TYPE, headers={JSON_LENGTH: str(length)})
 
 
-def _read(json_length: str | None, body: bytes) -> tuple[dict[str, Any], Bytes2D]:
-    """The request and its images, uint8 of shape (n, height, width, 3)."""
-    message, tensors = unpacked("inputs", json_length, body)
+def _pixels(tensors: dict[str, Tensor]) -> Bytes2D:
+    """The images of a request, uint8 of shape (n, height, width, 3)."""
     pixels = tensors.get(PIXELS)
-    seen = {name: (str(tensor.dtype), tensor.shape) for name, tensor in tensors.items()}
-    if (
-        pixels is None
-        or len(tensors) != 1
-        or pixels.dtype != np.uint8
-        or pixels.ndim != 4
-        or pixels.shape[3] != 3
-        or any(side % SIDE for side in pixels.shape[1:3])
-    ):
+    if pixels is None or len(tensors) != 1 or not _are_images(pixels):
         raise BadBody(
             "malformed-body",
             f"needed is one input {PIXELS}, uint8 of shape (n, height, width, 3), sides multiples of {SIDE}; "
-            f"sent were {seen}",
+            f"sent were {_seen(tensors)}",
         )
-    return message, np.asarray(pixels, np.uint8)
+    return np.asarray(pixels, np.uint8)
+
+
+def _scales(tensors: dict[str, Tensor], count: int) -> list[Bytes2D]:
+    """The image of a request at each scale, uint8 of shape (height, width, 3)."""
+    names = [scale_name(number) for number in range(count)]
+    found = [tensors[name] for name in names if name in tensors]
+    if len(found) != len(tensors) or len(found) != count or not all(len(t) == 1 and _are_images(t) for t in found):
+        raise BadBody(
+            "malformed-body",
+            f"needed are the inputs {', '.join(names)}, uint8 of shape (1, height, width, 3), sides multiples of "
+            f"{SIDE}; sent were {_seen(tensors)}",
+        )
+    return [np.asarray(one[0], np.uint8) for one in found]
+
+
+def _grid(parameters: dict[str, int]) -> tuple[int, int]:
+    """Rows and columns of a segmentation."""
+    rows, columns = parameters.get(ROWS, 0), parameters.get(COLUMNS, 0)
+    if not (1 <= rows <= MOST_CELLS and 1 <= columns <= MOST_CELLS):
+        raise BadBody(
+            "malformed-body",
+            f"parameters.{ROWS} and parameters.{COLUMNS} are 1 to {MOST_CELLS}, not {rows} and {columns}",
+        )
+    return rows, columns
+
+
+def _are_images(tensor: Tensor) -> bool:
+    shape = tensor.shape
+    return (
+        tensor.dtype == np.uint8 and len(shape) == 4 and shape[3] == 3 and not any(side % SIDE for side in shape[1:3])
+    )
+
+
+def _seen(tensors: dict[str, Tensor]) -> dict[str, tuple[str, tuple[int, ...]]]:
+    return {name: (str(tensor.dtype), tensor.shape) for name, tensor in tensors.items()}
 
 
 def _parameters(message: dict[str, Any]) -> dict[str, int]:
@@ -203,7 +259,7 @@ def _parameters(message: dict[str, Any]) -> dict[str, int]:
     given = message.get("parameters", {})
     if not isinstance(given, dict):
         raise BadBody("malformed-body", f"parameters are an object, not {given!r:.50}")
-    numbers = {name: given[name] for name in ("priority", "timeout") if name in given}
+    numbers = {name: given[name] for name in ("priority", "timeout", ROWS, COLUMNS) if name in given}
     for name, value in numbers.items():
         if type(value) is not int or value < 0:
             raise BadBody("malformed-body", f"parameters.{name} is a number of 0 or more, not {value!r:.50}")

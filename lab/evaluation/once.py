@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 from typing import Any
 
 from schemas.image import Image
@@ -28,18 +29,20 @@ class DescribeOnce(Scheduler):
         *,
         urgent: bool,
         segment: bool = False,
+        waits: bool = True,
         parallel: Callable[[Image], Any] | None = None,
     ) -> "Future[Timed[T]]":
         """As `Scheduler.submit`; at once where the image was described by the same recipe before."""
+        submit = partial(super().submit, image, finish, urgent=urgent, segment=segment, waits=waits, parallel=parallel)
         describer = getattr(finish, "__self__", None)
         if not isinstance(describer, Describer) or finish != describer.describe:
-            return super().submit(image, finish, urgent=urgent, segment=segment, parallel=parallel)
+            return submit()
         key = (image.digest, describer.recipe.id)
         if key in self._described:
             known: Future[Timed[T]] = Future()
             known.set_result(Timed(self._described[key], 0.0, 0.0, 0.0))
             return known
-        future: Future[Timed[T]] = super().submit(image, finish, urgent=urgent, segment=segment, parallel=parallel)
+        future: Future[Timed[T]] = submit()
 
         def remember(done: "Future[Any]") -> None:
             if not done.cancelled() and done.exception() is None:

@@ -47,7 +47,9 @@ class GatedEncoder:
 class FinerSegmenter:
     """Sees four cells where the encoder sees one."""
 
-    def segment(self, image: Image) -> PixelField:
+    shared = False
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
         return PixelField({SEMANTIC: np.ones((2, 2, 1), np.float32)}, image.extent)
 
 
@@ -337,4 +339,55 @@ def test_a_drawing_says_nothing_of_an_encoder_that_is_away() -> None:
     assert scheduler.submit(image(3), number_of, urgent=True, segment=True).result(5).value == 3
     assert scheduler.away is not None
     assert not enrolment.done()
+    scheduler.stop()
+
+
+class SharedSegmenter(FinerSegmenter):
+    """One of a shared encoder."""
+
+    shared = True
+
+    def __init__(self) -> None:
+        self.there = False
+        self.urgent: list[bool] = []
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
+        self.urgent.append(urgent)
+        if not self.there:
+            raise EncoderAway("its segmenter does not answer", 0)
+        return super().segment(image)
+
+
+def test_while_a_shared_segmenter_is_away_only_segmentations_are_told_or_wait() -> None:
+    encoder, segmenter = AwayEncoder(), SharedSegmenter()
+    encoder.there = True
+    scheduler = Scheduler(encoder, batch=4, queries=5, segmenter=segmenter)
+    patient = scheduler.submit(image(1), number_of, urgent=False, segment=True)
+    hurried = scheduler.submit(image(2), number_of, urgent=False, segment=True, waits=False)
+    described = scheduler.submit(image(3), number_of, urgent=False)  # in one batch with them
+    scheduler.start()
+
+    with pytest.raises(EncoderAway, match="segmenter"):
+        hurried.result(5)
+    with pytest.raises(EncoderAway, match="segmenter"):
+        scheduler.submit(image(4), number_of, urgent=True, segment=True).result(5)
+    assert described.result(5).value == 3
+    assert scheduler.submit(image(5), number_of, urgent=True).result(5).value == 5
+    assert scheduler.away is None
+    assert not patient.done()
+    assert set(segmenter.urgent) == {True, False}
+    segmenter.there = True
+    assert patient.result(5).value == 1
+    scheduler.stop()
+
+
+def test_an_image_that_may_not_wait_is_told_at_once_that_the_encoder_is_away() -> None:
+    scheduler = Scheduler(AwayEncoder(), batch=1, queries=5)
+    scheduler.start()
+    waiting = scheduler.submit(image(1), number_of, urgent=False)
+
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=False, waits=False).result(5)
+
+    assert not waiting.done()
     scheduler.stop()

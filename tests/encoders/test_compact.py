@@ -17,6 +17,7 @@ from schemas.description import Floats
 from schemas.errors import SetupError
 from schemas.image import Bytes2D, Image
 from schemas.settings import Settings
+from worker.configure import configure_torch
 from worker.description.scheduler import Scheduler
 from worker.encoders.choosing import make_encoder
 from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
@@ -307,8 +308,31 @@ class TestFiles:
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
     def test_a_gpu_that_is_not_there_is_told(self) -> None:
-        with pytest.raises(SetupError, match="sees no GPU"):
+        with pytest.raises(SetupError, match=r"no CUDA device was found.*REVISIT_DEVICE=cpu"):
             make_encoder(Settings(device="cuda"), 1)
+
+    @pytest.mark.parametrize(
+        ("device", "cuda", "count", "told"),
+        [
+            ("cuda", None, 0, "./revisit --gpu set-up"),
+            ("cuda", "13.0", 0, "--gpus all"),
+            ("cuda:3", "13.0", 2, "the last CUDA device here is cuda:1"),
+            ("cuda:", "13.0", 2, "it is cpu, cuda, or cuda:1"),
+            ("gpu", "13.0", 2, "it is cpu, cuda, or cuda:1"),
+        ],
+    )
+    def test_what_to_do_about_a_gpu_is_told(
+        self, device: str, cuda: str | None, count: int, told: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("torch.version.cuda", cuda)
+        monkeypatch.setattr("torch.version.hip", None)
+        monkeypatch.setattr("torch.cuda.is_available", lambda: count > 0)
+        monkeypatch.setattr("torch.cuda.device_count", lambda: count)
+
+        with pytest.raises(SetupError) as refused:
+            configure_torch(1, device)
+        assert f"REVISIT_DEVICE={device}" in str(refused.value)
+        assert told in str(refused.value)
 
     def test_without_onnx_runtime_it_says_so_and_does_not_fall_back(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "onnxruntime", None)

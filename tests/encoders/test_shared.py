@@ -1,20 +1,23 @@
 """A shared encoder gives what one in the process gives; whatever happens to it costs a query little time."""
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 import numpy as np
 import pytest
 
 from schemas.errors import EncoderAway, SetupError
-from schemas.image import Image
+from schemas.image import Image, PreparedImage
 from schemas.inference import JSON_LENGTH, Tensor, packed, unpacked
 from schemas.settings import Settings
 from tests.sample_images import drawn
 from worker.encoders.choosing import batch_of, make_encoder, patience_of
 from worker.encoders.compact.encoder import CompactEncoder
+from worker.encoders.compact.ensemble import digest_of
 from worker.encoders.compact.shared import SharedCompactEncoder
 from worker.encoders.inference_client import FailedImage, InferenceClient
 
@@ -32,8 +35,14 @@ class Handler(BaseHTTPRequestHandler):
         server = self.server
         assert isinstance(server, InferenceServer)
         said, tensors = unpacked("inputs", self.headers[JSON_LENGTH], body)
-        server.received.append((self.path, said, self.headers["authorization"], tensors["pictures"].shape))
+        shape = tensors["pictures" if "pictures" in tensors else "pictures.0"].shape
+        server.received.append((self.path, said, self.headers["authorization"], shape))
         server.answer(self, tensors)
+
+    def do_GET(self) -> None:
+        server = self.server
+        assert isinstance(server, InferenceServer)
+        self.give(404 if server.segmenter is None else 200, b"{}")
 
     def give(self, status: int, body: bytes, **headers: str) -> None:
         self.send_response(status)
@@ -52,20 +61,34 @@ class InferenceServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self) -> None:
+    def __init__(self, segments: bool = False) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
-        self.encoder = CompactEncoder(prepared=True)
+        self.encoder = CompactEncoder(prepared=True, segments=segments)
+        self.segmenter = self.encoder.segmenter()
         self.received: list[tuple[str, dict[str, object], str | None, tuple[int, ...]]] = []
         self.answer: Answer = self.right
         self.url = f"http://127.0.0.1:{self.server_address[1]}"
 
     def right(self, handler: Handler, tensors: dict[str, Tensor]) -> None:
+        path, said, _, _ = self.received[-1]
+        if "-segmenter-" in path:
+            self.segmented(handler, tensors, said["parameters"])
+            return
         fields = list(self.encoder.encode([Image(np.asarray(one, np.uint8), "0" * 64) for one in tensors["pictures"]]))
         layers = {
             name: np.stack([f.layers[layer] for f in fields])
             for layer, name in (("semantic", "words"), ("detail", "detail"))
         }
         length, body = packed("outputs", layers, {})
+        handler.give(200, body, **{JSON_LENGTH.replace("-", "_"): str(length)})
+
+    def segmented(self, handler: Handler, tensors: dict[str, Tensor], parameters: Any) -> None:
+        if self.segmenter is None:
+            handler.give(404, b'{"error": "unknown model"}')
+            return
+        scales = tuple(np.asarray(tensors[name][0], np.uint8) for name in sorted(tensors))
+        image = PreparedImage(scales[-1], "0" * 64, scales=scales, grid=(parameters["rows"], parameters["columns"]))
+        length, body = packed("outputs", {"segmentation": self.segmenter.segment(image).semantic[None]}, {})
         handler.give(200, body, **{JSON_LENGTH.replace("-", "_"): str(length)})
 
 
@@ -77,6 +100,16 @@ def local() -> CompactEncoder:
 @pytest.fixture
 def server() -> Iterator[InferenceServer]:
     with InferenceServer() as serving:
+        thread = threading.Thread(target=serving.serve_forever, args=(0.01,))
+        thread.start()
+        yield serving
+        serving.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def segmenting() -> Iterator[InferenceServer]:
+    with InferenceServer(segments=True) as serving:
         thread = threading.Thread(target=serving.serve_forever, args=(0.01,))
         thread.start()
         yield serving
@@ -138,15 +171,65 @@ def test_every_layer_is_the_same_to_the_byte(server: InferenceServer, local: Com
     shared.close()
 
 
-def test_labels_and_drawings_stay_in_the_process(server: InferenceServer, local: CompactEncoder) -> None:
+@pytest.mark.parametrize("size", [(320, 240), (1000, 300), (60, 97)])
+def test_what_is_drawn_is_the_same_to_the_byte_and_no_network_is_loaded(
+    segmenting: InferenceServer, local: CompactEncoder, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)  # a node needs nothing that runs networks
+    shared = SharedCompactEncoder(segmenting.url, None, 10)
+    image = Image.of(drawn(*size))
+    mine, other = shared.segmenter(), local.segmenter()
+
+    assert mine is not None
+    assert other is not None
+    assert (mine.shared, other.shared) == (True, False)
+    here, there = other.segment(image), mine.segment(image)
+    assert (there.semantic.tobytes(), there.extent) == (here.semantic.tobytes(), here.extent)
+    assert segmenting.received[-1][0] == f"/v2/models/compact-segmenter-{local.segmenter_digest[:12]}/infer"
+    shared.close()
+
+
+def test_where_it_has_no_segmenter_the_drawings_are_made_here(
+    server: InferenceServer, local: CompactEncoder, caplog: pytest.LogCaptureFixture
+) -> None:
     shared = SharedCompactEncoder(server.url, None, 10)
     server.answer = says(503)
     image = Image.of(drawn(320, 240))
     mine, other = shared.segmenter(), local.segmenter()
 
+    assert "makes no segmentations as this version does; they are made here" in caplog.text
     assert mine is not None
     assert other is not None
+    assert not mine.shared
     assert np.array_equal(mine.segment(image).semantic, other.segment(image).semantic)
+    shared.close()
+
+
+def test_a_segmenter_that_fails_is_left_alone_for_a_second_and_the_encoder_is_not(segmenting: InferenceServer) -> None:
+    shared = SharedCompactEncoder(segmenting.url, None, 10)
+    image, segmenter = Image.of(drawn(64, 48)), shared.segmenter()
+    assert segmenter is not None
+
+    def no_segmentations(handler: Handler, tensors: dict[str, Tensor]) -> None:
+        (segmenting.right if "pictures" in tensors else says(503))(handler, tensors)
+
+    segmenting.answer = no_segmentations
+    for _ in range(3):
+        with pytest.raises(EncoderAway, match="answers 503"):
+            segmenter.segment(image)
+        assert next(shared.encode([image])).shape == (44, 60)
+    assert sum("-segmenter-" in path for path, _, _, _ in segmenting.received) == 1
+    shared.close()
+
+
+def test_all_that_decides_a_drawing_is_in_its_name() -> None:
+    assert digest_of(["a", "b"]) != digest_of(["a"])
+    assert digest_of(["a", "b"]) != digest_of(["b", "a"])
+
+
+def test_labels_stay_in_the_process(server: InferenceServer, local: CompactEncoder) -> None:
+    shared = SharedCompactEncoder(server.url, None, 10)
+    server.answer = says(503)
     assert np.array_equal(shared.text_vectors(["road"]), local.text_vectors(["road"]))
     assert shared.meanings(["road"]) == local.meanings(["road"])
     shared.close()

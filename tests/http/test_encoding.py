@@ -12,11 +12,11 @@ from fastapi.testclient import TestClient
 
 from app.http.encoding import encoder_application
 from schemas.description import PixelField
-from schemas.image import Bytes2D, Image
+from schemas.image import Bytes2D, Image, PreparedImage
 from schemas.inference import JSON_LENGTH, PIXELS, Tensor, packed, unpacked
 from schemas.settings import read_settings
 from worker.encoders.color import ColorEncoder
-from worker.service.encoding import EncodingService
+from worker.service.encoding import MOST_SEGMENTED, EncodingService
 
 KEY = "a key that the fleet shares"
 
@@ -44,9 +44,29 @@ def encoder() -> GatedEncoder:
     return GatedEncoder()
 
 
-def serving(encoder: GatedEncoder, *, most: int = 8, **settings: str) -> TestClient:
+class GatedSegmenter:
+    """Draws the first pixel of each scale, whenever the test lets it."""
+
+    shared, digest, scales = False, "d" * 64, 2
+
+    def __init__(self) -> None:
+        self.open = threading.Event()
+        self.open.set()
+        self.urgent: list[bool] = []
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
+        assert isinstance(image, PreparedImage)
+        self.urgent.append(urgent)
+        self.open.wait(10)
+        drawn = np.array([scale[0, 0, 0] for scale in image.scales], np.float32)
+        return PixelField({"semantic": np.broadcast_to(drawn, (*image.grid, 2)).copy()}, image.extent)
+
+
+def serving(
+    encoder: GatedEncoder, *, most: int = 8, segmenter: GatedSegmenter | None = None, **settings: str
+) -> TestClient:
     app = encoder_application(
-        lambda observe: EncodingService(encoder, 4, observe, most),
+        lambda observe: EncodingService(encoder, 4, observe, most, segmenter),
         read_settings({f"REVISIT_{name.upper()}": value for name, value in settings.items()}),
     )
     return TestClient(app, raise_server_exceptions=False)
@@ -270,3 +290,79 @@ def test_only_who_has_the_key_is_let_in(encoder: GatedEncoder) -> None:
         assert ask(client, pixels(1)).status_code == 200
         assert client.get("/metrics").status_code == 200
     assert encoder.batches == [[127], [1]]
+
+
+SEGMENTER = "color-segmenter-dddddddddddd"
+
+
+def segmented(
+    client: TestClient, scales: Sequence[Tensor], rows: object = 3, columns: object = 4, **parameters: object
+) -> httpx.Response:
+    inputs = {f"pictures.{number}": scale for number, scale in enumerate(scales)}
+    told = {"parameters": {"rows": rows, "columns": columns, **parameters}}
+    length, body = packed("inputs", inputs, told)
+    headers = {JSON_LENGTH: str(length), "content-type": "application/octet-stream"}
+    answer: httpx.Response = client.post(f"/v2/models/{SEGMENTER}/infer", content=body, headers=headers)
+    return answer
+
+
+SCALES = pixels(1), pixels(2, side=64)
+
+
+def test_an_image_is_segmented_from_its_scales(encoder: GatedEncoder) -> None:
+    segmenter = GatedSegmenter()
+    with serving(encoder, segmenter=segmenter) as client:
+        answer = segmented(client, SCALES, priority=2)
+        assert answer.status_code == 200, answer.text
+        said, found = unpacked("outputs", answer.headers[JSON_LENGTH], answer.content)
+        assert said["model_name"] == SEGMENTER
+        assert found["segmentation"].shape == (1, 3, 4, 2)
+        assert found["segmentation"][0, 0, 0].tolist() == [1, 2]
+        assert segmenter.urgent == [False]
+        told = client.get(f"/v2/models/{SEGMENTER}").json()
+        assert [one["name"] for one in told["inputs"]] == ["pictures.0", "pictures.1"]
+        assert [one["name"] for one in told["outputs"]] == ["segmentation"]
+        assert client.get(f"/v2/models/{client.app.state.shared.service.model}").json()["inputs"][0]["name"] == PIXELS  # type: ignore[attr-defined]
+
+
+def test_nothing_waits_for_a_drawing_and_few_drawings_wait(encoder: GatedEncoder) -> None:
+    segmenter = GatedSegmenter()
+    segmenter.open.clear()
+    with serving(encoder, segmenter=segmenter) as client, ThreadPoolExecutor(MOST_SEGMENTED) as nodes:
+        waiting = [nodes.submit(segmented, client, SCALES) for _ in range(MOST_SEGMENTED)]
+        numbers_waiting(client, MOST_SEGMENTED)
+        assert ask(client, pixels(7)).status_code == 200
+        refused = segmented(client, SCALES)
+        assert refused.status_code == 503
+        assert "8 segmentations are waiting" in refused.json()["error"]
+        assert int(refused.headers["retry-after"]) >= 1
+        segmenter.open.set()
+        assert {one.result().status_code for one in waiting} == {200}
+        assert client.app.state.shared.service.waiting == 0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("scales", "rows", "why"),
+    [
+        (SCALES[:1], 3, "needed are the inputs pictures.0, pictures.1"),
+        ((*SCALES, pixels(3)), 3, "needed are the inputs"),
+        ((pixels(1, 1), pixels(2)), 3, "shape (1, height, width, 3)"),
+        ((pixels(1), pixels(2)[:, :31]), 3, "multiples of 32"),
+        (SCALES, 0, "are 1 to 1024, not 0 and 4"),
+        (SCALES, 1025, "not 1025 and 4"),
+        (SCALES, "3", "parameters.rows is a number"),
+    ],
+)
+def test_what_cannot_be_segmented_is_refused_in_words(
+    encoder: GatedEncoder, scales: Sequence[Tensor], rows: object, why: str
+) -> None:
+    with serving(encoder, segmenter=GatedSegmenter()) as client:
+        answer = segmented(client, scales, rows)
+    assert answer.status_code == 400
+    assert why in answer.json()["error"]
+
+
+def test_without_a_segmenter_there_is_no_such_model(client: TestClient) -> None:
+    answer = segmented(client, SCALES)
+    assert answer.status_code == 404
+    assert "and no segmenter" in answer.json()["error"]

@@ -26,18 +26,31 @@ class Buffer:
     def lookup_transform(self, target: str, source: str, stamp: Any) -> Any:
         if not source or not target:
             raise TransformException("frame_id cannot be empty")
-        here, there = self._chain(source, stamp.nanoseconds), self._chain(target, stamp.nanoseconds)
-        if here[0] != there[0]:
+        ours, theirs = self._above(source), self._above(target)
+        common = next((frame for frame in ours if frame in theirs), None)
+        if common is None:
             raise TransformException(f"{source} and {target} are not in one tree")
-        return as_message(np.linalg.inv(there[1]) @ here[1], target, source)
+        ways = ours[: ours.index(common)], theirs[: theirs.index(common)]
+        latest = [max(self.moving[frame]) for way in ways for frame in way if frame not in self.static]
+        at = stamp.nanoseconds or min(latest, default=0)  # 0: the latest at which all are known
+        here, there = (self._placed(way, at) for way in ways)
+        return as_message(np.linalg.inv(there) @ here, target, source, at)
 
-    def _chain(self, frame: str, stamp: int) -> tuple[str, Matrix]:
-        """The root of a frame's tree, and the frame in it."""
-        placed = np.eye(4)
+    def _above(self, frame: str) -> list[str]:
+        """A frame, its parent, and so on up to the root."""
+        found = [frame]
         while frame in self.static or frame in self.moving:
-            frame, step = self.static[frame] if frame in self.static else self._at(frame, stamp)
+            frame = self.static[frame][0] if frame in self.static else next(iter(self.moving[frame].values()))[0]
+            found.append(frame)
+        return found
+
+    def _placed(self, way: list[str], stamp: int) -> Matrix:
+        """The first frame of a way up, in the parent of the last."""
+        placed = np.eye(4)
+        for frame in way:
+            _, step = self.static[frame] if frame in self.static else self._at(frame, stamp)
             placed = step @ placed
-        return frame, placed
+        return placed
 
     def _at(self, frame: str, stamp: int) -> tuple[str, Matrix]:
         stamps = sorted(self.moving[frame])
@@ -68,6 +81,14 @@ class TransformListener:
 
         node.create_subscription(made["tf2_msgs/TFMessage"], "/tf", moving, 100)
         node.create_subscription(made["tf2_msgs/TFMessage"], "/tf_static", static, 100)
+
+
+class TransformBroadcaster:
+    def __init__(self, node: Any) -> None:
+        self._publisher = node.create_publisher(message("tf2_msgs/TFMessage").__class__, "/tf", 100)
+
+    def sendTransform(self, transform: Any) -> None:  # noqa: N802  # its name
+        self._publisher.publish(message("tf2_msgs/TFMessage", transforms=[transform]))
 
 
 def as_matrix(given: Any) -> Matrix:
@@ -113,5 +134,6 @@ def as_message(placed: Matrix, parent: str, child: str, stamp: int = 0) -> Any:
 def modules() -> dict[str, types.ModuleType]:
     """tf2_ros, as ``sys.modules`` has it."""
     found = types.ModuleType("tf2_ros")
-    vars(found).update(Buffer=Buffer, TransformListener=TransformListener, TransformException=TransformException)
+    kinds = (Buffer, TransformBroadcaster, TransformException, TransformListener)
+    vars(found).update({kind.__name__: kind for kind in kinds})
     return {"tf2_ros": found}

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,7 +13,7 @@ from revisit_ros.frames import (
     base_of_camera,
     heading_of_yaw,
     quaternion_of_yaw,
-    yaw_of_camera,
+    yaw_of,
     yaw_of_heading,
 )
 
@@ -56,8 +57,8 @@ def test_an_optical_frame_looks_along_the_body() -> None:
     assert camera.rotated(FORWARD["z"]) == pytest.approx((1, 0, 0))
     assert camera.rotated((1, 0, 0)) == pytest.approx((0, -1, 0))
     assert camera.rotated((0, 1, 0)) == pytest.approx((0, 0, -1))
-    assert yaw_of_camera(camera, FORWARD["z"]) == pytest.approx(0)
-    assert yaw_of_camera(Transform(0, 0, 0), FORWARD["x"]) == pytest.approx(0)
+    assert yaw_of(camera, FORWARD["z"]) == pytest.approx(0)
+    assert yaw_of(Transform(0, 0, 0), FORWARD["x"]) == pytest.approx(0)
 
 
 def test_a_camera_that_looks_up_or_down_has_no_heading() -> None:
@@ -65,10 +66,10 @@ def test_a_camera_that_looks_up_or_down_has_no_heading() -> None:
         angle = math.radians(degrees) / 2
         return Transform(0, 0, 0, 0, math.sin(angle), 0, math.cos(angle))
 
-    assert yaw_of_camera(tilted(90), FORWARD["x"]) is None
-    assert yaw_of_camera(tilted(-80), FORWARD["x"]) is None
-    assert yaw_of_camera(tilted(70), FORWARD["x"]) == pytest.approx(0)
-    assert yaw_of_camera(Transform(1, 2, 3), FORWARD["z"]) is None  # an optical frame that is none
+    assert yaw_of(tilted(90), FORWARD["x"]) is None
+    assert yaw_of(tilted(-80), FORWARD["x"]) is None
+    assert yaw_of(tilted(70), FORWARD["x"]) == pytest.approx(0)
+    assert yaw_of(Transform(1, 2, 3), FORWARD["z"]) is None  # an optical frame that is none
 
 
 unit = st.floats(-1, 1)
@@ -88,6 +89,37 @@ def test_rotations_are_those_of_matrices(
     for axis, value in zip("xyzw", unit_length, strict=True):
         setattr(told.transform.rotation, axis, float(value))
     assert ours.rotated(vector) == pytest.approx(as_matrix(told)[:3, :3] @ np.array(vector), abs=1e-9)
+
+
+number = st.floats(-100, 100)
+rotation = st.tuples(unit, unit, unit, unit).filter(lambda q: math.hypot(*q) > 0.1)
+transform = st.builds(lambda x, y, z, q: Transform(x, y, z, *q), number, number, number, rotation)
+
+
+def matrix(placed: Transform) -> npt.NDArray[np.float64]:
+    told = as_message(np.eye(4), "a", "b")
+    for name in "xyz":
+        setattr(told.transform.translation, name, getattr(placed, name))
+    for name in "xyzw":
+        setattr(told.transform.rotation, name, getattr(placed, f"q{name}"))
+    return as_matrix(told)
+
+
+@given(transform, transform)
+def test_transforms_one_after_the_other_are_products_of_matrices(outer: Transform, inner: Transform) -> None:
+    assert matrix(outer.after(inner)) == pytest.approx(matrix(outer) @ matrix(inner), abs=1e-9)
+
+
+@given(transform)
+def test_there_and_back_is_where_one_was(placed: Transform) -> None:
+    assert matrix(placed.inverse()) == pytest.approx(np.linalg.inv(matrix(placed)), abs=1e-9)
+    for both in (placed.after(placed.inverse()), placed.inverse().after(placed)):
+        assert matrix(both) == pytest.approx(np.eye(4), abs=1e-9)
+
+
+@given(transform, transform, transform)
+def test_it_does_not_matter_which_two_are_joined_first(a: Transform, b: Transform, c: Transform) -> None:
+    assert matrix(a.after(b).after(c)) == pytest.approx(matrix(a.after(b.after(c))), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +162,7 @@ def test_a_camera_that_is_carried_along_is_where_its_base_says(
     camera = base @ mount
     seen = Transform(*camera[:3, 3].tolist(), *quaternion_of_yaw(robot + turned))  # type: ignore[call-arg]
     own = Transform(ahead, left, 0.7, *quaternion_of_yaw(turned))
-    looks, sits = yaw_of_camera(seen, FORWARD["x"]), yaw_of_camera(own, FORWARD["x"])
+    looks, sits = yaw_of(seen, FORWARD["x"]), yaw_of(own, FORWARD["x"])
     assert looks is not None
     assert sits is not None
     position, yaw = base_of_camera((seen.x, seen.y, seen.z), looks, own, sits)

@@ -53,6 +53,14 @@ def test_all_that_is_wrong_is_told_at_once() -> None:
     assert [part.split()[0] for part in str(refused.value).split("; ")] == ["every_metres", "rate", "queue"]
 
 
+@pytest.mark.parametrize("given", [{"base_frame": ""}, {"odom_frame": ""}, {"odom_frame": "map"}])
+def test_a_transform_needs_three_frames(given: dict[str, str]) -> None:
+    # Launch files hand an empty value on as an empty text where YAML does not make None of it.
+    with pytest.raises(BadParameter, match="publish_tf needs map_frame, odom_frame and base_frame"):
+        read(LOCALIZE, given | {"publish_tf": True})
+    read(LOCALIZE, given)
+
+
 def test_the_key_comes_from_its_file(tmp_path: Path) -> None:
     file = tmp_path / "key"
     file.write_text("rv_secret\n")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from revisit_client import Revisit
 
 from tests.sample_images import photo
 from tests.storage.databases import postgres_schema
@@ -51,6 +52,38 @@ def test_what_one_service_acknowledges_the_database_finds_for_the_other(tmp_path
             assert ready["checks"]["index"] == "ok"
             assert "index" not in one.get("/readyz").json()["checks"]
             assert other.post("/query", content=photo(0), headers=JPEG, params={"exclude": "typo"}).status_code == 422
+
+
+def test_a_recipe_is_tried_in_the_shadow_by_one_service_and_both_change_over(tmp_path: Path) -> None:
+    """The one that keeps vectors in memory describes and compares; the other is told to change over."""
+    with postgres_schema() as url:
+        there = {"REVISIT_DATABASE": url, "REVISIT_COMPARE": "false"}
+        with (
+            RunningService(tmp_path / "one", **there) as memory,
+            RunningService(
+                tmp_path / "two", False, **there, REVISIT_INDEX="pgvector", REVISIT_INLINE_WORKER="false"
+            ) as database,
+            httpx.Client(base_url=memory.url, timeout=40) as one,
+            httpx.Client(base_url=database.url, timeout=40) as other,
+        ):
+            for number in range(4):
+                one.post("/enroll", content=photo(number), headers=JPEG).raise_for_status()
+            before = answer(other, 0)
+            wanted = {"labels": ["road", "sky", "building"], "dynamic": [], "shadow": 10}
+            job = other.post("/maps/default/recipe", json=wanted).raise_for_status().json()
+            assert Revisit(database.url).wait_for_job(job["id"], timeout=60).state == "done"
+            assert answer(other, 0) == answer(one, 0) == before
+            shadow = one.get("/maps/default/shadow").json()
+            assert (shadow["state"], shadow["table"]["totals"]["views"]) == ("ready", 4)
+
+            other.post("/maps/default/shadow/switch").raise_for_status()
+            for number in range(4):
+                assert answer(other, number) == answer(one, number)
+            assert answer(other, 0) != before
+            recipes = {
+                client.post("/query", content=photo(0), headers=JPEG).json()["recipe"] for client in (one, other)
+            }
+            assert recipes == {shadow["recipe"]["id"]}
 
 
 def test_a_service_that_cannot_search_in_its_database_does_not_start(tmp_path: Path) -> None:

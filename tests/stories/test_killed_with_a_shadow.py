@@ -1,5 +1,6 @@
 """The power goes while a recipe is tried in the shadow, and again just after the map was told to change over."""
 
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from revisit_client import Revisit
 
 from scenes import scene
 from schemas.errors import NotFound
-from tests.storage.databases import sqlite_url
+from tests.storage.databases import postgres_schema, sqlite_url
 from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
 from worker.storage.store import open_store
@@ -27,15 +28,26 @@ def answer(service: RunningService, place: str) -> dict[str, Any]:
     return told
 
 
-def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path) -> None:
-    with RunningService(tmp_path, True, REVISIT_COMPARE="false") as service, Revisit(service.url) as revisit:
+@pytest.fixture(params=["faiss", "pgvector"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, str]]:
+    """Where a service keeps and searches its maps."""
+    if request.param == "faiss":
+        yield {"REVISIT_DATABASE": sqlite_url(tmp_path)}
+        return
+    with postgres_schema() as url:
+        yield {"REVISIT_DATABASE": url, "REVISIT_INDEX": "pgvector"}
+
+
+def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path, database: dict[str, str]) -> None:
+    settings = {"REVISIT_COMPARE": "false", **database}
+    with RunningService(tmp_path, True, **settings) as service, Revisit(service.url) as revisit:
         for place in PLACES:
             revisit.enroll(jpeg(scene(place).pixels), place=place)
         before = [answer(service, place) for place in PLACES]
         job = revisit.switch_recipe("default", labels=LABELS, dynamic=[], shadow=20)
         service.kill()
 
-    with RunningService(tmp_path, True, REVISIT_COMPARE="false") as service, Revisit(service.url) as revisit:
+    with RunningService(tmp_path, True, **settings) as service, Revisit(service.url) as revisit:
         assert revisit.wait_for_job(job.id, timeout=60).kind == "shadow"
         assert [answer(service, place) for place in PLACES] == before
         shadow = revisit.shadow("default")
@@ -44,9 +56,14 @@ def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path
         switched = revisit.switch_to_shadow("default")
         service.kill()
 
-    with closing(open_store(sqlite_url(tmp_path), tmp_path)) as store:
+    with closing(open_store(database["REVISIT_DATABASE"], tmp_path)) as store:
         assert store.jobs.get(switched.id).state == "done"
         assert store.maps.get("default").description.id == shadow.recipe["id"]
         assert len(store.descriptions.since("default", 0).seqs) == len(PLACES)
         with pytest.raises(NotFound):
             store.jobs.shadow("default")
+
+    with RunningService(tmp_path, True, **settings) as service:
+        answers = [answer(service, place) for place in PLACES]
+    assert {told["recipe"] for told in answers} == {shadow.recipe["id"]}
+    assert [told["matches"][0]["view"]["place"] for told in answers] == list(PLACES)

@@ -16,6 +16,7 @@ import httpx
 import pytest
 
 from scenes import scene
+from tests.stories.importing import ZIP, zipped
 from tests.stories.photos import photo
 from tests.stories.running import RunningEncoder, RunningService
 
@@ -195,6 +196,46 @@ def test_images_of_several_nodes_are_encoded_together(tmp_path: Path, port: int,
     alone, all_batches = float(dict(found)["1.0"]), float(dict(found)["+Inf"])
     print(f"{all_batches - alone:.0f} of {all_batches:.0f} batches had images of several nodes")
     assert all_batches > alone
+
+
+def test_drawings_and_what_is_blurred_come_from_the_encoder_and_nothing_is_stored_while_it_is_away(
+    tmp_path: Path, port: int, stack: ExitStack
+) -> None:
+    first = stack.enter_context(encoder(port))
+    with node(tmp_path / "local", None) as service, calls(service) as client:
+        view = enrolled(client, 1, wait=True)
+        alone = [client.get(f"/views/{view['id']}/{name}.png").content for name in ("segmentation", "graph")]
+    shared = stack.enter_context(node(tmp_path / "a", port))
+    client = stack.enter_context(calls(shared))
+    until_ready(client)
+    view = enrolled(client, 1, wait=True)
+    drawn = [client.get(f"/views/{view['id']}/{name}.png") for name in ("segmentation", "graph")]
+    assert [one.content for one in drawn] == alone
+    assert drawn[0].headers["Revisit-Drawn-By"] == "segmenter"
+
+    client.put("/maps/street", json={}).raise_for_status()
+    client.patch("/maps/street", json={"blur": ["people", "vehicles"]}).raise_for_status()
+    blurred = enrolled(client, 2, wait=True, into="street")
+    assert blurred["state"] == "ready"
+    first.kill()
+    began = time.monotonic()
+    refused = client.post("/enroll", params={"map": "street"}, content=street(3))
+    assert time.monotonic() - began < WAIT_S
+    assert (refused.status_code, refused.json()["type"].rpartition(":")[2]) == (503, "unavailable")
+    assert int(refused.headers["retry-after"]) >= 1
+    assert client.get(f"/views/{view['id']}/segmentation.png").status_code == 503
+    job = client.post("/maps/street/imports", content=zipped({"3.jpg": street(3)}), headers=ZIP).json()
+    time.sleep(2)
+    assert client.get(f"/jobs/{job['id']}").json()["state"] in ("queued", "running")
+    assert client.get("/maps/street").json()["views"]["ready"] == 1
+    assert len(list((tmp_path / "a" / "pictures").rglob("*.*"))) == 2  # nothing was stored that was not blurred
+
+    stack.enter_context(encoder(port))
+    until = time.monotonic() + 60
+    while (told := client.get(f"/jobs/{job['id']}").json())["state"] in ("queued", "running"):
+        assert time.monotonic() < until, told
+        time.sleep(0.1)
+    assert (told["state"], told["result"]["enrolled"], told["result"]["failed"]) == ("done", 1, 0)
 
 
 def test_another_key_is_refused_when_a_service_starts(tmp_path: Path, port: int, stack: ExitStack) -> None:

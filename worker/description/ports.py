@@ -66,10 +66,23 @@ class Encoder(Protocol):
 
 
 class Segmenter(Protocol):
-    """Segments an image on a finer grid than an encoder, for drawings only; nothing of it is stored."""
+    """Segments an image on a finer grid than an encoder, for drawings and blurring; nothing of it is stored."""
 
-    def segment(self, image: Image) -> PixelField:
-        """A field with the layer ``semantic`` on the finer grid, in the space of the encoder's text vectors."""
+    @property
+    def shared(self) -> bool:
+        """Whether its networks are those of a shared encoder, which may be away."""
+        ...
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
+        """A field with the layer ``semantic`` on the finer grid, in the space of the encoder's text vectors.
+
+        `urgent` as in `Encoder.encode`.
+
+        Raises
+        ------
+        EncoderAway
+            From a shared encoder: it cannot be had now.
+        """
         ...
 
 

@@ -52,6 +52,7 @@ class _Request:
     future: "Future[Timed[Any]]" = field(compare=False)
     since: float = field(compare=False)
     segment: bool = field(compare=False, default=False)
+    waits: bool = field(compare=False, default=True)
     parallel: Callable[[Image], Any] | None = field(compare=False, default=None)
     made: "Future[Any] | None" = field(compare=False, default=None)
     context: contextvars.Context = field(compare=False, default_factory=contextvars.copy_context)  # of its log lines
@@ -94,6 +95,7 @@ class Scheduler:
         self._held: list[_Request] = []  # enrolments that met an encoder that is away
         self._rest_until = 0.0
         self._away: EncoderAway | None = None
+        self._segmenter_away = False
         self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
         self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
@@ -158,6 +160,7 @@ class Scheduler:
         *,
         urgent: bool,
         segment: bool = False,
+        waits: bool = True,
         parallel: Callable[[Image], Any] | None = None,
     ) -> "Future[Timed[T]]":
         """Queue an image to be encoded; the result is what `finish` returns.
@@ -170,7 +173,9 @@ class Scheduler:
         urgent : bool
             True for queries, False for enrolments.
         segment : bool
-            Whether the field comes from the segmenter, for drawings.
+            Whether the field comes from the segmenter, for drawings and blurring.
+        waits : bool
+            Whether an enrolment waits while a shared encoder is away, or fails with EncoderAway as queries do.
         parallel : function, optional
             Called with the image while the encoder works on it.
 
@@ -192,7 +197,9 @@ class Scheduler:
                 future.add_done_callback(self._answered)
             urgency = QUERY if urgent else ENROLMENT
             self._queue.put(
-                _Request(urgency, next(self._numbers), image, finish, future, time.perf_counter(), segment, parallel)
+                _Request(
+                    urgency, next(self._numbers), image, finish, future, time.perf_counter(), segment, waits, parallel
+                )
             )
         return future
 
@@ -226,7 +233,7 @@ class Scheduler:
             if request.urgency == CLOSE and self._held:
                 self._let_go()  # they come before it
                 self._queue.put(request)
-            elif self._held and self._may_wait(request):
+            elif self._held and self._may_wait(request) and (self._away is not None or not self._encodes(request)):
                 self._held.append(request)
             else:
                 return request
@@ -238,13 +245,19 @@ class Scheduler:
             self._queue.put(request)
 
     def _put_off(self, left: list[_Request], error: EncoderAway) -> None:
-        """The encoder is away: tell those who wait for an answer, and hold the others back."""
-        if self._away is None:
-            log.error("%s; queries are refused and enrolments wait", error.detail, extra={"event": "encoder_away"})
-        self._away = error
+        """The encoder is away, or its segmenter alone: tell those who wait for an answer, and hold the others back."""
+        segmenter_alone = not self._encodes(left[0])
+        if segmenter_alone:
+            if not self._segmenter_away:
+                log.error("%s; segmentations are refused or wait", error.detail, extra={"event": "segmenter_away"})
+            self._segmenter_away = True
+        else:
+            if self._away is None:
+                log.error("%s; queries are refused and enrolments wait", error.detail, extra={"event": "encoder_away"})
+            self._away = error
         self._rest_until = time.monotonic() + error.retry_after_s
         for request in left:
-            if not self._encodes(request):
+            if (segmenter_alone and self._encodes(request)) or not self._may_be_away(request):
                 self._queue.put(request)
             elif self._may_wait(request):
                 self._held.append(request)
@@ -252,11 +265,15 @@ class Scheduler:
                 request.future.set_exception(EncoderAway(error.detail, error.retry_after_s))
 
     def _encodes(self, request: _Request) -> bool:
-        """Whether a request needs the encoder, which may be away, and not the segmenter, which is here."""
+        """Whether a request needs the encoder, and not the segmenter."""
         return not request.segment or self._segmenter is None
 
+    def _may_be_away(self, request: _Request) -> bool:
+        """Whether what a request needs may be away."""
+        return self._encodes(request) or (self._segmenter is not None and self._segmenter.shared)
+
     def _may_wait(self, request: _Request) -> bool:
-        return self._waits and request.urgency == ENROLMENT and self._encodes(request)
+        return self._waits and request.waits and request.urgency == ENROLMENT and self._may_be_away(request)
 
     def _came_back(self) -> None:
         self._away = None
@@ -278,7 +295,9 @@ class Scheduler:
                 encoded = time.perf_counter()
                 timed += 1
                 self._encoded += 1
-                if self._away is not None and self._encodes(request):
+                if not self._encodes(request):
+                    self._segmenter_away = False
+                elif self._away is not None:
                     self._came_back()
                 waited_ms, encode_ms = (began - request.since) * 1000, (encoded - encoding) * 1000
                 if request.urgency == QUERY:
@@ -301,12 +320,14 @@ class Scheduler:
             self._pace_s += 0.1 * ((time.perf_counter() - began) / len(batch) - self._pace_s)
 
     def _fields(self, batch: list[_Request]) -> Iterator[PixelField]:
+        urgent = batch[0].urgency == QUERY
         for segment, alike in groupby(batch, key=lambda request: request.segment):
             images = [request.image for request in alike]
             if segment and self._segmenter is not None:
-                yield from map(self._segmenter.segment, images)
+                for image in images:
+                    yield self._segmenter.segment(image, urgent=urgent)
             else:
-                yield from self._encoder.encode(images, urgent=batch[0].urgency == QUERY)
+                yield from self._encoder.encode(images, urgent=urgent)
 
 
 def _finish(request: _Request, pixel_field: PixelField, queue_ms: float, encode_ms: float) -> None:

@@ -8,6 +8,8 @@ from worker.configure import configure_torch, keep_freed_memory
 
 if TYPE_CHECKING:
     from worker.description.ports import Encoder, Segmenter
+    from worker.encoders.compact.encoder import CompactEncoder
+    from worker.encoders.compact.ensemble import CompactSegmenter
 
 
 TOGETHER = 8
@@ -69,8 +71,8 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
     return lseg, None
 
 
-def make_encoder_to_share(settings: Settings, threads: int) -> "Encoder":
-    """The encoder compact for images that nodes have prepared; raises SetupError as `make_encoder`."""
+def make_encoder_to_share(settings: Settings, threads: int) -> "tuple[CompactEncoder, CompactSegmenter | None]":
+    """The encoder compact and its segmenter for images that nodes prepared; raises SetupError as `make_encoder`."""
     if settings.encoder_url is not None:
         raise SetupError("REVISIT_ENCODER_URL is set: this process is such an encoder itself; leave it out here")
     if settings.encoder != "compact":
@@ -80,4 +82,5 @@ def make_encoder_to_share(settings: Settings, threads: int) -> "Encoder":
         configure_torch(threads, settings.device)
     from worker.encoders.compact.encoder import CompactEncoder
 
-    return CompactEncoder(settings.device, threads=threads, prepared=True)
+    compact = CompactEncoder(settings.device, threads=threads, prepared=True)
+    return compact, compact.segmenter()

@@ -7,14 +7,16 @@ tries it with a small image first. So a query never waits for a server that was 
 import json
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import httpx
 import numpy as np
 
 from schemas.description import Floats
 from schemas.errors import BadBody, EncoderAway
-from schemas.image import Bytes2D
+from schemas.image import Bytes2D, PreparedImage
 from schemas.inference import (
+    COLUMNS,
     ENROLMENT_PRIORITY,
     JSON_LENGTH,
     MEDIA_TYPE,
@@ -22,8 +24,11 @@ from schemas.inference import (
     PIXELS,
     PROBE,
     QUERY_PRIORITY,
+    ROWS,
+    SEGMENTED,
     Tensor,
     packed,
+    scale_name,
     unpacked,
 )
 
@@ -50,8 +55,20 @@ class FailedImage(Exception):
     """The server works, and failed on these images."""
 
 
+@dataclass(frozen=True)
+class _Call:
+    """One call of a model: what it gets, what it is told besides, and the outputs by the names that they get here."""
+
+    model: str
+    inputs: Mapping[str, Tensor]
+    outputs: Mapping[str, str]
+    count: int
+    parameters: Mapping[str, int]
+    urgent: bool
+
+
 class InferenceClient:
-    """One model of a server.
+    """The encoder of a server, and its segmenter.
 
     Parameters
     ----------
@@ -80,8 +97,7 @@ class InferenceClient:
         if key is not None:
             headers["authorization"] = f"Bearer {key}"
         self._http = httpx.Client(headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
-        self._trouble: EncoderAway | None = None
-        self._again_at = 0.0
+        self._troubles: dict[str, tuple[EncoderAway, float]] = {}  # by model: why, and when it is tried again
 
     def close(self) -> None:
         """Close the connections."""
@@ -90,9 +106,22 @@ class InferenceClient:
     def probe(self) -> None:
         """Have a small image encoded; raises EncoderAway, of which UnknownModel says that the set-up is wrong."""
         try:
-            self._call(PROBE, urgent=True, patience_s=min(PROBE_S, self._patience_s))
+            self._call(self._encoding(PROBE, urgent=True), min(PROBE_S, self._patience_s))
         except FailedImage as error:
             raise self._away(f"fails on a test image ({error})") from None
+
+    def has(self, model: str) -> bool:
+        """Whether the server has a model; raises EncoderAway."""
+        try:
+            answer = self._http.get(f"{self._place}/v2/models/{model}", timeout=min(PROBE_S, self._patience_s))
+        except httpx.HTTPError as error:
+            raise self._away(f"cannot be reached ({str(error) or type(error).__name__})") from None
+        if answer.status_code in (400, 404):
+            return False
+        if answer.status_code != 200:
+            refused = self._refused(model, answer.status_code, answer.headers, answer.content)
+            raise self._away(str(refused)) if isinstance(refused, FailedImage) else refused
+        return True
 
     def fields(self, pixels: Bytes2D, *, urgent: bool) -> Mapping[str, Floats]:
         """Layers of images of one size.
@@ -113,56 +142,78 @@ class InferenceClient:
             The server cannot be had now; the detail names it and says why.
         FailedImage
         """
-        if self._trouble is not None and self._clock() < self._again_at:
-            raise EncoderAway(self._trouble.detail, self._trouble.retry_after_s)
+        return self._answered(self._encoding(pixels, urgent=urgent))
+
+    def segmentation(self, model: str, image: PreparedImage, *, urgent: bool) -> Floats:
+        """The segmentation of an image by another model of the server; raises as `fields`.
+
+        Returns
+        -------
+        float32 of shape (rows, columns, channels)
+        """
+        inputs = {scale_name(number): scale[None] for number, scale in enumerate(image.scales)}
+        rows, columns = image.grid
+        call = _Call(model, inputs, {SEGMENTED: SEGMENTED}, 1, {ROWS: rows, COLUMNS: columns}, urgent)
+        layer: Floats = self._answered(call)[SEGMENTED][0]
+        return layer
+
+    def _encoding(self, pixels: Bytes2D, *, urgent: bool) -> _Call:
+        return _Call(self._model, {PIXELS: pixels}, OUTPUTS, len(pixels), {}, urgent)
+
+    def _answered(self, call: _Call) -> Mapping[str, Floats]:
+        """What the server answers, unless this model of it failed a moment ago."""
+        trouble, again_at = self._troubles.get(call.model, (None, 0.0))
+        if trouble is not None and self._clock() < again_at:
+            raise EncoderAway(trouble.detail, trouble.retry_after_s)
         try:
-            if self._trouble is not None:
+            if trouble is not None:
                 self.probe()
             try:
-                found = self._call(pixels, urgent=urgent, patience_s=self._patience_s)
+                found = self._call(call, self._patience_s)
             except FailedImage:
                 self.probe()  # if it fails on every image, these are not to blame
                 raise
         except EncoderAway as error:
-            self._trouble, self._again_at = error, self._clock() + error.retry_after_s
+            self._troubles[call.model] = error, self._clock() + error.retry_after_s
             raise
-        self._trouble = None
+        self._troubles.pop(call.model, None)
         return found
 
-    def _call(self, pixels: Bytes2D, *, urgent: bool, patience_s: float) -> Mapping[str, Floats]:
+    def _call(self, call: _Call, patience_s: float) -> Mapping[str, Floats]:
         wanted = {
             "parameters": {
                 "binary_data_output": True,
-                "priority": QUERY_PRIORITY if urgent else ENROLMENT_PRIORITY,
+                "priority": QUERY_PRIORITY if call.urgent else ENROLMENT_PRIORITY,
                 "timeout": round(patience_s * 1_000_000),
+                **call.parameters,
             }
         }
-        length, body = packed("inputs", {PIXELS: pixels}, wanted)
+        length, body = packed("inputs", call.inputs, wanted)
         try:
             try:
-                status, headers, content = self._post(length, body, patience_s)
+                status, headers, content = self._post(call.model, length, body, patience_s)
                 if status == 503 and headers.get("connection") == "close":
                     # It stops; behind the same address there may be another.
-                    status, headers, content = self._post(length, body, patience_s)
+                    status, headers, content = self._post(call.model, length, body, patience_s)
             except (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError):
                 # It had closed a connection that was kept: encoding twice does no harm.
-                status, headers, content = self._post(length, body, patience_s)
+                status, headers, content = self._post(call.model, length, body, patience_s)
         except httpx.TimeoutException:
             raise self._away(f"does not answer within {patience_s:.1f} s") from None
         except httpx.HTTPError as error:
             raise self._away(f"cannot be reached ({str(error) or type(error).__name__})") from None
         if status != 200:
-            raise self._refused(status, headers, content)
+            raise self._refused(call.model, status, headers, content)
         try:
             _, tensors = unpacked("outputs", headers.get(JSON_LENGTH), content)
-            return _layers(tensors, len(pixels))
+            return _layers(tensors, call)
         except BadBody as error:
             raise self._away(f"gives an answer of another kind: {error.detail}") from None
 
-    def _post(self, length: int, body: bytes, patience_s: float) -> tuple[int, httpx.Headers, bytes]:
+    def _post(self, model: str, length: int, body: bytes, patience_s: float) -> tuple[int, httpx.Headers, bytes]:
         until = self._clock() + patience_s
         timeout = httpx.Timeout(patience_s, connect=min(CONNECT_S, patience_s))
-        address = f"{self._place}/v2/models/{self._model}/infer"
+        address = f"{self._place}/v2/models/{model}/infer"
         with self._http.stream(
             "POST", address, content=body, headers={JSON_LENGTH: str(length)}, timeout=timeout
         ) as answer:
@@ -174,11 +225,11 @@ class InferenceClient:
                     raise httpx.ReadTimeout("the answer does not end")
         return answer.status_code, answer.headers, b"".join(chunks)
 
-    def _refused(self, status: int, headers: httpx.Headers, content: bytes) -> Exception:
+    def _refused(self, model: str, status: int, headers: httpx.Headers, content: bytes) -> Exception:
         said = _said(content)
         if status in (400, 404):  # Triton's answer to an unknown model was 400 until 2023
             return UnknownModel(
-                f"the encoder at {self._place} does not have the model {self._model}, which is the encoder and weights "
+                f"the encoder at {self._place} does not have the model {model}, which is the encoder and weights "
                 f"of this version; run the same version of revisit there (it answers {status}: {said})",
                 REST_S,
             )
@@ -197,14 +248,14 @@ class InferenceClient:
         return EncoderAway(f"the encoder at {self._place} {what}", max(REST_S, retry_after_s))
 
 
-def _layers(tensors: Mapping[str, Tensor], count: int) -> Mapping[str, Floats]:
+def _layers(tensors: Mapping[str, Tensor], call: _Call) -> Mapping[str, Floats]:
     """The outputs by the names of layers; raises BadBody."""
     layers: dict[str, Floats] = {}
-    for layer, name in OUTPUTS.items():
+    for layer, name in call.outputs.items():
         tensor = tensors.get(name)
-        if tensor is None or tensor.dtype != np.float32 or tensor.ndim != 4 or len(tensor) != count:
+        if tensor is None or tensor.dtype != np.float32 or tensor.ndim != 4 or len(tensor) != call.count:
             seen = None if tensor is None else (str(tensor.dtype), tensor.shape)
-            raise BadBody("malformed-body", f"the output {name} of {count} images is {seen}")
+            raise BadBody("malformed-body", f"the output {name} of {call.count} images is {seen}")
         layers[layer] = np.asarray(tensor, np.float32)
     return layers
 

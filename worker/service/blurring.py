@@ -1,7 +1,7 @@
 """Blurring: people, vehicles or other things are covered in an image before it is stored."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Protocol
@@ -81,6 +81,14 @@ class Blurred:
     image: Image
 
 
+class Cover(Protocol):
+    """Blurs images; see `Blurring.cover`."""
+
+    def __call__(self, image: Image, words: Sequence[str], *, waits: bool = False) -> Blurred:
+        """A blurred copy of an image."""
+        ...
+
+
 class Blurring:
     """Covers what words name, as far as the segmentation finds it.
 
@@ -115,7 +123,7 @@ class Blurring:
             raise InvalidParameters.of("blur", f"{', '.join(map(repr, unknown))}: not known; known: {known}")
         return chosen
 
-    def cover(self, image: Image, words: Sequence[str], *, urgent: bool = False) -> Blurred:
+    def cover(self, image: Image, words: Sequence[str], *, urgent: bool = False, waits: bool = False) -> Blurred:
         """A blurred copy of an image, as JPEG without metadata, whether anything was found in it or not.
 
         Parameters
@@ -125,6 +133,8 @@ class Blurring:
             As from `checked`.
         urgent : bool
             Whether it goes before enrolments.
+        waits : bool
+            Whether it waits while a shared encoder, which finds what is blurred, is away.
 
         Raises
         ------
@@ -133,15 +143,18 @@ class Blurring:
         Conflict
             The running encoder knows no label that one of the words names.
         Busy
+        EncoderAway
+            A shared encoder is away, and nobody may wait for it.
         """
-        mask = filling.mask_of(self.cells(image, words, urgent=urgent), image.width, image.height)
+        cells = self.cells(image, words, urgent=urgent, waits=waits)
+        mask = filling.mask_of(cells, image.width, image.height)
         if mask.all():
             raise NothingStatic(ALL_COVERED.format(", ".join(words)))
         pixels = filling.filled(image.pixels, mask)
         data, form = filling.encoded(pixels, self._most_bytes)
         return Blurred(data, Image(pixels, hashlib.sha256(data).hexdigest(), form, len(data)))
 
-    def cells(self, image: Image, words: Sequence[str], *, urgent: bool = False) -> Booleans:
+    def cells(self, image: Image, words: Sequence[str], *, urgent: bool = False, waits: bool = False) -> Booleans:
         """The cells of an image that show what words name, bool of shape (rows, columns); raises as `cover`."""
         unknown = [word for word in words if not self._named(word)]
         if unknown:
@@ -157,7 +170,7 @@ class Blurring:
         def find(image: Image, field: PixelField) -> Booleans:
             return covered(labels.scores(field.semantic, vectors), is_wanted)
 
-        return self._scheduler.submit(image, find, urgent=urgent, segment=True).result().value
+        return self._scheduler.submit(image, find, urgent=urgent, segment=True, waits=waits).result().value
 
     def _named(self, word: str) -> list[str]:
         """The labels that a word names and the encoder knows."""
@@ -178,15 +191,14 @@ class BlurringEnrolment:
     ----------
     enrolment : Enrolment
     maps : BlurSettings
-    cover : function
-        Image and words to a blurred image; see `Blurring.cover`.
+    cover : Cover
     """
 
     def __init__(
         self,
         enrolment: Enrolment,
         maps: BlurSettings,
-        cover: Callable[[Image, Sequence[str]], Blurred],
+        cover: Cover,
     ) -> None:
         self._enrolment, self._maps, self._cover = enrolment, maps, cover
 
@@ -211,6 +223,9 @@ class BlurringEnrolment:
         ------
         NothingStatic
             The map blurs all of it. Nothing is stored.
+        EncoderAway
+            A shared encoder would have to find what is blurred, and is away. Nothing is stored; what is imported in the
+            background waits instead.
         Conflict, NotFound, DiskFull, StorageFailed
             As the store says.
         """
@@ -218,7 +233,7 @@ class BlurringEnrolment:
             words = self._maps.blur(name)
             stored, told, found = data, image, None
             if words:
-                blurred = self._cover(image, words)
+                blurred = self._cover(image, words, waits=background)
                 stored, told, found = blurred.data, blurred.image, Covered(words, image.digest)
             try:
                 return self._enrolment.submit(

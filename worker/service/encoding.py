@@ -3,22 +3,40 @@
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from typing import Protocol
 
 import numpy as np
 
 from schemas.description import Floats, PixelField
-from schemas.errors import BadBody, EncoderAway, RevisitError
-from schemas.image import Bytes2D, Image
-from schemas.inference import PROBE, model_name
+from schemas.errors import BadBody, EncoderAway, NotFound, RevisitError
+from schemas.image import Bytes2D, Image, PreparedImage
+from schemas.inference import PROBE, model_name, segmenter_name
 from schemas.records import Meaning
-from worker.description.ports import Encoder
+from worker.description.ports import Encoder, Segmenter
 from worker.description.scheduler import Scheduler, Timed, field_alone
+
+MOST_SEGMENTED = 8
+"""Segmentations that may wait, urgent or not: each takes as long as a dozen images, and who wants one gives up soon."""
 
 MOST_WAITING = 256
 """Images of queries that may wait, and as many of enrolments: half a megabyte each."""
 
 NAMELESS = "0" * 64
 """Digest of images whose encoded bytes are not known here; the encoder does not read it."""
+
+
+class SegmenterToShare(Segmenter, Protocol):
+    """A segmenter of `PreparedImage`."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of all that decides what is drawn."""
+        ...
+
+    @property
+    def scales(self) -> int:
+        """Number of scales at which it sees an image."""
+        ...
 
 
 class EncodingService:
@@ -35,6 +53,8 @@ class EncodingService:
         Called with the number of images of each batch.
     most : int
         Images of queries that may wait, and as many of enrolments.
+    segmenter : SegmenterToShare or None
+        Makes segmentations for others; None where it has none.
     """
 
     def __init__(
@@ -43,26 +63,35 @@ class EncodingService:
         batch: int,
         observe: Callable[[int], None] = lambda count: None,
         most: int = MOST_WAITING,
+        segmenter: SegmenterToShare | None = None,
     ) -> None:
-        self.encoder = encoder
+        self.encoder, self.segmenter = encoder, segmenter
         self.model = model_name(encoder.name, encoder.digest)
+        self.segmenting_model = None if segmenter is None else segmenter_name(encoder.name, segmenter.digest)
         self._most = most
         self._lock = threading.Lock()
         self._waiting = {True: 0, False: 0}
         self._scheduler = Scheduler(_Observed(encoder, observe), batch, most)
+        # With a thread of its own, so that no query waits for a drawing.
+        self._segmenting = None if segmenter is None else Scheduler(encoder, 1, MOST_SEGMENTED, segmenter)
+        self._segmented = 0
 
     @property
     def waiting(self) -> int:
         """Images that wait or are in the network."""
-        return sum(self._waiting.values())
+        return sum(self._waiting.values()) + self._segmented
 
     def start(self) -> None:
-        """Start the encoder's thread."""
+        """Start the encoder's threads."""
         self._scheduler.start()
+        if self._segmenting is not None:
+            self._segmenting.start()
 
     def stop(self) -> None:
         """Finish what was submitted, and stop."""
         self._scheduler.stop()
+        if self._segmenting is not None:
+            self._segmenting.stop()
 
     def submit(self, pixels: Bytes2D, *, urgent: bool) -> list["Future[Timed[PixelField]]"]:
         """Queue images of one size.
@@ -103,6 +132,42 @@ class EncodingService:
             for future in futures:
                 future.add_done_callback(lambda _: self._ended(urgent, 1))
         return futures
+
+    def submit_segmentation(
+        self, scales: Sequence[Bytes2D], grid: tuple[int, int], *, urgent: bool
+    ) -> "Future[Timed[PixelField]]":
+        """Queue an image to be segmented; raises as `submit`, and NotFound without a segmenter.
+
+        Parameters
+        ----------
+        scales : sequence of uint8 of shape (height, width, 3)
+            The image at each scale, smallest first.
+        grid : (int, int)
+            Rows and columns of the segmentation.
+        urgent : bool
+        """
+        if self._segmenting is None:
+            raise NotFound("model", "segmenter", "this encoder has none")
+        image = PreparedImage(scales[-1], NAMELESS, scales=tuple(scales), grid=grid)
+        with self._lock:
+            waiting = self._segmented
+            if waiting >= MOST_SEGMENTED:
+                after_s = max(1, round(waiting * self._segmenting.pace_s))
+                raise EncoderAway(
+                    f"{waiting} segmentations are waiting, and no more are let in; try again in {after_s} s", after_s
+                )
+            self._segmented += 1
+        try:
+            future = self._segmenting.submit(image, field_alone, urgent=urgent, segment=True)
+        except RevisitError:
+            self._segmentation_ended()
+            raise
+        future.add_done_callback(lambda _: self._segmentation_ended())
+        return future
+
+    def _segmentation_ended(self) -> None:
+        with self._lock:
+            self._segmented -= 1
 
     def _ended(self, urgent: bool, count: int) -> None:
         with self._lock:

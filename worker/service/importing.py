@@ -12,7 +12,7 @@ from typing import Any
 
 from uuid6 import uuid7
 
-from schemas.errors import LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
+from schemas.errors import EncoderAway, LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.imports import ImportOptions
 from schemas.recipe import MapRecipe
@@ -209,7 +209,7 @@ class Importer:
                 exif = wanted_of_exif(items) if options.exif else frozenset()
                 _Run(self, claim, stopping, report, exif, bool(options.refuse_poor)).all(items)
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
-        except _Stop:
+        except (_Stop, EncoderAway):  # the latter where the service stops while a shared encoder, which blurs, is away
             self._jobs.release_map_job(claim)
             return
         except LeaseLost:
@@ -336,7 +336,7 @@ class _Run:
                 self._report.poor += 1
             if view is None:
                 view = self._importer.submit(self._claim, read.data, read.attributes, read.image).view
-        except (*STORAGE_ERRORS, LeaseLost):
+        except (*STORAGE_ERRORS, LeaseLost, EncoderAway):
             raise
         except Repeated:
             self._report.already_there += 1

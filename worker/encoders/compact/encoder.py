@@ -12,8 +12,8 @@ from schemas.description import DETAIL, SEMANTIC, Floats, PixelField
 from schemas.errors import InvalidParameters, ParameterError, SetupError
 from schemas.image import Image
 from schemas.records import Meaning
-from worker.encoders.compact.engine import on_cpu, on_gpu, verified
-from worker.encoders.compact.ensemble import ENSEMBLE, CompactSegmenter
+from worker.encoders.compact.engine import Engine, on_cpu, on_gpu, verified
+from worker.encoders.compact.ensemble import ENSEMBLE, CompactSegmenter, digest_of
 from worker.encoders.compact.input_size import network_size, resized
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "compact.safetensors"
@@ -31,11 +31,12 @@ class CompactEncoder:
         other files: graphs for ONNX Runtime, and the members of the segmentation ensemble.
     threads : int
         Threads of ONNX Runtime; those of torch are set for the whole process.
-    encodes : bool
-        False for an instance that only knows labels and segments: the graph of its fields is not loaded then.
+    encodes, segments : bool
+        Whether the networks of fields and of segmentations are loaded. An instance with neither knows labels alone, and
+        needs no library that runs a network.
     prepared : bool
         Whether images come as the network gets them, of sizes as from `input_size.network_size`, from nodes that share
-        this encoder. It then has no segmenter.
+        this encoder.
 
     Raises
     ------
@@ -52,6 +53,7 @@ class CompactEncoder:
         *,
         threads: int = 1,
         encodes: bool = True,
+        segments: bool = True,
         prepared: bool = False,
     ) -> None:
         described = weights.with_suffix(".json")
@@ -59,14 +61,22 @@ class CompactEncoder:
             raise SetupError(f"the encoder's file {described.name} is not in {weights.parent}")
         facts = json.loads(described.read_text())
         content = verified(described, facts["weights"])
-        members = [] if prepared else [facts[member] for member in takewhile(facts.__contains__, ENSEMBLE)]
+        known = [facts[member] for member in takewhile(facts.__contains__, ENSEMBLE)]
+        members = known if segments else []
         fine = [verified(described, member["weights"]) for member in members]
         self.digest: str = facts["weights"]["sha256"]
+        self.members = len(known)
+        """Of the segmentation ensemble, loaded or not."""
+        self.segmenter_digest = digest_of([self.digest, *(member["weights"]["sha256"] for member in known)])
         self._one_by_one, self._prepared = device == "cpu", prepared
-        self._engine = (
-            on_cpu(facts, members, described, threads, encodes) if self._one_by_one else on_gpu(content, fine, device)
-        )
-        self._members = len(members)
+        self._engine: Engine | None = None
+        if encodes or members:
+            self._engine = (
+                on_cpu(facts, members, described, threads, encodes)
+                if self._one_by_one
+                else on_gpu(content, fine, device)
+            )
+        self._segments = bool(members)
         self._vectors: Floats = load(content)["text.vectors"].astype(np.float32)
         self._labels = {entry["word"]: (row, entry) for row, entry in enumerate(facts["words"])}
         self.known_labels: frozenset[str] | None = frozenset(self._labels)
@@ -90,13 +100,17 @@ class CompactEncoder:
 
     def _encode(self, images: Sequence[Image]) -> Iterator[PixelField]:
         pixels = [image.pixels if self._prepared else resized(image.pixels) for image in images]
+        if self._engine is None:
+            raise SetupError("this encoder knows labels alone: its fields come from a shared encoder")
         fields = self._engine.fields(np.stack(pixels))
         for image, semantic, detail in zip(images, *fields, strict=True):
             yield PixelField({SEMANTIC: semantic, DETAIL: detail}, image.extent)
 
     def segmenter(self) -> CompactSegmenter | None:
         """The segmentation ensemble; None without its weights."""
-        return CompactSegmenter(self._engine, self._vectors, self._members) if self._members else None
+        if self._engine is None or not self._segments:
+            return None
+        return CompactSegmenter(self._engine, self._vectors, self.members, self.segmenter_digest)
 
     def text_vectors(self, labels: Sequence[str]) -> Floats:
         """See `Encoder.text_vectors`."""

@@ -4,14 +4,15 @@ Each member sees the image at two sizes, once mirrored (test-time augmentation).
 accurate than the layer ``semantic`` of descriptions; it is never stored.
 """
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from schemas.description import SEMANTIC, Floats, PixelField
-from schemas.image import Bytes2D, Image
+from schemas.image import Bytes2D, Image, PreparedImage
 from worker.encoders.compact.engine import Engine
 from worker.encoders.compact.input_size import LONGEST, network_size, resized
 from worker.method.unit_length import unit
@@ -56,6 +57,13 @@ CONFIDENCE_POWER = 6
 """Exponent of the label confidence in an output's weight: the later members are better on streets than on rooms."""
 
 
+def digest_of(weights: Sequence[str]) -> str:
+    """SHA-256 (hex) of all that decides a segmentation: digests of the encoder's and the members' weights, and how they
+    are used. Two processes with the same one draw the same."""
+    used = (*weights, AUGMENTATIONS, CONFIDENCE_POWER, LONGEST, SEGMENTATION_STRIDE)
+    return hashlib.sha256(repr(used).encode()).hexdigest()
+
+
 class CompactSegmenter:
     """Segments an image with the members of the ensemble whose weights are there.
 
@@ -66,21 +74,42 @@ class CompactSegmenter:
         Text vectors of all known labels.
     members : int
         Number of members, at least 1.
+    digest : str
+        `digest_of` its weights.
     """
 
-    def __init__(self, engine: Engine, vectors: Floats, members: int) -> None:
-        self._engine, self._vectors, self._members = engine, vectors, members
+    shared = False
 
-    def segment(self, image: Image) -> PixelField:
+    def __init__(self, engine: Engine, vectors: Floats, members: int, digest: str = "") -> None:
+        self._engine, self._vectors, self._members = engine, vectors, members
+        self.digest = digest
+
+    @property
+    def scales(self) -> int:
+        """Number of scales at which it sees an image."""
+        return len(scales_of(self._members))
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
         """The layer ``semantic`` only, one cell per 4 x 4 pixels; see `Segmenter.segment`."""
+        ready = image if isinstance(image, PreparedImage) else prepared(image, self._members)
 
         def one(pixels: Bytes2D, member: int) -> Floats:
             layer: Floats = self._engine.segment(pixels[None], member)[0]
             return layer
 
-        return PixelField(
-            {SEMANTIC: segment_with_ensemble(image.pixels, one, self._vectors, self._members)}, image.extent
-        )
+        return PixelField({SEMANTIC: _merged(ready, one, self._vectors, self._members)}, image.extent)
+
+
+def scales_of(members: int) -> list[float]:
+    """The scales at which so many members see an image, smallest first."""
+    return sorted({how.scale for how in AUGMENTATIONS if how.member < members})
+
+
+def prepared(image: Image, members: int, longest: float = LONGEST) -> PreparedImage:
+    """An image at the scales at which so many members see it."""
+    columns, rows = (side // SEGMENTATION_STRIDE for side in network_size(image.width, image.height, longest))
+    scales = tuple(resized(image.pixels, scale * longest) for scale in scales_of(members))
+    return PreparedImage(scales[-1], image.digest, image.format, image.byte_count, scales, (rows, columns))
 
 
 def segment_with_ensemble(
@@ -109,12 +138,18 @@ def segment_with_ensemble(
     float32 of shape (rows, columns, channels)
         Unit length; one cell per 4 x 4 pixels of the image resized to `longest`.
     """
-    across, down = (side // SEGMENTATION_STRIDE for side in network_size(pixels.shape[1], pixels.shape[0], longest))
+    return _merged(prepared(Image(pixels, ""), members, longest), segment, vectors, members)
+
+
+def _merged(image: PreparedImage, segment: Callable[[Bytes2D, int], Floats], vectors: Floats, members: int) -> Floats:
+    """`segment_with_ensemble` of an image that lies at all scales."""
+    down, across = image.grid
+    at = dict(zip(scales_of(members), image.scales, strict=True))
     total = np.zeros(())
     for how in AUGMENTATIONS:
         if how.member >= members:
             continue
-        seen = resized(pixels, how.scale * longest)
+        seen = at[how.scale]
         layer = segment(np.ascontiguousarray(seen[:, ::-1]) if how.mirrored else seen, how.member)
         layer = cv2.resize(layer, (across, down), interpolation=cv2.INTER_LINEAR)
         count = how.weight * label_confidence(layer, vectors) ** CONFIDENCE_POWER

@@ -6,11 +6,12 @@ from itertools import groupby
 
 import numpy as np
 
-from schemas.description import PixelField
+from schemas.description import SEMANTIC, PixelField
 from schemas.errors import EncoderAway, SetupError
-from schemas.image import Image
-from schemas.inference import model_name
+from schemas.image import Image, PreparedImage
+from schemas.inference import model_name, segmenter_name
 from worker.encoders.compact.encoder import CompactEncoder
+from worker.encoders.compact.ensemble import CompactSegmenter, prepared
 from worker.encoders.compact.input_size import network_size, resized
 from worker.encoders.inference_client import InferenceClient, UnknownModel
 
@@ -20,8 +21,9 @@ log = logging.getLogger("revisit.encoder")
 class SharedCompactEncoder(CompactEncoder):
     """`CompactEncoder` that sends what its network would get to a shared encoder, and gets the layers back.
 
-    Labels, their text vectors and segmentations, which are for drawing and for blurring, stay in this process. Name and
-    digest are those of the files here: the server is asked for just these weights, in every call.
+    Labels and their text vectors stay in this process. Name and digest are those of the files here: the server is asked
+    for just these weights, in every call. So it is with segmentations, which are for drawing and for blurring, unless
+    the server has no segmenter (it is another program): then their networks are loaded here.
 
     Parameters
     ----------
@@ -30,7 +32,7 @@ class SharedCompactEncoder(CompactEncoder):
     patience_s : float
         See `InferenceClient`.
     device, threads
-        Of the segmentations.
+        Of the segmentations where they are made here.
 
     Raises
     ------
@@ -40,10 +42,18 @@ class SharedCompactEncoder(CompactEncoder):
     """
 
     def __init__(self, url: str, key: str | None, patience_s: float, device: str = "cpu", *, threads: int = 1) -> None:
-        super().__init__(device, threads=threads, encodes=False)
+        super().__init__(device, threads=threads, encodes=False, segments=False)
         self._client = InferenceClient(url, model_name(self.name, self.digest), key, patience_s)
+        self._here: CompactEncoder | None = None
         try:
             self._client.probe()
+            if self.members and not self._client.has(segmenter_name(self.name, self.segmenter_digest)):
+                log.warning(
+                    "the encoder at %s makes no segmentations as this version does; they are made here",
+                    url,
+                    extra={"event": "segmentations_here"},
+                )
+                self._here = CompactEncoder(device, threads=threads, encodes=False)
         except UnknownModel as error:
             self._client.close()
             raise SetupError(error.detail) from None
@@ -54,6 +64,14 @@ class SharedCompactEncoder(CompactEncoder):
         """Close the connections."""
         self._client.close()
 
+    def segmenter(self) -> CompactSegmenter | None:
+        """The segmentation ensemble of the server, or where it has none, of this process; None without its weights."""
+        if self._here is not None:
+            return self._here.segmenter()
+        if not self.members:
+            return None
+        return SharedSegmenter(self._client, self.name, self.segmenter_digest, self.members)
+
     def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         """One field per image; see `Encoder.encode`. Consecutive images of one size are sent together."""
         for _, run in groupby(images, key=lambda p: network_size(p.width, p.height)):
@@ -61,3 +79,29 @@ class SharedCompactEncoder(CompactEncoder):
             layers = self._client.fields(np.stack([resized(image.pixels) for image in alike]), urgent=urgent)
             for number, image in enumerate(alike):
                 yield PixelField({name: layer[number] for name, layer in layers.items()}, image.extent)
+
+
+class SharedSegmenter(CompactSegmenter):
+    """Segmentations of a shared encoder: it gets the image at the scales of the ensemble, and what is drawn is the same
+    to the byte.
+
+    Parameters
+    ----------
+    client : InferenceClient
+    name, digest : str
+        Of the encoder, and of all that decides what is drawn.
+    members : int
+        Of the ensemble.
+    """
+
+    shared = True
+
+    def __init__(self, client: InferenceClient, name: str, digest: str, members: int) -> None:
+        self._client, self._model, self._members = client, segmenter_name(name, digest), members
+        self.digest = digest
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
+        """See `Segmenter.segment`."""
+        ready = image if isinstance(image, PreparedImage) else prepared(image, self._members)
+        layer = self._client.segmentation(self._model, ready, urgent=urgent)
+        return PixelField({SEMANTIC: layer}, image.extent)

@@ -10,7 +10,7 @@ from revisit_client import Revisit
 from revisit_client.wire import Enrolled
 
 from revisit_ros.caller import Caller
-from revisit_ros.frames import FORWARD, Transform, heading_of_yaw, yaw_of_camera
+from revisit_ros.frames import FORWARD, Transform, heading_of_yaw, yaw_of
 from revisit_ros.health import Link, Report, report, trouble_of
 from revisit_ros.images import Shot
 from revisit_ros.pacing import Pace, Stride, Waiting
@@ -148,7 +148,7 @@ class Enroller:
 
     def _consider(self, shot: Shot, camera: Transform) -> None:
         """Keep an image as a view, if it is far enough from the last one."""
-        yaw = yaw_of_camera(camera, FORWARD[self._values["camera_forward"]])
+        yaw = yaw_of(camera, FORWARD[self._values["camera_forward"]])
         heading = None if yaw is None else heading_of_yaw(yaw)
         position = camera.x, camera.y, camera.z
         if not self._stride.far_enough(position, heading) or not self._pace.due(shot.arrived):

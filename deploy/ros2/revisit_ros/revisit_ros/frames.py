@@ -42,6 +42,21 @@ class Transform:
         for name in ("qx", "qy", "qz", "qw"):
             object.__setattr__(self, name, getattr(self, name) / length)
 
+    def after(self, inner: "Transform") -> "Transform":
+        """Where a frame lies in the outermost of three: `inner` places it in the frame that this one places."""
+        x, y, z = self.rotated((inner.x, inner.y, inner.z))
+        a, b = (self.qx, self.qy, self.qz), (inner.qx, inner.qy, inner.qz)
+        across = _cross(a, b)
+        qx, qy, qz = (self.qw * b[axis] + inner.qw * a[axis] + across[axis] for axis in range(3))
+        qw = self.qw * inner.qw - sum(one * other for one, other in zip(a, b, strict=True))
+        return Transform(self.x + x, self.y + y, self.z + z, qx, qy, qz, qw)
+
+    def inverse(self) -> "Transform":
+        """Where the other frame lies in this one."""
+        back = Transform(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z = back.rotated((-self.x, -self.y, -self.z))
+        return Transform(x, y, z, back.qx, back.qy, back.qz, back.qw)
+
     def rotated(self, vector: Vector) -> Vector:
         """A direction of the frame, in the other frame."""
         u = (self.qx, self.qy, self.qz)
@@ -74,15 +89,20 @@ def heading_of_yaw(yaw: float) -> float:
     return 0.0 if heading == 360 else heading  # a tiny negative angle rounds up to 360
 
 
-def yaw_of_camera(camera: Transform, forward: Vector) -> float | None:
-    """Yaw of where a camera looks, in the frame that `camera` places it in; None where it looks up or down."""
-    x, y, _ = camera.rotated(forward)
+def yaw_of(placed: Transform, forward: Vector) -> float | None:
+    """Yaw of a direction of a frame, such as where a camera looks, where it is placed; None where it is up or down."""
+    x, y, _ = placed.rotated(forward)
     return math.atan2(y, x) if math.hypot(x, y) > STEEP else None
 
 
 def quaternion_of_yaw(yaw: float) -> tuple[float, float, float, float]:
     """(x, y, z, w) of a rotation about z."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def level(position: Vector, yaw: float) -> Transform:
+    """Where a frame lies that stands level."""
+    return Transform(*position, *quaternion_of_yaw(yaw))
 
 
 def base_of_camera(position: Vector, yaw: float, mount: Transform, mount_yaw: float) -> tuple[Vector, float]:
@@ -95,7 +115,7 @@ def base_of_camera(position: Vector, yaw: float, mount: Transform, mount_yaw: fl
     mount : Transform
         The camera in the robot's base.
     mount_yaw : float
-        Where it looks there (`yaw_of_camera`).
+        Where it looks there (`yaw_of`).
     """
     base = _wrapped(yaw - mount_yaw)
     x = math.cos(base) * mount.x - math.sin(base) * mount.y

@@ -6,22 +6,28 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from tf2_ros import TransformBroadcaster
 
+from revisit_ros.correction import Correction, map_to_odom
 from revisit_ros.frames import FORWARD
+from revisit_ros.images import Shot
 from revisit_ros.landmarks import Landmarks
 from revisit_ros.localizer import Answered, Localizer
-from revisit_ros.messages import landmark_message, place_message, pose_message
+from revisit_ros.messages import landmark_message, place_message, pose_message, transform_message
 from revisit_ros.node import TELL_S, RevisitNode, message_type, run
 from revisit_ros.pacing import HandOver
-from revisit_ros.pose import UNKNOWN, NoPose, guess_of, pose_of
+from revisit_ros.pose import UNKNOWN, NoPose, Pose, guess_of, pose_of
 from revisit_ros.settings import LOCALIZE
 
 TRIGGER = "visual_localization/trigger_localization"
 TICK_S = 0.1
 
+LATE_S = 1.0
+"""Seconds after an answer that odometry's transform at the image's stamp is waited for."""
+
 
 class LocalizeNode(RevisitNode):
-    """Publishes only what matched, with the stamp of its image."""
+    """Publishes only what matched, with the stamp of its image; on request, the transform from map to odom too."""
 
     def __init__(self) -> None:
         super().__init__("localize", LOCALIZE)
@@ -45,6 +51,12 @@ class LocalizeNode(RevisitNode):
         self._trigger = self.create_service(Trigger, TRIGGER, self._triggered)
         self._hint = self.create_subscription(PoseWithCovarianceStamped, TRIGGER, self._hinted, 10)
         self._hint_note = ""
+        self._correction = Correction(values["transform_hold"])
+        self._late: tuple[Pose, Shot, float] | None = None
+        self._broadcast = False
+        if values["publish_tf"]:
+            self._broadcaster = TransformBroadcaster(self)
+            self._broadcasting = self.create_timer(1 / values["transform_rate"], self._send_transform)
         self._guard = self.create_guard_condition(self._answered)
         self.listen(lambda shot: self.localizer.image(shot))
         self.localizer = Localizer(self.revisit, values, self._guard.trigger, self.clock)
@@ -57,7 +69,8 @@ class LocalizeNode(RevisitNode):
         self.revisit.close()
 
     def _tell(self) -> None:
-        self.tell(self.localizer.report())
+        report = self.localizer.report()
+        self.tell(self._correction.told(report, self.clock()) if self.values["publish_tf"] else report)
 
     def _triggered(self, request: Any, response: Any) -> Any:
         self._wish()
@@ -93,6 +106,8 @@ class LocalizeNode(RevisitNode):
         """Publish what the service answered meanwhile."""
         for found in self.localizer.answers():
             self._publish(found)
+        if self._late is not None:
+            self._correct(*self._late)
         if self._handed is not None and self.clock() - self._handed[1] > self.values["timeout"]:
             self._initial_pose_client.remove_pending_request(self._handed[0])
             self._handed = None
@@ -114,9 +129,47 @@ class LocalizeNode(RevisitNode):
         message = pose_message(pose, shot, values["map_frame"])
         self._pose.publish(message)
         self.localizer.published += 1
+        if values["publish_tf"]:
+            self._correct(pose, shot, self.clock())
         handed = self._hand(message) if pose.variances[0] < UNKNOWN else ""
         notes = [pose.note and f"{pose.note} ({shot.frame!r} in {base!r})" if mount is None and base else pose.note]
         self.localizer.note = "; ".join(filter(None, (*notes, handed, self._hint_note)))
+
+    def _correct(self, pose: Pose, shot: Shot, answered: float) -> None:
+        """Publish another transform from map to odom from now on, or tell why not."""
+        values = self.values
+        map_frame, odom, base = values["map_frame"], values["odom_frame"], values["base_frame"]
+        self._late = None
+        placed = self.placed(shot, odom, base)
+        if placed is None:
+            if self.clock() - answered < LATE_S:
+                self._late = pose, shot, answered
+            else:
+                self._correction.note = (
+                    f"no map to odom: TF does not place {base!r} in {odom!r} at the images' stamps; start odometry, "
+                    "or set odom_frame"
+                )
+            return
+        found = map_to_odom(pose, placed)
+        if isinstance(found, NoPose):
+            self._correction.note = f"{found.detail}; {found.remedy}"
+        elif not self._broadcast and self.is_placed_now(map_frame, odom):
+            self._correction.note = (
+                f"no map to odom: somebody else publishes where {odom!r} is in {map_frame!r}; one of the two has to "
+                "stop: set publish_tf to false, or end the other"
+            )
+        else:
+            self._correction.take(found, shot.arrived)
+            self._send_transform()
+
+    def _send_transform(self) -> None:
+        """The transform that holds, stamped ahead of the clock, so that it is there when it is asked for."""
+        transform = self._correction.at(self.clock())
+        if transform is not None:
+            values, self._broadcast = self.values, True
+            stamp = self.ahead(values["transform_tolerance"])
+            message = transform_message(transform, values["map_frame"], values["odom_frame"], stamp)
+            self._broadcaster.sendTransform(message)
 
     def _hand(self, message: PoseWithCovarianceStamped) -> str:
         """Hand a pose over, if one is wanted; why not, where nobody takes it."""

@@ -47,6 +47,17 @@ def transform_of(message: TransformStamped) -> Transform:
     return Transform(t.x, t.y, t.z, q.x, q.y, q.z, q.w)
 
 
+def transform_message(transform: Transform, parent: str, child: str, stamp: Time) -> TransformStamped:
+    """Where the child frame lies in its parent."""
+    message = TransformStamped()
+    message.header = Header(stamp=stamp, frame_id=parent)
+    message.child_frame_id = child
+    t, q = message.transform.translation, message.transform.rotation
+    t.x, t.y, t.z = transform.x, transform.y, transform.z
+    q.x, q.y, q.z, q.w = transform.qx, transform.qy, transform.qz, transform.qw
+    return message
+
+
 def pose_message(pose: Pose, shot: Shot, map_frame: str) -> PoseWithCovarianceStamped:
     """The pose at the stamp of the image."""
     message = PoseWithCovarianceStamped()

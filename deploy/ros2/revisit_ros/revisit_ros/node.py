@@ -26,6 +26,9 @@ from revisit_ros.settings import BadParameter, Parameter, key_of, read
 TELL_S = 1.0
 """Seconds between two messages on /diagnostics."""
 
+ALIVE_S = 2.0
+"""Seconds after its stamp that a moving transform counts as published."""
+
 
 class RevisitNode(Node):
     """A node that sends images to a service and never waits for it in the executor.
@@ -72,14 +75,34 @@ class RevisitNode(Node):
             kind, topic, lambda message: take(shot_of(message, self.clock())), qos_profile_sensor_data
         )
 
-    def placed(self, shot: Shot, target: str) -> Transform | None:
-        """The camera of an image in a frame, when the image was taken; None while that is not known. Never waits."""
+    def placed(self, shot: Shot, target: str, frame: str = "") -> Transform | None:
+        """The camera of an image, or another frame, in a frame when the image was taken; None while that is not known.
+
+        Never waits.
+        """
         stamp = Time(seconds=shot.seconds, nanoseconds=shot.nanoseconds, clock_type=self.get_clock().clock_type)
+        frame = frame or shot.frame
         try:
-            return transform_of(self._buffer.lookup_transform(target, shot.frame, stamp))
+            return transform_of(self._buffer.lookup_transform(target, frame, stamp))
         except (TransformException, ValueError) as error:
-            self.get_logger().debug(f"no transform from {shot.frame} to {target}: {error}")
+            self.get_logger().debug(f"no transform from {frame} to {target}: {error}")
             return None
+
+    def is_placed_now(self, target: str, frame: str) -> bool:
+        """Whether somebody publishes where a frame is: for good, or within the last seconds."""
+        clock = self.get_clock()
+        try:
+            stamp = self._buffer.lookup_transform(target, frame, Time(clock_type=clock.clock_type)).header.stamp
+        except TransformException:
+            return False
+        age_s = clock.now().nanoseconds / 1e9 - stamp.sec - stamp.nanosec / 1e9
+        return bool(age_s < ALIVE_S or stamp.sec == stamp.nanosec == 0)
+
+    def ahead(self, seconds: float) -> Any:
+        """The time of the node's clock in so many seconds, as messages have it."""
+        clock = self.get_clock()
+        nanoseconds = clock.now().nanoseconds + round(seconds * 1e9)
+        return Time(nanoseconds=nanoseconds, clock_type=clock.clock_type).to_msg()
 
     def tell(self, report: Report) -> None:
         """Publish a status, and log it where it is another than before."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from revisit_client.wire import QueryAnswer
 
-from revisit_ros.frames import Transform, Vector, base_of_camera, yaw_of_camera, yaw_of_heading
+from revisit_ros.frames import Transform, Vector, base_of_camera, yaw_of, yaw_of_heading
 
 UNKNOWN = 9999.0
 """Variance of what is not known, as RTAB-Map has it."""
@@ -113,7 +113,7 @@ def pose_of(
     if mount is None and base_wanted:
         notes.append("where the camera sits in the base frame is not known, so the pose is the camera's")
     if mount is not None:
-        mount_yaw = yaw_of_camera(mount, forward)
+        mount_yaw = yaw_of(mount, forward)
         if mount_yaw is None and yaw is not None:
             yaw = None
             notes.append("the camera looks up or down, so the yaw is not known")

@@ -114,6 +114,13 @@ LOCALIZE = (
         ("off", "topic", "service"),
     ),
     Parameter("hand_over_every", False, "whether every pose is handed over"),
+    Parameter("publish_tf", False, "whether the transform from `map_frame` to `odom_frame` is published"),
+    Parameter("odom_frame", "odom", "odometry's frame, in which TF has to place `base_frame`"),
+    Parameter(
+        "transform_tolerance", 0.1, "seconds that the published transform is stamped ahead of the clock", most=10.0
+    ),
+    Parameter("transform_rate", 20.0, "times a second that it is published", least=0.1, most=200.0),
+    Parameter("transform_hold", 0.0, "seconds after the last match that it is published; 0: until the next one"),
 )
 
 ENROLL = (
@@ -145,6 +152,10 @@ def read(parameters: tuple[Parameter, ...], given: Mapping[str, Any]) -> dict[st
     precision = values.get("precision", 0.0)
     if 0 < precision < 0.5:
         wrong.append(f"precision is {precision:g}, not 0.5 to 0.999, or 0 for the map's")
+    if values.get("publish_tf"):
+        frames = [str(values.get(name, "unset")) for name in ("map_frame", "odom_frame", "base_frame")]
+        if "" in frames or len(set(frames)) < 3:
+            wrong.append(f"publish_tf needs map_frame, odom_frame and base_frame, all different, and they are {frames}")
     if wrong:
         raise BadParameter("; ".join(wrong))
     return values
