@@ -72,6 +72,7 @@ def test_an_owner_sees_what_a_map_lacks_and_mends_it(opened: Open, service: Runn
     duplicates.get_by_role("button", name="Open stairs").click()
     tab.page.get_by_role("button", name="Delete this view …").click()
     tab.page.get_by_role("button", name="Delete the view").click()
+    tab.page.locator("dialog.receipt").get_by_role("button", name="Close").click()
     tab.page.get_by_text("Duplicates: 0").wait_for()
     assert {one["place"] for one in httpx.get(f"{service.url}/views?map=site").json()["views"]} == {"hall", "gate"}
 
