@@ -18,6 +18,7 @@ BENCHMARKS = {
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
     "refreshing": "what accepting proposals gives, on three walks along one way",
     "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
+    "fit_changes": "the confidence of changes fitted anew, on other drawn places",
     "scale": "every set among thousands of views of other sites",
 }
 
