@@ -3,12 +3,13 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from schemas.ageing import ScoreFall
 from schemas.comparisons import Comparison, KnownView
 from schemas.records import Position
 
-Code = Literal["twins", "duplicates", "missing-directions", "single-view", "gap"]
+Code = Literal["twins", "ageing", "duplicates", "missing-directions", "single-view", "gap"]
 
-CODES: tuple[Code, ...] = ("twins", "duplicates", "missing-directions", "single-view", "gap")
+CODES: tuple[Code, ...] = ("twins", "ageing", "duplicates", "missing-directions", "single-view", "gap")
 """Kinds of findings, those that make answers wrong first."""
 
 
@@ -39,7 +40,8 @@ class HealthFinding:
     Parameters
     ----------
     code : str
-        ``twins``: two places that the map takes for each other; ``duplicates``: views that add nothing to one another;
+        ``twins``: two places that the map takes for each other; ``ageing``: a place whose scores fall over time, or all
+        of the map, then without `places`; ``duplicates``: views that add nothing to one another;
         ``missing-directions``, ``single-view``: a place seen too narrowly; ``gap``: a stretch without views.
     detail, remedy : str
         What was found, and what to do.
@@ -55,6 +57,10 @@ class HealthFinding:
         Where to go to mend it.
     headings : tuple of float
         Directions to photograph, degrees.
+    scores : ScoreFall or None
+        How far they fell.
+    proposal : str or None
+        Id of the proposal whose queries would refresh the place.
     """
 
     code: Code
@@ -66,6 +72,8 @@ class HealthFinding:
     count: int = 0
     position: Position | None = None
     headings: tuple[float, ...] = ()
+    scores: ScoreFall | None = None
+    proposal: str | None = None
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ class Removal:
     ----------
     queries : int
         Kept ones.
+    scores : int
+        Days on which a view was matched, with its scores.
     descriptions : int
         Of the views, by all recipes.
     searched : int
@@ -43,6 +45,7 @@ class Removal:
     images: int
     revision: int | None
     queries: int = 0
+    scores: int = 0
     descriptions: int = 0
     searched: int = 0
     images_shared: int = 0

@@ -40,6 +40,9 @@ from .wire_health import (
 from .wire_health import (
     MapHealth as MapHealth,
 )
+from .wire_health import (
+    ScoreFall as ScoreFall,
+)
 from .wire_inbox import (
     DismissedPlace as DismissedPlace,
 )

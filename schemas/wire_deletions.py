@@ -23,6 +23,7 @@ class Deleted(Answer):
     images: int = Field(description="Image files removed; a file is kept while another view has the same bytes.")
     images_shared: int = Field(0, description="Images that other views have too, and that are therefore kept.")
     queries: int = Field(0, description="Kept queries removed, with the images that were kept of them.")
+    scores: int = Field(0, description="Days on which one of the views was matched, each with its scores.")
     revision: int | None
     snapshots: list[HoldingSnapshot] = Field(
         default_factory=list, description="Snapshots made before that still have some of it, newest first."

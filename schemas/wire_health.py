@@ -1,20 +1,32 @@
 """Models of the answer to a map's health over HTTP."""
 
+from datetime import date
 from typing import Literal
 
 from pydantic import Field
 
 from .wire_views import Answer, Position
 
-HealthCode = Literal["twins", "duplicates", "missing-directions", "single-view", "gap"]
+HealthCode = Literal["twins", "ageing", "duplicates", "missing-directions", "single-view", "gap"]
+
+
+class ScoreFall(Answer):
+    """How far the scores of a place fell: medians of the mean scores of single days."""
+
+    then: float = Field(description="Of the oldest days.")
+    now: float = Field(description="Of the newest days.")
+    since: date = Field(description="The first day, UTC.")
+    until: date = Field(description="The last day.")
+    days: int = Field(description="Days that each median is of.")
 
 
 class HealthFinding(Answer):
     """One thing that a map lacks or suffers from."""
 
     code: HealthCode = Field(
-        description="twins: places that the map takes for each other; duplicates: views that add nothing to one "
-        "another; missing-directions, single-view: a place seen from one side, or once; gap: a stretch without views."
+        description="twins: places that the map takes for each other; ageing: a place whose scores fall over time; "
+        "duplicates: views that add nothing to one another; missing-directions, single-view: a place seen from one "
+        "side, or once; gap: a stretch without views."
     )
     detail: str = Field(description="What was found.")
     remedy: str = Field(description="What to do.")
@@ -23,6 +35,10 @@ class HealthFinding(Answer):
     count: int = Field(description="How many views it concerns.")
     position: Position | None = Field(description="Where to go to mend it.")
     headings: list[float] = Field(description="Directions to photograph, degrees clockwise from north, or from +y.")
+    scores: ScoreFall | None = Field(None, description="How far they fell, of ageing.")
+    proposal: str | None = Field(
+        None, description="Of ageing: the proposal that would refresh the place (POST /maps/{map}/proposals/{id})."
+    )
 
 
 class MapHealth(Answer):

@@ -25,12 +25,14 @@ from worker.search.byte_product import make_product
 from worker.search.choosing import make_catalogue
 from worker.search.flat_index import FlatIndex
 from worker.search.ports import Catalogue, Selecting
+from worker.service.ageing import AgeingPlaces
 from worker.service.attendance import Attendance, this_process
 from worker.service.blurring import Blurring, BlurringEnrolment
 from worker.service.calibrating import CalibrationService
 from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.changes import ChangeService
 from worker.service.comparing import MapComparer
+from worker.service.day_scores import ScoreKeeper
 from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
@@ -156,6 +158,7 @@ class Runtime:
         self.attendance.stop()
         self.scheduler.stop()
         self.decoder.close()
+        self.services.query.scores.write()
         self.store.close()
         self.unlock()
 
@@ -330,10 +333,20 @@ def _services(
         maps=store.maps, views=store.views, describers=describers, scheduler=scheduler, decode=decoder.decode,
         explanations=explanations,
     )  # fmt: skip
+    scores = ScoreKeeper(store.day_scores)
+    proposals = ProposalService(maps=store.maps, views=store.views, kept=store.kept_queries, enroll=enroll)
+    health = HealthService(
+        maps=store.maps, comparisons=store.comparisons, descriptions=store.descriptions, calibration=calibration_of,
+        ageing=AgeingPlaces(store.day_scores, store.views, proposals.of, scores.write),
+    )  # fmt: skip
+    calibration = CalibrationService(
+        maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
+        comparisons=store.comparisons, catalogue=catalogue, shipped=shipped_calibration, product=product,
+    )  # fmt: skip
     return Services(
         enroll=enroll,
         inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
-        proposals=ProposalService(maps=store.maps, views=store.views, kept=store.kept_queries, enroll=enroll),
+        proposals=proposals,
         query=QueryService(
             searcher=searcher,
             views=store.views,
@@ -343,6 +356,7 @@ def _services(
             look_for_problem=quality.problem_of,
             thumbnail=decoder.thumbnail,
             kept=QueryKeeper(store.kept_queries, store.maps, blurring, scheduler, describers, decoder.decode),
+            scores=scores,
             explanations=explanations,
             drives=Drives(),
         ),
@@ -366,9 +380,7 @@ def _services(
         ),
         jobs=JobService(store.jobs, store.uploads),
         keys=KeyService(store.keys),
-        health=HealthService(
-            maps=store.maps, comparisons=store.comparisons, descriptions=store.descriptions, calibration=calibration_of
-        ),
+        health=health,
         snapshots=snapshots,
         shadows=shadows,
         imports=ImportService(
@@ -379,16 +391,7 @@ def _services(
             refuses_poor=store.maps.refuses_poor,
             wake=_nothing if loop is None else loop.wake_all,
         ),
-        calibration=CalibrationService(
-            maps=store.maps,
-            views=store.views,
-            listings=store.listings,
-            descriptions=store.descriptions,
-            comparisons=store.comparisons,
-            catalogue=catalogue,
-            shipped=shipped_calibration,
-            product=product,
-        ),
+        calibration=calibration,
     )
 
 

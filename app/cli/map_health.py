@@ -9,13 +9,13 @@ def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
         "health",
-        help="places that a map confuses, duplicates, directions and stretches without views",
+        help="places that a map confuses, places that age, duplicates, directions and stretches without views",
         description="What makes a map's answers wrong or missing, and what to do about it.",
     )
     parser.add_argument("map", nargs="?", default="default")
     parser.add_argument(
         "--code",
-        choices=("twins", "duplicates", "missing-directions", "single-view", "gap"),
+        choices=("twins", "ageing", "duplicates", "missing-directions", "single-view", "gap"),
         help="findings of this kind alone",
     )
     parser.add_argument("--limit", type=int, metavar="N", help="at most so many of each kind (default: 20)")

@@ -1,5 +1,7 @@
 """Turns a map's health and its unknown places into their models on the wire."""
 
+from dataclasses import asdict
+
 from app.http.presenters import position
 from schemas import wire
 from schemas.health import CODES, Code, HealthReport
@@ -29,6 +31,8 @@ def map_health(report: HealthReport, code: Code | None, limit: int) -> wire.MapH
                 count=one.count,
                 position=None if one.position is None else position(one.position),
                 headings=list(one.headings),
+                scores=None if one.scores is None else wire.ScoreFall(**asdict(one.scores)),
+                proposal=one.proposal,
             )
             for found in of.values()
             for one in found[:limit]

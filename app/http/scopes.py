@@ -33,6 +33,7 @@ READ: tuple[tuple[str, str], ...] = (
     ("GET", "/views/{view_id}/changes"),
     ("GET", "/views/{view_id}/changes.png"),
     ("GET", "/queries/{query_id}/explanation.png"),
+    ("GET", "/queries/{query_id}/changes"),
     ("GET", "/queries/{query_id}/changes.png"),
     ("GET", "/maps"),
     ("GET", "/maps/{map}"),

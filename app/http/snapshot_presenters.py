@@ -32,6 +32,7 @@ def removal(receipt: Removal) -> wire.Deleted:
         images=receipt.images,
         images_shared=receipt.images_shared,
         queries=receipt.queries,
+        scores=receipt.scores,
         revision=receipt.revision,
         snapshots=[
             wire.HoldingSnapshot(id=one.id, map=one.map, created_at=one.created_at, views=one.views)

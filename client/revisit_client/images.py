@@ -24,8 +24,12 @@ class ImageCalls:
         """PNG of both views, with what changed outlined."""
         return self._connection.send("GET", f"/views/{view_id}/changes.png", params={"since": since}).content
 
+    def changes_of_query(self, query_id: str) -> wire.Changes:
+        """What is gone, new or moved from the first match of a query made with `explain` to its photo."""
+        return self._connection.receive(wire.Changes, "GET", f"/queries/{query_id}/changes")
+
     def draw_changes_of_query(self, query_id: str) -> bytes:
-        """PNG of the first match and the photo of a query made with `changes`, with what changed outlined."""
+        """PNG of the first match and the photo of an explained query, with what changed outlined."""
         return self._connection.send("GET", f"/queries/{query_id}/changes.png").content
 
     def image(self, view_id: str) -> bytes:

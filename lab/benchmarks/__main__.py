@@ -16,8 +16,10 @@ BENCHMARKS = {
     "geometry": "other local features, other verification, and a learned rule, on the first ten",
     "keys": "what checking keys costs each request",
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
+    "importing": "how fast recordings are imported, against the encoder's own rate",
     "refreshing": "what accepting proposals gives, on three walks along one way",
     "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
+    "fit_changes": "the confidence of changes fitted anew, on other drawn places",
     "scale": "every set among thousands of views of other sites",
 }
 

@@ -72,6 +72,7 @@ def test_an_owner_sees_what_a_map_lacks_and_mends_it(opened: Open, service: Runn
     duplicates.get_by_role("button", name="Open stairs").click()
     tab.page.get_by_role("button", name="Delete this view …").click()
     tab.page.get_by_role("button", name="Delete the view").click()
+    tab.page.locator("dialog.receipt").get_by_role("button", name="Close").click()
     tab.page.get_by_text("Duplicates: 0").wait_for()
     assert {one["place"] for one in httpx.get(f"{service.url}/views?map=site").json()["views"]} == {"hall", "gate"}
 
@@ -115,6 +116,31 @@ def test_twins_are_side_by_side_and_many_directions_are_folded(opened: Open, ser
     tab.awaits(rows, 50)
     tab.page.get_by_role("button", name="All 333").click()
     tab.awaits(rows, 333)
+
+
+def test_a_place_that_ages_is_shown_with_the_photo_that_would_refresh_it(opened: Open, service: RunningService) -> None:
+    """Months of scores are made up here, in the service's own shape; so is the photo."""
+    views = httpx.get(f"{service.url}/views?map=town&place=mill lane").json()["views"]
+    ageing = MAP_HEALTH["findings"][0] | {
+        "code": "ageing",
+        "detail": "'mill lane' scores less than it did: 0.90 on the first 15 days, 0.61 on the last 15",
+        "remedy": "take the photos that queries left of it",
+        "places": ["mill lane"],
+        "views": [one["id"] for one in views],
+        "scores": {"then": 0.9, "now": 0.61, "since": "2026-03-02", "until": "2026-08-20", "days": 15},
+        "proposal": "some-query",
+    }
+    health = {"counts": MAP_HEALTH["counts"] | {"ageing": 1, "missing-directions": 0}, "findings": [ageing]}
+    tab = opened("service", bypass_csp=True)
+    tab.page.route("**/maps/town/health*", lambda route: route.fulfill(json=MAP_HEALTH | health))
+    photo = seen("mill lane", 30)
+    tab.page.route("**/proposals/some-query/image", lambda route: route.fulfill(body=photo, content_type="image/jpeg"))
+    tab.show("maps/town/health")
+    tab.awaits("[data-code=ageing] .side img[src^=blob]", 2)
+    tab.awaits("[data-code=ageing] .refreshing img[src^=blob]", 1)
+    check(tab, "a place that ages")
+    tab.page.get_by_role("link", name="Take or dismiss it").click()
+    tab.page.get_by_role("heading", name="No place in another light").wait_for()
 
 
 def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open) -> None:

@@ -11,6 +11,7 @@ RECEIPT = Removal(
     images=2,
     revision=44,
     queries=1,
+    scores=6,
     descriptions=4,
     searched=2,
     images_shared=1,
@@ -20,7 +21,8 @@ RECEIPT = Removal(
 
 def test_a_receipt_says_what_is_gone_from_where_and_what_is_left() -> None:
     assert removal(RECEIPT).model_dump(mode="json") == {
-        "views": 3, "descriptions": 4, "searched": 2, "images": 2, "images_shared": 1, "queries": 1, "revision": 44,
+        "views": 3, "descriptions": 4, "searched": 2, "images": 2, "images_shared": 1, "queries": 1, "scores": 6,
+        "revision": 44,
         "snapshots": [
             {"id": "a", "map": "campus", "created_at": "2026-11-24T09:00:00.000000Z", "views": 3},
             {"id": "b", "map": "attic", "created_at": "2026-11-24T09:00:00.000000Z", "views": 1},

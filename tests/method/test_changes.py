@@ -1,12 +1,14 @@
 """What changed between two grids of cells: a thing that is gone, new or moved, and nothing where only the light did."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from schemas.description import Floats
 from worker.description.describer import components
 from worker.method import changes
-from worker.method.changes import PhotoCells
+from worker.method.changes import PhotoCells, Region
 from worker.method.unit_length import unit
 
 ROWS, COLUMNS, CHANNELS = 40, 60, 24
@@ -133,8 +135,26 @@ def test_photos_of_nothing_but_moving_things_are_not_compared() -> None:
 
 def test_all_regions_are_told_with_how_sure_they_are() -> None:
     then, now = place((LEFT, CHAIR)), place()
-    [region] = changes.regions(then, now, SAME, components)
+    [region] = changes.find_lost(then, now, SAME, components).gone
 
     assert 0 < region.confidence < 1
     assert changes.find(then, now, SAME, components, sure=region.confidence + 1e-6).changes == ()
     assert len(changes.find(then, now, SAME, components, sure=region.confidence).changes) == 1
+
+
+def test_a_doubtful_end_is_told_with_the_sure_one_of_the_same_thing() -> None:
+    lost = changes.find_lost(place((LEFT, CHAIR)), place((RIGHT, CHAIR)), SAME, components)
+    # Where a thing came to stand, the floor that it covers is a doubtful region of its own.
+    one, other = (max(some, key=lambda region: region.confidence) for some in (lost.gone, lost.new))
+
+    def told(first: Region, second: Region) -> list[tuple[Region, Region]]:
+        return changes.moved(replace(lost, gone=[first], new=[second]), SAME)
+
+    def with_contrast(region: Region, contrast: float) -> Region:
+        return replace(region, features={**region.features, "contrast": contrast})
+
+    doubtful = with_contrast(other, 0.42)
+    assert one.confidence > changes.SURE > doubtful.confidence > changes.HINT
+    assert told(one, doubtful) == [(one, doubtful)]
+    assert told(with_contrast(one, 0.42), doubtful) == []
+    assert told(one, with_contrast(other, 0.2)) == []

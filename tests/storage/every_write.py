@@ -11,9 +11,11 @@ import sqlite3
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import date
 from pathlib import Path
 from typing import Any
 
+from schemas.ageing import DayScore
 from schemas.errors import DiskFull, NotFound, StorageFailed
 from schemas.records import Filters, Replay, ViewAttributes
 from tests.failing_writes import FailingWrites
@@ -35,6 +37,8 @@ def prepared(folder: Path) -> None:
     enroll(store, "stairs")
     store.calls.begin("runs", "f", NOW)
     store.maps.keep_queries("campus", 1)
+    store.maps.keep_queries("campus", 1, matched=True)
+    keep_scores(store, 1)
     keep_query(store, "dock")
     for name in ("shadowed", "described"):
         store.maps.put(name, RECIPE, NOW)
@@ -48,6 +52,12 @@ def prepared(folder: Path) -> None:
 def keep_query(store: SqlStore, name: str) -> None:
     """Keep a query that matched nothing."""
     store.kept_queries.keep("campus", name, RECIPE.description, description(1), image(name), NOW)
+
+
+def keep_scores(store: SqlStore, *days: int) -> None:
+    """Keep scores of the first view on some days of March."""
+    scores = [DayScore(date(2026, 3, day), 1, 0.5) for day in days]
+    store.day_scores.add("campus", RECIPE, {store.views.get(view_named(store, "gate")).seq: scores})
 
 
 def state(folder: Path) -> State:
@@ -93,6 +103,8 @@ OPERATIONS: dict[str, Operation] = {
     "end a call": lambda store: store.calls.end("runs", Replay(201, {}, b"{}"), NOW),
     "keep a query": lambda store: keep_query(store, "tower"),
     "keep no queries": lambda store: store.maps.keep_queries("campus", 0),
+    "keep scores": lambda store: keep_scores(store, 1, 2),
+    "keep no scores": lambda store: store.maps.keep_queries("campus", 0, matched=True),
     "recover": lambda store: store.recover(),
 }
 

@@ -292,12 +292,13 @@ def _old_job(number: int, map_id: int, seq: int, recipe: str, state: str) -> dic
 
 # 0007: checksums
 
-LATER = ("keys", "kept_queries")
+LATER = ("keys", "kept_queries", "day_scores")
 
 
 def without_later(connection: sa.Connection) -> None:
     """Take away what came after revision 0008."""
     connection.exec_driver_sql("DROP TABLE kept_queries")
+    connection.exec_driver_sql("DROP TABLE day_scores")
     connection.exec_driver_sql("DROP INDEX views_by_sent")
     for column in (
         "views.filename",

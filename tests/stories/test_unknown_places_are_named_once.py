@@ -151,6 +151,7 @@ def test_the_oldest_are_dropped_and_nothing_is_left_of_a_deleted_map(town: Town)
         "images": 5,
         "images_shared": 0,
         "queries": 2,
+        "scores": 0,
         "revision": None,
         "snapshots": [],
         "snapshots_of_others": 0,

@@ -134,6 +134,16 @@ def test_a_query_that_does_not_ask_is_told_nothing(client: Revisit) -> None:
     assert client.query(taken(HALL), map="house").changes is None
 
 
+def test_what_changed_is_fetched_after_an_explained_query(client: Revisit) -> None:
+    answer = client.query(taken(HALL.seen_from(dx=0.1, turn=1)), map="house", explain=True)
+    assert answer.changes is None
+    found = client.changes_of_query(answer.query.id)
+    assert [one.kind for one in found.changes] == ["gone"]
+    assert found.links == {"drawing": f"/queries/{answer.query.id}/changes.png"}
+    with pytest.raises(RevisitProblem, match="explained query"):
+        client.changes_of_query("0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b90")
+
+
 def test_views_that_cannot_be_compared_are_refused(client: Revisit, url: str) -> None:
     one = next(client.views("house")).id
     elsewhere = client.enroll(taken(HALL), map="elsewhere").view.id

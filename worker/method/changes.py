@@ -6,10 +6,11 @@ of the earlier photo that lie together are a thing that is gone, those of the la
 was covered there is floor beside it, so that covered floor is not lost. One of each that look alike are one thing
 that moved.
 
-Light and season alter all cells. Similarity is therefore measured between two levels that the pair itself has: how
-alike cells are at corresponding positions, and how alike at any.
+Light and season alter all cells: similarity is measured between two levels that the pair itself has, that of cells at
+corresponding positions and that of any.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -19,7 +20,6 @@ import numpy.typing as npt
 from schemas.description import Booleans, Floats
 from worker.method.context_graph import Components
 from worker.method.labels import label_map
-from worker.method.unit_length import unit
 
 Kind = Literal["gone", "new", "moved"]
 Doubles = npt.NDArray[np.float64]
@@ -53,12 +53,15 @@ that were refurnished and on photos of places where nothing was (docs/changes.md
 
 BIAS = -6.8
 
-SAME_THING = 0.5
-"""Cosine of the mean cells of a region that is gone and a new one of the same label, from which they are one thing that
-moved."""
+HINT = 0.1
+"""Confidence of a region from which it may be the other end of a thing that moved, where one end is sure."""
 
-SURELY_SAME = 0.76
-"""The same whatever their labels: of a small thing they are guesses, and its next surroundings may tip them."""
+ALIKE = 0.66
+"""Cosine of the cells of two regions, as a share of that at corresponding positions, below which they are not alike."""
+
+SAME_THING = 0.2
+"""By how much more a region that is gone and one that is new have to be alike than each is like what is beside the
+other, to be one thing that moved. Their labels do not count: of a small thing they are guesses."""
 
 LIKE_SIZE = 2.5
 """Two regions are one thing that moved when neither is more than this many times as large as the other."""
@@ -123,7 +126,7 @@ class Change:
     instead : int or None
         Label of what the other photo shows in its place; None for a thing that moved.
     confidence : float
-        That a thing changed there, 0..1; the label is a guess of its own.
+        That a thing changed there, 0..1, of a thing that moved at its surer end; the label is a guess of its own.
     then, now : Spot or None
         Where it was and where it is; of a thing that is gone, or new, the other is None.
     """
@@ -168,21 +171,42 @@ class Region:
         ``size``: log of the share; ``contrast``: how unlike its surroundings it is, 1 less the cosine; ``shortage``:
         by how much its cells' labels fall behind the best ones around there; ``border``: share of its border beyond
         which nothing is compared.
-    mean : float32 of shape (channels,)
-        Its mean cell, unit length.
+    look : float32 of shape (n, channels)
+        Its cells, unit length.
+    around : float32 of shape (m, channels)
+        Cells of its surroundings.
     """
 
     spot: Spot
     label: int
     instead: int
     features: dict[str, float] = field(repr=False)
-    mean: Floats = field(repr=False)
+    look: Floats = field(repr=False)
+    around: Floats = field(repr=False)
 
     @property
     def confidence(self) -> float:
         """Probability that it is a thing that changed, 0..1."""
         odds = BIAS + sum(weight * self.features[name] for name, weight in WEIGHTS.items())
         return float(1 / (1 + np.exp(-odds)))
+
+
+@dataclass(frozen=True, eq=False)
+class Lost:
+    """What each photo lacks of the other.
+
+    Parameters
+    ----------
+    gone, new : sequence of Region
+        Of the earlier photo and of the later one.
+    compared, usual : float
+        As `compared` and `similarity` of `Changes`.
+    """
+
+    gone: Sequence[Region]
+    new: Sequence[Region]
+    compared: float
+    usual: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,25 +238,30 @@ def find(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Comp
     numpy.linalg.LinAlgError
         The transform cannot be inverted.
     """
-    back = np.linalg.inv(np.vstack([transform, [0.0, 0.0, 1.0]]))[:2]
-    before, after = _compare(then, now, transform), _compare(now, then, back)
-    gone = [one for one in _regions(then, now, before, components) if one.confidence >= sure]
-    new = [one for one in _regions(now, then, after, components) if one.confidence >= sure]
+    lost = find_lost(then, now, transform, components)
+    gone, new = list(lost.gone), list(lost.new)
     changes = []
-    for one, other in _moved(gone, new, transform):
+    for one, other in moved(lost, transform, sure):
         gone.remove(one)
         new.remove(other)
-        label = max(one, other, key=lambda end: end.confidence).label
-        changes.append(Change("moved", label, None, min(one.confidence, other.confidence), one.spot, other.spot))
-    changes += [Change("gone", one.label, one.instead, one.confidence, one.spot, None) for one in gone]
-    changes += [Change("new", one.label, one.instead, one.confidence, None, one.spot) for one in new]
+        surer = max(one, other, key=lambda end: end.confidence)
+        changes.append(Change("moved", surer.label, None, surer.confidence, one.spot, other.spot))
+    changes += [
+        Change("gone", one.label, one.instead, one.confidence, one.spot, None) for one in gone if one.confidence >= sure
+    ]
+    changes += [
+        Change("new", one.label, one.instead, one.confidence, None, one.spot) for one in new if one.confidence >= sure
+    ]
     changes.sort(key=lambda one: -one.confidence)
-    return Changes(tuple(changes), float(after.comparable.mean()), (before.usual + after.usual) / 2)
+    return Changes(tuple(changes), lost.compared, lost.usual)
 
 
-def regions(here: PhotoCells, there: PhotoCells, transform: Doubles, components: Components) -> list[Region]:
-    """Regions of one photo that another lacks, whatever their confidence; `transform` leads to the other."""
-    return _regions(here, there, _compare(here, there, transform), components)
+def find_lost(then: PhotoCells, now: PhotoCells, transform: Doubles, components: Components) -> Lost:
+    """Regions of each photo that the other lacks, whatever their confidence; raises as `find`."""
+    back = np.linalg.inv(np.vstack([transform, [0.0, 0.0, 1.0]]))[:2]
+    before, after = _compare(then, now, transform), _compare(now, then, back)
+    gone, new = _regions(then, now, before, components), _regions(now, then, after, components)
+    return Lost(gone, new, float(after.comparable.mean()), (before.usual + after.usual) / 2)
 
 
 def _compare(here: PhotoCells, there: PhotoCells, transform: Doubles) -> _Compared:
@@ -274,41 +303,68 @@ def _regions(here: PhotoCells, there: PhotoCells, compared: _Compared, component
         other = np.zeros(there.shape, np.bool_)
         other[compared.at[0][cells], compared.at[1][cells]] = True
         near = _grown(cells, 1)
+        around = here.cells[_grown(cells, RING[1]) & ~_grown(cells, RING[0] - 1)]
         features = {
             "size": float(np.log(cells.mean())),
-            "contrast": _contrast(here.cells, cells),
+            "contrast": _contrast(here.cells[cells], around),
             "shortage": float(compared.shortage[cells].mean()),
             "border": float((near & ~compared.comparable).sum() / max(int((near & ~cells).sum()), 1)),
         }
         label, instead = (int(scores.mean(axis=0).argmax()) for scores in (here.scores[cells], there.scores[other]))
-        mean = unit(here.cells[cells].mean(axis=0))
-        found.append(Region(_spot(cells, here.extent), label, instead, features, mean))
+        found.append(Region(_spot(cells, here.extent), label, instead, features, here.cells[cells], around))
     return found
 
 
-def _contrast(cells: Floats, region: Booleans) -> float:
+def _contrast(look: Floats, around: Floats) -> float:
     """How unlike its surroundings a region is: 1 less the mean cosine of its cells with those most like them."""
-    ring = _grown(region, RING[1]) & ~_grown(region, RING[0] - 1)
-    if not ring.any():
+    if not len(around):
         return 0.0
-    cosines = np.sort(cells[region] @ cells[ring].T, axis=1)
+    cosines = np.sort(look @ around.T, axis=1)
     return float(1 - cosines[:, -STEADY:].mean())
 
 
-def _moved(gone: list[Region], new: list[Region], transform: Doubles) -> list[tuple[Region, Region]]:
-    """Pairs of a region that is gone and one that is new which are one thing, likest first, each at most once."""
-    pairs = []
+def alike(one: Region, other: Region, usual: float) -> float:
+    """By how much more the cells of two regions are alike than those of each are like what is beside the other.
+
+    Means of the best cosine of each cell, -1..1 each, so that the light and what both stand on do not count; 0 for
+    regions that are not `ALIKE`.
+    """
+    cosines = one.look @ other.look.T
+    each_other = (cosines.max(axis=1).mean() + cosines.max(axis=0).mean()) / 2
+    if each_other < ALIKE * usual:
+        return 0.0
+    return float(each_other - (_like_around(one, other) + _like_around(other, one)) / 2)
+
+
+def _like_around(one: Region, other: Region) -> float:
+    """How like what is beside another region the cells of one are."""
+    return float((one.look @ other.around.T).max(axis=1).mean()) if len(other.around) else 0.0
+
+
+def _may_be_one(one: Region, other: Region, transform: Doubles) -> bool:
+    """Whether a region of the earlier photo and one of the later are of like size, and apart."""
     growth = abs(float(np.linalg.det(transform[:, :2])))
-    for one in gone:
-        expected = transform[:, :2] @ np.array(one.spot.centre) + transform[:, 2]
-        for other in new:
-            ratio = other.spot.share / (one.spot.share * max(growth, 1e-9))
-            apart = float(np.linalg.norm(expected - other.spot.centre))
-            alike = float(one.mean @ other.mean)
-            sized = 1 / LIKE_SIZE <= ratio <= LIKE_SIZE
-            least = SAME_THING if one.label == other.label else SURELY_SAME
-            if sized and apart > REACH and alike >= least:
-                pairs.append((alike, one, other))
+    expected = transform[:, :2] @ np.array(one.spot.centre) + transform[:, 2]
+    ratio = other.spot.share / (one.spot.share * max(growth, 1e-9))
+    apart = float(np.linalg.norm(expected - other.spot.centre))
+    return 1 / LIKE_SIZE <= ratio <= LIKE_SIZE and apart > REACH
+
+
+def moved(
+    lost: Lost, transform: Doubles, sure: float = SURE, similarity: float = SAME_THING
+) -> list[tuple[Region, Region]]:
+    """Pairs of a region that is gone and one that is new which are one thing, likest first, each at most once.
+
+    `sure` is what the confidence of the surer end has to be, `similarity` how `alike` the two.
+    """
+    pairs = []
+    for one in lost.gone:
+        for other in lost.new:
+            doubtful, surer = sorted((one.confidence, other.confidence))
+            if doubtful >= min(HINT, sure) and surer >= sure and _may_be_one(one, other, transform):
+                found = alike(one, other, lost.usual)
+                if found >= similarity:
+                    pairs.append((found, one, other))
     pairs.sort(key=lambda pair: -pair[0])
     chosen: list[tuple[Region, Region]] = []
     for _, one, other in pairs:

@@ -18,7 +18,7 @@ from worker.description.local_features import local_features
 from worker.description.scheduler import Scheduler, field_alone
 from worker.images.changes import Mark, Side, changes_png
 from worker.method import changes, verification
-from worker.method.changes import Change, Changes, PhotoCells
+from worker.method.changes import Change, Changes, Doubles, PhotoCells
 from worker.service.explanations import Explanations
 from worker.service.ports import Maps, Views
 from worker.service.sheets import name_of
@@ -61,6 +61,22 @@ class Comparison:
     since: str | None = None
     recipe: DescriptionRecipe | None = None
     found: Changes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Two photos as cells, and where those of the earlier one lie in the later one.
+
+    Parameters
+    ----------
+    then, now : PhotoCells
+    transform : float64 of shape (2, 3)
+        Affine, as `worker.method.changes.find` takes it.
+    """
+
+    then: PhotoCells
+    now: PhotoCells
+    transform: Doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +165,27 @@ class ChangeService:
             raise InvalidParameters.of("since", f"is a view of the map {then.map!r}, the other of {now.map!r}")
         return self._maps.get(now.map), then, self._photo(then), self._photo(now, "now")
 
+    def aligned(self, then: Image, now: Image, recipe: DescriptionRecipe) -> tuple[int, Aligned | None]:
+        """Two photos as cells, laid over one another.
+
+        Returns
+        -------
+        inliers : int
+            Keypoints that fit one geometry.
+        aligned : Aligned or None
+            None when there are fewer than `LEAST_INLIERS`.
+
+        Raises
+        ------
+        Busy
+        """
+        features = [local_features(image.pixels, KEYPOINTS) for image in (then, now)]
+        [fits] = verification.verify(features[0], features[1:])
+        if fits.transform is None or fits.inliers < LEAST_INLIERS:
+            return fits.inliers, None
+        looks = [self._look(image, recipe) for image in (then, now)]
+        return fits.inliers, Aligned(looks[0], looks[1], fits.transform.astype(np.float64))
+
     def compare(self, then: Image, now: Image, recipe: DescriptionRecipe) -> tuple[int, Changes | None]:
         """What changed from one photo to another, by the labels of a recipe.
 
@@ -163,13 +200,8 @@ class ChangeService:
         ------
         Busy
         """
-        features = [local_features(image.pixels, KEYPOINTS) for image in (then, now)]
-        [aligned] = verification.verify(features[0], features[1:])
-        if aligned.transform is None or aligned.inliers < LEAST_INLIERS:
-            return aligned.inliers, None
-        looks = [self._look(image, recipe) for image in (then, now)]
-        found = changes.find(looks[0], looks[1], aligned.transform.astype(np.float64), components)
-        return aligned.inliers, found
+        inliers, both = self.aligned(then, now, recipe)
+        return inliers, None if both is None else changes.find(both.then, both.now, both.transform, components)
 
     def _compare(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
         inliers, found = self.compare(then.image, now.image, owner.description)

@@ -4,8 +4,8 @@ Everything is read from what is stored; no image is described for it.
 """
 
 import threading
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Protocol
 
@@ -14,13 +14,23 @@ import numpy as np
 from schemas.comparisons import MapLevels
 from schemas.description import Appearance, Floats
 from schemas.health import CODES, HealthFinding, HealthReport, SurveyedView
-from schemas.records import MapRecord, Position
+from schemas.records import MapRecord
 from worker.method import coverage
 from worker.method.calibration import Calibration
-from worker.method.estimate import is_known, metres
 from worker.method.near_duplicates import NEAR, SAME, alike, similarity
 from worker.method.places import NEIGHBOURHOOD
 from worker.service.ports import Maps
+from worker.service.spots import (
+    by_place,
+    by_spot,
+    coordinates,
+    in_frame,
+    known_position,
+    label,
+    listed,
+    names_of,
+    points_of,
+)
 from worker.service.twins import SHOWN, find_twins
 
 EXAMINED = 20_000
@@ -60,6 +70,14 @@ class Descriptions(Protocol):
         ...
 
 
+class Ageing(Protocol):
+    """Places whose scores fall."""
+
+    def of(self, record: MapRecord) -> list[HealthFinding]:
+        """Findings of a map, in any order; raises NotFound."""
+        ...
+
+
 class HealthService:
     """The use-case `health`. A report is made when it is asked for, one at a time, and kept until its map changes.
 
@@ -69,6 +87,8 @@ class HealthService:
         Parts of the store.
     calibration : function
         Map to the calibration of its confidences.
+    ageing : Ageing
+        Examined with each call: queries change it, and the map stays as it is.
     """
 
     def __init__(
@@ -78,9 +98,10 @@ class HealthService:
         comparisons: Surveys,
         descriptions: Descriptions,
         calibration: Callable[[MapRecord], Calibration],
+        ageing: Ageing,
     ) -> None:
         self._maps, self._comparisons, self._descriptions = maps, comparisons, descriptions
-        self._calibration = calibration
+        self._calibration, self._ageing = calibration, ageing
         self._kept: dict[str, tuple[tuple[datetime, int], HealthReport]] = {}
         self._lock = threading.Lock()
 
@@ -96,19 +117,18 @@ class HealthService:
             self._kept[name] = kept
             while len(self._kept) > KEPT:
                 del self._kept[next(iter(self._kept))]
-            return kept[1]
+            return replace(kept[1], findings=_ordered([*kept[1].findings, *self._ageing.of(record)]))
 
     def _examine(self, record: MapRecord) -> HealthReport:
         views, described = self._comparisons.survey(record.name, EXAMINED)
         levels, ranking = self._comparisons.levels(record.name), record.ranking
         found = [
             *find_twins(
-                views, ranking.same_place_m, ranking.precision, levels, self._calibration(record), _label
+                views, ranking.same_place_m, ranking.precision, levels, self._calibration(record), label
             ),
             *self._duplicates(views, record.description.id),
             *_narrow(views, ranking.same_place_m),
         ]  # fmt: skip
-        found.sort(key=lambda finding: (CODES.index(finding.code), -finding.weight, finding.views))
         compared = sum(view.comparison is not None for view in views)
         return HealthReport(record.name, record.revision, described, len(views), compared, tuple(found))
 
@@ -135,13 +155,17 @@ class HealthService:
                     yield _duplicate([rows[i], *(rows[j] for j in same)])
 
 
+def _ordered(found: list[HealthFinding]) -> tuple[HealthFinding, ...]:
+    return tuple(sorted(found, key=lambda finding: (CODES.index(finding.code), -finding.weight, finding.views)))
+
+
 def _duplicate(views: Sequence[SurveyedView]) -> HealthFinding:
     names = sorted({view.known.name for view in views if view.known.name is not None})
     first = views[0].id
     detail = f"{len(views)} views are nearly the same image; all but one add nothing"
     remedy = f"keep {first}, the first one, and delete the others (DELETE /views/{{id}})"
     if len(names) > 1:
-        detail = f"{len(views)} views are nearly the same image, and are enrolled as {_listed(names)}"
+        detail = f"{len(views)} views are nearly the same image, and are enrolled as {listed(names)}"
         remedy = "delete those that are enrolled as the wrong place, or give all of them one place (PATCH /views/{id})"
     ids = tuple(view.id for view in views)
     return HealthFinding(
@@ -151,28 +175,21 @@ def _duplicate(views: Sequence[SurveyedView]) -> HealthFinding:
 
 def _narrow(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[HealthFinding]:
     """Places seen from one side or once only, and stretches without views."""
-    named: defaultdict[str, list[SurveyedView]] = defaultdict(list)
-    unnamed = [view for view in views if view.known.name is None]
-    for view in views:
-        if view.known.name is not None:
-            named[view.known.name].append(view)
-    groups = list(named.values())
     for geographic in (False, True):
-        groups += _by_spot(_in_frame(unnamed, geographic), same_place_m)
-        yield from _gaps(_in_frame(views, geographic), same_place_m)
-    for group in groups:
+        yield from _gaps(in_frame(views, geographic), same_place_m)
+    for group in by_place(views, same_place_m):
         yield from _directions(group)
         if len(group) == 1:
             [view] = group
             yield HealthFinding(
                 "single-view",
-                f"{_label(view)} has one view only",
+                f"{label(view)} has one view only",
                 "enrol it once more, in other light or from a few steps aside",
                 0.0,
-                _names(group),
+                names_of(group),
                 (view.id,),
                 1,
-                _known_position(view),
+                known_position(view),
             )
 
 
@@ -180,15 +197,15 @@ def _directions(group: Sequence[SurveyedView]) -> Iterator[HealthFinding]:
     headings = [view.known.position.heading for view in group if view.known.position.heading is not None]
     missing = coverage.missing_directions(headings)
     if missing:
-        where = _known_position(group[0])
-        stand = f"stand at {_label(group[0])}" + (f" ({_coordinates(where)})" if where and group[0].known.name else "")
-        towards = _listed([f"{name} ({coverage.QUARTERS[name]:.0f}°)" for name in missing])
+        where = known_position(group[0])
+        stand = f"stand at {label(group[0])}" + (f" ({coordinates(where)})" if where and group[0].known.name else "")
+        towards = listed([f"{name} ({coverage.QUARTERS[name]:.0f}°)" for name in missing])
         yield HealthFinding(
             "missing-directions",
-            f"{_label(group[0])} is not seen towards {_listed(missing)}",
+            f"{label(group[0])} is not seen towards {listed(missing)}",
             f"{stand}, photograph {towards}",
             len(missing) + min(len(group), 1000) / 1001,
-            _names(group),
+            names_of(group),
             tuple(view.id for view in group[:SHOWN]),
             len(group),
             where,
@@ -197,57 +214,17 @@ def _directions(group: Sequence[SurveyedView]) -> Iterator[HealthFinding]:
 
 
 def _gaps(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[HealthFinding]:
-    firsts = [group[0] for group in _by_spot(views, same_place_m)]
-    for one, other, length in coverage.gaps(_points(firsts), NEIGHBOURHOOD * same_place_m):
+    firsts = [group[0] for group in by_spot(views, same_place_m)]
+    for one, other, length in coverage.gaps(points_of(firsts), NEIGHBOURHOOD * same_place_m):
         ends = firsts[one], firsts[other]
         yield HealthFinding(
             "gap",
-            f"between {_label(ends[0])} and {_label(ends[1])} there are {length:.0f} m without a view, much more than "
+            f"between {label(ends[0])} and {label(ends[1])} there are {length:.0f} m without a view, much more than "
             "is usual in this map",
             "if one can go from one to the other, enrol views along the way",
             length,
-            tuple(sorted({*_names(ends[:1]), *_names(ends[1:])})),
+            tuple(sorted({*names_of(ends[:1]), *names_of(ends[1:])})),
             (ends[0].id, ends[1].id),
             2,
-            _known_position(ends[0]),
+            known_position(ends[0]),
         )
-
-
-def _in_frame(views: Sequence[SurveyedView], geographic: bool) -> list[SurveyedView]:
-    return [
-        view for view in views if is_known(view.known.position) and (view.known.position.lat is not None) == geographic
-    ]
-
-
-def _points(views: Sequence[SurveyedView]) -> coverage.Points:
-    return np.array([metres(view.known.position, views[0].known.position)[:2] for view in views]).reshape(-1, 2)
-
-
-def _by_spot(views: Sequence[SurveyedView], within: float) -> list[list[SurveyedView]]:
-    return [[views[i] for i in spot] for spot in coverage.spots(_points(views), within)]
-
-
-def _names(group: Sequence[SurveyedView]) -> tuple[str, ...]:
-    return () if group[0].known.name is None else (group[0].known.name,)
-
-
-def _known_position(view: SurveyedView) -> Position | None:
-    return view.known.position if is_known(view.known.position) else None
-
-
-def _label(view: SurveyedView) -> str:
-    """How a finding names the place of a view."""
-    if view.known.name is not None:
-        return repr(view.known.name)
-    where = _known_position(view)
-    return f"the view {view.id}" if where is None else f"the spot at {_coordinates(where)}"
-
-
-def _coordinates(position: Position) -> str:
-    if position.lat is not None:
-        return f"lat {position.lat:.6f}, lon {position.lon:.6f}"
-    return f"x {position.x:.1f}, y {position.y:.1f}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -18,6 +18,7 @@ from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide
 from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
+from worker.service.day_scores import ScoreKeeper
 from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.keeping import QueryKeeper
@@ -123,6 +124,8 @@ class QueryService:
         Bytes and length of the longer side to a small JPEG.
     kept : QueryKeeper
         Where queries are kept that matched nothing, or a view that they look unlike, if their map says so.
+    scores : ScoreKeeper
+        Where scores of sure matches are kept, if their map keeps matches.
     explanations : Explanations
         Where the latest explained queries are kept.
     drives : Drives
@@ -139,12 +142,13 @@ class QueryService:
         look_for_problem: Callable[[Image], str | None],
         thumbnail: Callable[[bytes, int], bytes],
         kept: QueryKeeper,
+        scores: ScoreKeeper,
         explanations: Explanations,
         drives: Drives,
     ) -> None:
         self._searcher, self._views, self._descriptions = searcher, views, descriptions
         self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
-        self._thumbnail, self._kept = thumbnail, kept
+        self._thumbnail, self._kept, self.scores = thumbnail, kept, scores
         self._explanations, self._drives = explanations, drives
 
     def query(
@@ -271,14 +275,17 @@ class QueryService:
         keeping: list[tuple[str, SearchOutcome]] = []
         if status == "no_match" and code != "poor-picture":
             keeping = [(one.name, of) for of in result.found for one in of.results.maps if one.keep_queries]
-        elif status == "matched" and (first := result.results.views[0]).score < UNLIKE:
+        elif status == "matched":
+            first = result.results.views[0]
+            if not result.results.first_map.keep_matches:
+                return
+            now = datetime.now(UTC)
+            self.scores.note(first.view.map, result.results.recipe, first.seq, first.score, now)
+            if first.score >= UNLIKE:
+                return
             match = first.seq, first.score
-            keeping = [
-                (one.name, result.leading)
-                for one in result.results.maps
-                if one.name == first.view.map and one.keep_matches
-            ]
-            if keeping and self._problem(result.image, result.description) is not None:
+            keeping = [(first.view.map, result.leading)]
+            if self._problem(result.image, result.description) is not None:
                 return  # a poor photo refreshes no place
         try:
             small = self._thumbnail(data, KEPT_SIZE) if keeping else b""

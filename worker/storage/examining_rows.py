@@ -29,6 +29,7 @@ from worker.storage.tables import (
     CALLS,
     CLOCK,
     COMPARISONS,
+    DAY_SCORES,
     DESCRIPTIONS,
     JOBS,
     KEPT_QUERIES,
@@ -45,6 +46,7 @@ DISPENSABLE = {  # what it means that such a row is removed
     COMPARISONS: "it is made again in the background",
     JOBS: "what it had to do is queued again where it is needed",
     KEPT_QUERIES: "that query is no longer among the unknown ones",
+    DAY_SCORES: "that day is left out when its place is examined for ageing",
     TOMBSTONES: "indexes are built anew at the next start",
     CALLS: "a repetition of that call is carried out instead of replayed",
 }

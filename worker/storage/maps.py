@@ -9,6 +9,7 @@ from schemas.errors import Conflict, Damaged, NotFound
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, switching
+from worker.storage.day_scores import drop_scores
 from worker.storage.image_store import needs_image
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
@@ -143,13 +144,16 @@ class Maps(Part):
     def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapRecord:
         """Keep at most `count` queries of a map from now on, and delete the oldest beyond; raises NotFound.
 
-        `matched`: those that matched a view although they look unlike it, or those that matched nothing.
+        `matched`: those that matched a view although they look unlike it, or those that matched nothing. The scores of
+        sure matches are kept as long as the former are.
         """
         column = "keep_matches" if matched else "keep_queries"
         with self._database.writing(frees=count == 0) as connection:
             row = find_map(connection, name)
             connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values({column: count or None}))
             drop_oldest(connection, row.id, count, matched=matched)
+            if matched and count == 0:
+                drop_scores(connection, row.id)
             return map_record(connection, find_map(connection, name))
 
     def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:

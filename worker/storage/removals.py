@@ -17,7 +17,7 @@ from worker.storage.image_store import ImageStore, needs_image
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
 from worker.storage.rows import batches, find_map, find_view
-from worker.storage.tables import DESCRIPTIONS, JOBS, KEPT_QUERIES, MAPS, VIEWS
+from worker.storage.tables import DAY_SCORES, DESCRIPTIONS, JOBS, KEPT_QUERIES, MAPS, VIEWS
 
 PORTION = 200
 """Views deleted in one transaction."""
@@ -118,6 +118,7 @@ class Removals(Part):
             images=files,
             revision=revision,
             queries=sum(portion.queries for portion in portions),
+            scores=sum(portion.scores for portion in portions),
             descriptions=sum(portion.descriptions for portion in portions),
             searched=sum(portion.searched for portion in portions),
             images_shared=len(there),
@@ -130,20 +131,21 @@ class Removals(Part):
         def remove(connection: sa.Connection) -> _Gone:
             which = VIEWS.c.seq.in_(seqs)
             rows = list(connection.execute(sa.select(VIEWS.c.seq, VIEWS.c.id, VIEWS.c.sha256).where(which)))
-            descriptions = searched = queries = 0
+            descriptions = searched = queries = scores = 0
             if rows:
                 there = list(connection.execute(_DESCRIBED, {"seqs": seqs}))
                 descriptions, searched = len(there), sum(one.recipe == one.searched_by for one in there)
                 bury(connection, map_id, [row.seq for row in rows])
                 # SQLite adds no reference to a table that is there.
                 queries = connection.execute(sa.delete(KEPT_QUERIES).where(KEPT_QUERIES.c.seq.in_(seqs))).rowcount
+                scores = connection.execute(sa.delete(DAY_SCORES).where(DAY_SCORES.c.seq.in_(seqs))).rowcount
                 connection.execute(sa.delete(VIEWS).where(which))
                 switching.finish_if_done(connection, map_id, datetime.now(UTC))
                 if (shadow := connection.scalar(sa.select(MAPS.c.shadow).where(MAPS.c.id == map_id))) is not None:
                     switching.drop_rows(connection, shadow, {row.id for row in rows})
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
             digests = [str(row.sha256) for row in rows]
-            return _Gone(len(rows), 0, int(revision), digests, descriptions, searched, queries)
+            return _Gone(len(rows), 0, int(revision), digests, descriptions, searched, queries, scores)
 
         gone = self._database.freeing(remove)
         images = self._images.discard(gone.digests)
@@ -161,6 +163,7 @@ class _Gone(NamedTuple):
     descriptions: int
     searched: int
     queries: int
+    scores: int
 
 
 _DESCRIBED = (

@@ -10,9 +10,9 @@ from typing import Any
 import sqlalchemy as sa
 
 from worker.storage import checksums
-from worker.storage.tables import CALLS, CLOCK, COMPARISONS, JOBS, KEPT_QUERIES, KEYS, MAPS, TOMBSTONES
+from worker.storage.tables import CALLS, CLOCK, COMPARISONS, DAY_SCORES, JOBS, KEPT_QUERIES, KEYS, MAPS, TOMBSTONES
 
-SEALED = (MAPS, COMPARISONS, JOBS, TOMBSTONES, CALLS, CLOCK, KEYS, KEPT_QUERIES)
+SEALED = (MAPS, COMPARISONS, JOBS, TOMBSTONES, CALLS, CLOCK, KEYS, KEPT_QUERIES, DAY_SCORES)
 
 _KEY = "written_tables"
 

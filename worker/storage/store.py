@@ -13,6 +13,7 @@ from worker.storage import dialect, statistics, wal
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
+from worker.storage.day_scores import DayScores
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
 from worker.storage.forgetting import ForgettingMaps
@@ -88,6 +89,7 @@ class SqlStore:
         self.descriptions = Descriptions(database, images)
         self.comparisons = Comparisons(database, images)
         self.kept_queries = KeptQueries(database, images)
+        self.day_scores = DayScores(database, images)
         self.vocabularies = Vocabularies(database, images)
         self.calls = Calls(database, images)
         self.keys = Keys(database, images)

@@ -5,6 +5,7 @@ the map changes over to it, in the transaction that settled the last job. While 
 the job of that id then waits for a worker that compares the answers by both, and the map changes over when it is told.
 """
 
+import hashlib
 import json
 from collections.abc import Collection, Mapping
 from datetime import datetime
@@ -162,6 +163,12 @@ def set_ranking(connection: sa.Connection, row: sa.Row[Any], ranking: str) -> No
 def scores_alike(one: MapRecipe, other: MapRecipe) -> bool:
     """Whether two recipes give the same scores."""
     return one.description == other.description and _scoring(one.ranking) == _scoring(other.ranking)
+
+
+def scoring_basis(recipe: MapRecipe) -> str:
+    """Digest of what scores depend on: equal where `scores_alike`."""
+    scoring = f"{recipe.description.id} {_scoring(recipe.ranking).model_dump_json()}"
+    return hashlib.sha256(scoring.encode()).hexdigest()[:16]
 
 
 def _scoring(ranking: RankingConfig) -> RankingConfig:

@@ -5,7 +5,7 @@
     clock                      the last revision
     recipes                    description recipes by id
     maps                       ── views ── descriptions ── vectors, appearances, cells, keypoints, comparisons
-                                    ├───── metadata_pairs
+                                    ├───── metadata_pairs, day_scores
                                     └───── jobs
                                ── tombstones, kept_queries
     vocabularies    calls    keys    workers      without references
@@ -250,6 +250,20 @@ KEPT_QUERIES = sa.Table(  # queries that matched nothing, or a view that they lo
     _unsealed("kept_queries", "id"),
     sa.Index("kept_queries_by_map", "map_id", "id"),
     sa.Index("kept_queries_by_view", "seq"),
+)
+
+DAY_SCORES = sa.Table(  # sure matches of a view on one day; see day_scores.py
+    "day_scores",
+    METADATA,
+    sa.Column("seq", sa.BigInteger, sa.ForeignKey("views.seq", ondelete="CASCADE"), primary_key=True),
+    sa.Column("day", sa.Integer, primary_key=True, autoincrement=False),  # since 1970-01-01, UTC
+    sa.Column("map_id", sa.BigInteger, nullable=False),  # of the view, for the index below
+    sa.Column("basis", sa.Text, nullable=False),  # digest of what the scores depend on
+    sa.Column("matches", sa.Integer, nullable=False),
+    sa.Column("total", sa.Double, nullable=False),  # sum of the scores
+    _seal(),
+    _unsealed("day_scores", "seq"),
+    sa.Index("day_scores_by_map", "map_id", "day"),
 )
 
 VOCABULARIES = sa.Table(

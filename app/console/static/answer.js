@@ -1,5 +1,6 @@
 // An answer in words and pictures.
 
+import { whatChanged } from "./changes.js";
 import { bars, count, decimals, facts, folded, h, percent, place as inWords } from "./dom.js";
 import { drawing, image } from "./images.js";
 import { differences, pairs } from "./pairs.js";
@@ -47,6 +48,7 @@ export function answerPanel(answer, photo) {
     long: [
       first && panel("Views that look like it", h("ol", { class: "matches" }, cards)),
       first && panel(null, detail),
+      answer.status !== "no_match" && first?.links.explanation && panel("Since it was enrolled", since(answer, first)),
       panel("How it went", times(answer), basis(answer)),
     ].filter(Boolean),
   };
@@ -200,6 +202,15 @@ function evidence(answer, match, photo) {
         bars(answer.query.labels.slice(0, 12).map((one) => [one.label, one.share])),
       ),
   );
+}
+
+/** What changed from the first view to the photo of the query, which the service keeps while it explains it. */
+function since(answer, first) {
+  const address = `/queries/${encodeURIComponent(answer.query.id)}/changes`;
+  return [
+    h("p", {}, `What is gone, new or moved at ${nameOf(first.view)} since its photo was taken?`),
+    whatChanged("What changed here?", () => address).element,
+  ];
 }
 
 function times(answer) {

@@ -1,4 +1,4 @@
-// What a map lacks or suffers from: twins, duplicates, missing directions, coverage, single views.
+// What a map lacks or suffers from: twins, places that age, duplicates, missing directions, coverage, single views.
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
@@ -18,6 +18,7 @@ const SIDES = ["north", "east", "south", "west"];
 /** Kinds of findings: code, title, what they are, whether they are unfolded at once. */
 const KINDS = [
   ["twins", "Twins", "Places that the map takes for each other.", true],
+  ["ageing", "Ageing places", "Places whose scores fall from month to month.", true],
   ["duplicates", "Duplicates", "Views that add nothing to one another.", true],
   ["missing-directions", "Missing directions", "Places that are not seen towards every side.", false],
   ["gap", "Coverage", "Stretches without views, between parts of the map that lie apart.", false],
@@ -103,6 +104,18 @@ export function healthScreen(name) {
       h("p", {}, sentence(one.detail)),
       images,
       h("p", { class: "quiet" }, sentence(one.remedy)),
+      one.proposal && refreshing(one),
+    );
+  }
+
+  /** The photo that a query left of an ageing place, and the way to where it is taken. */
+  function refreshing(one) {
+    const kept = `${path}/proposals/${encodeURIComponent(one.proposal)}/image`;
+    return h(
+      "p",
+      { class: "refreshing" },
+      image(kept, `${one.places[0] ?? "The place"}, as a query saw it`, { width: 256, height: 192 }),
+      h("a", { href: `#maps/${encodeURIComponent(name)}/inbox` }, "Take or dismiss it"),
     );
   }
 

@@ -20,6 +20,8 @@ import {
 import { jobList } from "./jobs.js";
 import { mapHead } from "./parts.js";
 import { plan, pointOf } from "./plan.js";
+import { photosSection } from "./privacy.js";
+import { showReceipt } from "./receipt.js";
 import { openView } from "./view.js";
 import { Views, grid } from "./views.js";
 
@@ -68,6 +70,10 @@ export function mapScreen(name) {
       h("section", { class: "panel" }, jobs.element),
       decisions(map),
       words(map),
+      photosSection(map, path, async (done) => {
+        await load();
+        announce(done);
+      }),
       removal(),
     );
   }
@@ -278,7 +284,7 @@ export function mapScreen(name) {
             )
               return;
             try {
-              await call("DELETE", path);
+              await showReceipt(`The map ${name} is deleted`, await call("DELETE", path));
               location.hash = "#maps";
             } catch (error) {
               told.replaceChildren(problemBox(error));

@@ -27,7 +27,8 @@ export function proposalSections(path, found, tell) {
       heading: ["Matches in another light are kept", "Keep matches in another light"],
       about:
         "The newest are kept, with a small image of each and no metadata, until they are taken or dismissed. Kept " +
-        "are queries that matched although they look unlike what they matched, as at night.",
+        "are queries that matched although they look unlike what they matched, as at night; and how well each view " +
+        "is matched from day to day, so that Health can tell of places that age.",
       label: "Number of matches",
       kind: "match in another light",
       tell,

@@ -1,8 +1,10 @@
 // One view: its image, what the service sees in it, its attributes, and deleting it.
 
 import { call } from "./api.js";
+import { changesSince } from "./changes.js";
 import { bars, confirmed, facts, field, h, moment, place as inWords, problemBox, size } from "./dom.js";
 import { drawing } from "./images.js";
+import { showReceipt } from "./receipt.js";
 
 /** Open a dialog with a view; `changed` is called after it was edited or deleted. */
 export function openView(view, map, changed) {
@@ -76,6 +78,7 @@ export function openView(view, map, changed) {
             h("summary", {}, "What it shows"),
             bars(view.description.labels.slice(0, 10).map((one) => [one.label, one.share])),
           ),
+        view.state === "ready" && changesSince(view),
         editor(view, map, told, done),
         h("p"),
         h("button", { type: "button", class: "danger", onclick: remove }, "Delete this view …"),
@@ -97,7 +100,7 @@ export function openView(view, map, changed) {
     )
       return;
     try {
-      await call("DELETE", view.links.self);
+      await showReceipt("The view is deleted", await call("DELETE", view.links.self));
       done();
     } catch (error) {
       told.replaceChildren(problemBox(error));

@@ -48,6 +48,12 @@ async def draw_changes(
     return Response(await curator.draw_changes(view_id, params.since), headers=headers, media_type="image/png")
 
 
+@router.get("/queries/{query_id}/changes", response_model=Changes, responses=_REFUSED, dependencies=[no_parameters])
+async def changes_of_query(query_id: QueryId, curator: Curates) -> Changes:
+    """What changed from the first match of a query sent with `explain=true` to its photo, as `changes=true` says it."""
+    return await curator.changes_of_query(query_id)
+
+
 @router.get(
     "/queries/{query_id}/changes.png",
     response_class=Response,

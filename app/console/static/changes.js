@@ -1,0 +1,106 @@
+// What changed at a place: fetched when somebody wants to know, in words and as a drawing.
+
+import { call } from "./api.js";
+import { announce, field, h, moment, percent, problemBox } from "./dom.js";
+import { drawing } from "./images.js";
+
+const MOST_OTHERS = 100;
+const NEARBY_M = 5; // as `same_place_m` of a map is unless it says otherwise
+
+/** A button that fetches the changes at an address, and shows them below it. */
+export function whatChanged(text, address) {
+  const shown = h("div");
+  const button = h("button", { type: "button", onclick: compare }, text);
+  async function compare() {
+    button.disabled = true;
+    shown.replaceChildren(h("p", { class: "quiet" }, "Comparing both photos; this takes some seconds …"));
+    try {
+      const found = await call("GET", address());
+      shown.replaceChildren(...told(found));
+      announce(shown.textContent);
+    } catch (error) {
+      const again = [429, 503].includes(error.status) && "The service is busy: try again in a few seconds.";
+      shown.replaceChildren(problemBox(error), again && h("p", {}, again));
+    } finally {
+      button.disabled = false;
+    }
+  }
+  return { element: h("div", { class: "changes spaced" }, button, shown), clear: () => shown.replaceChildren() };
+}
+
+const REFUSED = {
+  "not-aligned": "The photos cannot be laid over one another",
+  "image-not-kept": "The earlier photo was not kept",
+  "no-match": "There is no earlier photo to compare with",
+};
+
+function told(found) {
+  if (found.status !== "compared")
+    return [h("h3", {}, REFUSED[found.status] ?? "Not compared"), h("p", {}, sentence(found.detail))];
+  const share = percent(found.compared);
+  const compared = `${share} of the later photo could be compared; the rest is seen in one alone, or moves by itself.`;
+  return [
+    h("h3", {}, found.changes.length ? "What changed" : "Nothing changed that could be told"),
+    h(
+      "ul",
+      { class: "told-changes" },
+      found.changes.map((one) => h("li", { class: one.kind }, line(one))),
+    ),
+    h("p", { class: "quiet" }, compared, " Names of things are guesses."),
+    drawing(found.links.drawing, "Both photos, with what changed", "Then on the left, now on the right."),
+  ];
+}
+
+function line({ kind, label, instead, confidence }) {
+  return [
+    h("strong", {}, { gone: "Gone", new: "New", moved: "Moved" }[kind]),
+    ` ${label}`,
+    instead && instead !== label && ` (${instead} ${kind === "gone" ? "is there now" : "was there"})`,
+    h("span", { class: "quiet" }, `, ${percent(confidence).replace(" ", "\u00a0")}`),
+  ];
+}
+
+/** For a view: what changed between it and another view of the same place; the earlier one is that of then. */
+export function changesSince(view) {
+  const box = h("div");
+  others(view).then(
+    (found) => found.length > 0 && box.append(...chooser(view, found)),
+    (error) => box.append(problemBox(error)),
+  );
+  return box;
+}
+
+function chooser(view, found) {
+  const before = found.filter((other) => taken(other) < taken(view));
+  const select = h(
+    "select",
+    { onchange: () => changed.clear() },
+    found.map((other) =>
+      h("option", { value: other.id }, `${moment(taken(other))}${other.filename ? `, ${other.filename}` : ""}`),
+    ),
+  );
+  select.value = (before.at(-1) ?? found[0]).id;
+  const changed = whatChanged("What changed?", () => {
+    const other = found.find((one) => one.id === select.value);
+    const [then, now] = taken(other) < taken(view) ? [other, view] : [view, other];
+    return `/views/${encodeURIComponent(now.id)}/changes?since=${encodeURIComponent(then.id)}`;
+  });
+  return [h("h3", {}, "Compare with"), field("Another view from here", select), changed.element];
+}
+
+/** Described views of the same place, or near it where it has no name, earliest first. */
+async function others(view) {
+  const { place, position } = view;
+  const query = { map: view.map, state: "ready", limit: MOST_OTHERS };
+  if (place !== null) query.place = place;
+  else if (isNumber(position?.x)) query.near = `${position.x},${position.y},${NEARBY_M}`;
+  else if (isNumber(position?.lat))
+    Object.assign(query, { near: `${position.lat},${position.lon},${NEARBY_M}`, frame: "geo" });
+  else return [];
+  const { views } = await call("GET", "/views", { query });
+  return views.filter((one) => one.id !== view.id).sort((one, other) => (taken(one) < taken(other) ? -1 : 1));
+}
+
+const taken = (view) => view.captured_at ?? view.enrolled_at;
+const isNumber = (value) => typeof value === "number";
+const sentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "");

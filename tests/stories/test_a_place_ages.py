@@ -1,0 +1,185 @@
+"""A place is matched ever less, week by week; the map's health says so, with the photo that would refresh it."""
+
+import hashlib
+import time
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.http.application import create_app
+from scenes import scene
+from schemas.ageing import DayScore
+from schemas.image import ImageFacts
+from schemas.records import Position, ViewAttributes
+from schemas.settings import Settings
+from tests.openapi import CheckedClient
+from tests.stories.photos import photo
+from worker.runtime import Runtime, build
+
+JPEG = {"content-type": "image/jpeg"}
+PLACES = ("mill lane", "station road", "rose garden", "old harbour", "market street", "castle park")
+NOW = datetime.now(UTC)
+FALLEN = [0.9, 0.86, 0.92, 0.88, 0.9, 0.91, 0.89, 0.6, 0.62, 0.58, 0.55, 0.61, 0.6]
+STEADY = [0.8, 0.82, 0.79, 0.81, 0.83, 0.8, 0.78, 0.8, 0.79, 0.82, 0.8, 0.81, 0.78]
+LOWER = [score - 0.2 * (i > 6) for i, score in enumerate(STEADY)]
+
+
+class Town:
+    """A service with the map ``town``: six places by day, each with a position, enrolled a year ago."""
+
+    def __init__(self, runtime: Runtime, client: CheckedClient) -> None:
+        self.runtime, self.client = runtime, client
+        long_ago = NOW - timedelta(days=365)
+        for number, name in enumerate(PLACES):
+            given = ViewAttributes(name, Position(x=100.0 * number, y=1.0))
+            for turn in (0, 6):
+                body = photo(scene(name).seen_from(turn=turn))
+                facts = ImageFacts(480, 360, len(body), "jpeg", hashlib.sha256(body).hexdigest())
+                runtime.store.enrolment.submit("town", body, facts, given, runtime.default_recipe, long_ago)
+        assert runtime.loop is not None
+        runtime.loop.wake()
+        self.settle()
+        self.keep(50)
+
+    def settle(self) -> None:
+        """Wait until all views are described."""
+        until = time.monotonic() + 60
+        while self.client.get("/maps/town").json()["views"]["pending"]:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+    def keep(self, count: int) -> None:
+        assert self.client.patch("/maps/town", json={"keep_matches": count}).status_code == 200
+
+    def view(self, name: str) -> Any:
+        """The first view of a place."""
+        return self.client.get("/views", params={"map": "town", "place": name}).json()["views"][0]
+
+    def matched(self, name: str, scores: Sequence[float]) -> None:
+        """Let a place have been matched with these scores, every third day up to yesterday."""
+        store, last = self.runtime.store, NOW.date() - timedelta(days=1)
+        days = [DayScore(last - timedelta(days=3 * i), 2, 2 * score) for i, score in enumerate(reversed(scores))]
+        seq = store.views.get(self.view(name)["id"]).seq
+        store.day_scores.add("town", store.maps.get("town").recipe, {seq: days})
+
+    def at_night(self, name: str, dx: float, **given: Any) -> Any:
+        image = photo(scene(name).at("night").seen_from(dx=dx, turn=3))
+        answer = self.client.post("/query", params={"map": "town", **given}, content=image, headers=JPEG).json()
+        assert (answer["status"], answer["places"][0]["place"]) == ("matched", name)
+        return answer
+
+    def health(self, **params: Any) -> Any:
+        answer = self.client.get("/maps/town/health", params=params)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def ageing(self) -> Any:
+        return self.health(code="ageing")["findings"]
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Iterator[Town]:
+    runtime = build(Settings(data=tmp_path, encoder="compact", threads=1, compare=False, decoders=0))
+    with CheckedClient(create_app(runtime)) as client:
+        yield Town(runtime, client)
+
+
+def test_a_place_whose_scores_fall_is_told_with_the_photo_that_refreshes_it(town: Town) -> None:
+    for name in (name for name in PLACES if name != "station road"):
+        town.matched(name, STEADY)
+    town.matched("station road", FALLEN)
+    assert town.ageing() == []  # six days of low scores are not enough
+    first = town.at_night("station road", 0.9)["matches"][0]["score"]
+
+    [found] = town.ageing()  # today is the seventh
+
+    assert (found["places"], found["position"]["x"]) == (["station road"], 100)
+    assert town.view("station road")["id"] in found["views"]
+    scores = found["scores"]
+    assert (scores["days"], scores["until"]) == (7, str(datetime.now(UTC).date()))
+    assert scores["then"] == pytest.approx(0.9)
+    assert scores["now"] == pytest.approx(0.6, abs=0.02)
+    assert first < 0.7
+    assert found["detail"].startswith("'station road' scores less than it did: 0.90 on the first 7 days")
+    [proposal] = town.client.get("/maps/town/proposals").json()["proposals"]
+    assert found["proposal"] == proposal["id"]
+    assert "--unconfirmed" in found["remedy"]
+
+    town.at_night("station road", 0.5)
+    [found] = town.ageing()
+    assert f"POST /maps/town/proposals/{proposal['id']}" in found["remedy"]
+    assert "2 agree" in found["remedy"]
+    assert town.health()["counts"]["ageing"] == 1
+
+    taken = town.client.post(f"/maps/town/proposals/{proposal['id']}", json={"views": 1})
+    assert taken.status_code == 200, taken.text
+    town.settle()
+    assert town.ageing() == []  # refreshed: what its newest days say is of before
+    assert town.at_night("station road", 0.8)["matches"][0]["score"] > first + 0.1
+
+
+def test_what_is_enrolled_now_stands_where_no_photo_was_kept(town: Town) -> None:
+    town.matched("rose garden", [*FALLEN, 0.58])
+    [found] = town.ageing()
+    assert found["proposal"] is None
+    assert found["remedy"] == "enrol a photo of it as it looks now, with the place 'rose garden'"
+    image = photo(scene("rose garden").at("dusk").seen_from())
+    given = {"map": "town", "place": "rose garden", "x": 200.0, "y": 1.0}
+    assert town.client.post("/enroll", params=given, content=image, headers=JPEG).status_code == 201
+    assert town.ageing() == []
+
+
+def test_places_that_fall_together_are_one_finding_of_the_map(town: Town) -> None:
+    for name in PLACES:
+        town.matched(name, [*LOWER, 0.6])
+    [found] = town.ageing()
+    assert (found["places"], found["count"], len(found["views"]), found["scores"]) == ([], 6, 6, None)
+    assert found["detail"].startswith("6 of 6 places score less than they did, by 0.2")
+    assert "camera" in found["remedy"]
+
+
+def test_other_scores_begin_anew(town: Town) -> None:
+    town.matched("old harbour", [*FALLEN, 0.58])
+    assert len(town.ageing()) == 1
+    assert town.client.patch("/maps/town", json={"ranking": {"candidates": 33}}).status_code == 200
+    assert town.ageing() == []
+    town.matched("old harbour", [0.6] * 14)
+    assert town.ageing() == []
+
+
+def test_nothing_is_noted_unless_the_map_keeps_matches_nor_of_a_part_of_it(town: Town) -> None:
+    scores, write = town.runtime.store.day_scores, town.runtime.services.query.scores.write
+    town.at_night("station road", 0.8, place="station road")
+    write()
+    assert scores.of("town") == []
+    town.keep(0)
+    town.at_night("station road", 0.8)
+    write()
+    assert scores.of("town") == []
+    town.keep(50)
+    answer = town.at_night("station road", 0.8)
+    town.at_night("station road", 0.8)
+    write()
+    [view] = scores.of("town")
+    [day] = view.days
+    assert (view.known.name, day.count) == ("station road", 2)
+    assert day.total == pytest.approx(2 * answer["matches"][0]["score"])
+    gone = town.client.delete(f"/views/{view.id}").json()
+    assert gone["scores"] == 1
+
+
+def test_scores_that_wait_are_written_at_a_stop(tmp_path: Path) -> None:
+    settings = Settings(data=tmp_path, encoder="compact", threads=1, compare=False, decoders=0)
+    runtime = build(settings)
+    with CheckedClient(create_app(runtime)) as client:
+        town = Town(runtime, client)
+        town.at_night("station road", 0.8)
+        assert runtime.store.day_scores.of("town") == []  # once a minute, aside of the queries
+    again = build(settings)
+    try:
+        assert len(again.store.day_scores.of("town")) == 1
+    finally:
+        again.stop()
