@@ -162,9 +162,14 @@ class RankingConfig(Identified):
     )
     shortlist_from: Annotated[int, Field(ge=0, le=2000)] = Field(
         0,
-        description="Up to how many views of each channel are looked at where histograms hardly tell them apart, as in "
-        "large maps: as many of them as `candidates` of every channel are re-ranked, by cells at a quarter size and "
-        "distance. Maps of no more views, and numbers up to `candidates`: none.",
+        description="In maps of more views than this, more are looked at where histograms hardly tell them apart; the "
+        "best of them by cells at a quarter size and distance are re-ranked. Numbers up to `candidates`: no shortlist.",
+    )
+    shortlist_looked: Annotated[int, Field(ge=0, le=2000)] = Field(
+        0, description="Up to how many views of each channel are looked at then; 0: `shortlist_from`."
+    )
+    shortlist_kept: Annotated[int, Field(ge=0, le=1000)] = Field(
+        0, description="How many of those are re-ranked; 0: as many as `candidates` of every channel."
     )
     weights: TermWeights = TermWeights(graph=1.0)
     full_resolution_top_k: Annotated[int, Field(ge=0, le=100)] = Field(
@@ -199,7 +204,7 @@ class RankingConfig(Identified):
     @property
     def searched(self) -> int:
         """How many views of each channel a search finds."""
-        return max(self.candidates, self.shortlist_from)
+        return max(self.candidates, self.shortlist_from, self.shortlist_looked if self.shortlist_from else 0)
 
     def detail_only(self, recipe: DescriptionRecipe) -> int:
         """`detail_only_top_k` when the recipe's cells join the channel detail with others; otherwise 0."""

@@ -31,9 +31,10 @@ class Change(Answer):
 class Changes(Answer):
     """What changed at a place since a view of it was taken."""
 
-    status: Literal["compared", "not-aligned", "image-not-kept", "no-match"] = Field(
+    status: Literal["compared", "not-aligned", "image-not-kept", "no-match", "busy"] = Field(
         description="Whether the photos could be compared. not-aligned: too few keypoints say where a thing should be; "
-        "image-not-kept: there is no photo of the place as it was; no-match: the query matched no view."
+        "image-not-kept: there is no photo of the place as it was; no-match: the query matched no view; busy: of a "
+        "query, which is answered all the same: get `/queries/{id}/changes` in a while."
     )
     detail: str | None = Field(description="Why they could not be compared, and what to do; null where they were.")
     since: str | None = Field(description="Id of the earlier view.")

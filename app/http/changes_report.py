@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from schemas import wire
+from schemas.errors import Busy
 from worker.method.changes import Change, Spot
 from worker.service.changes import Comparison
 
@@ -20,6 +21,12 @@ def changes(comparison: Comparison, drawing: str) -> wire.Changes:
         changes=list(told),
         links={"drawing": drawing} if comparison.status in ("compared", "not-aligned") else {},
     )
+
+
+def put_off(refused: Busy, query_id: str) -> wire.Changes:
+    """Of a query that is answered, while its photos could not be compared."""
+    later = f"{refused.detail}; get /queries/{query_id}/changes in {refused.retry_after_s} s"
+    return wire.Changes(status="busy", detail=later, since=None, compared=0.0, similarity=None, changes=[], links={})
 
 
 def _change(change: Change, labels: Sequence[str]) -> wire.Change:

@@ -36,6 +36,9 @@ OVERALL = "*"
 
 _IMAGES_ON = re.compile(r"/(enroll|query|localize/geopose|compat/.+/(faces|recognize|verify))")
 
+_COMPARED_ON = re.compile(r"/(views|queries)/[^/]+/changes(\.png)?")
+"""Where stored images are encoded to be compared: as much work as an image that is sent."""
+
 
 class Buckets:
     """Buckets by name, all of them full at first.
@@ -137,7 +140,8 @@ class RateLimit:
             return
         announced = Headers(scope=scope).get("content-length", "")
         sent = int(announced) if announced.isdigit() else 0
-        image = scope["method"] == "POST" and _IMAGES_ON.fullmatch(scope["path"]) is not None
+        encoded_on = _IMAGES_ON if scope["method"] == "POST" else _COMPARED_ON
+        image = encoded_on.fullmatch(scope["path"]) is not None
         costs = {"requests": 1, "images": int(image), "bytes": sent}
 
         async def send_with_limits(message: Message) -> None:

@@ -3,11 +3,13 @@
 from typing import Any
 
 from schemas import wire
-from schemas.errors import NotFound
+from schemas.errors import Busy, NotFound
 
 
 class FakeChanges:
-    """The part of the fake service that compares photos."""
+    """The part of the fake service that compares photos; `away` is raised instead."""
+
+    away: Busy | None = None
 
     def _view(self, view_id: str) -> Any:
         raise NotImplementedError
@@ -26,6 +28,8 @@ class FakeChanges:
         return f'"{self._view(view_id).facts.sha256[:12]}-{self._view(since).facts.sha256[:12]}"'
 
     async def changes_of_query(self, query_id: str) -> wire.Changes:
+        if self.away is not None:
+            raise self.away
         return self._unaligned(None)
 
     async def draw_changes_of_query(self, query_id: str) -> bytes:

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from schemas.errors import Busy, NothingStatic
+from schemas.errors import Busy, EncoderAway, NothingStatic
 from schemas.records import Filters
-from tests.http.fakes import FakeRecogniser
+from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 
@@ -152,6 +152,19 @@ def test_what_changed_is_told_on_request_alone(client: CheckedClient) -> None:
     assert client.post("/query", content=photo(), headers=JPEG).json()["changes"] is None
     told = client.post("/query?changes=true", content=photo(), headers=JPEG).json()["changes"]
     assert (told["status"], told["changes"]) == ("not-aligned", [])
+
+
+@pytest.mark.parametrize("away", [Busy.queue(8, 0.5, "images"), EncoderAway("the encoder does not answer", 5)])
+def test_a_query_is_answered_although_its_photos_cannot_be_compared_yet(
+    client: CheckedClient, runtime: FakeRuntime, away: Busy
+) -> None:
+    runtime.recogniser.away = away
+    answer = client.post("/query?changes=true", content=photo(), headers=JPEG)
+    assert answer.status_code == 200
+    told = answer.json()["changes"]
+    assert (told["status"], told["changes"], told["links"]) == ("busy", [], {})
+    assert away.detail in told["detail"]
+    assert f"get /queries/{answer.json()['query']['id']}/changes in {away.retry_after_s} s" in told["detail"]
 
 
 def test_a_query_takes_one_image(client: CheckedClient) -> None:

@@ -168,6 +168,17 @@ def test_images_of_one_body_are_all_counted() -> None:
         assert "3 images a minute" in answer.json()["detail"]
 
 
+@pytest.mark.parametrize("path", ["/views/{}/changes?since={}", "/views/{}/changes.png?since={}", "/queries/1/changes"])
+def test_a_comparison_of_stored_images_counts_as_an_image(path: str) -> None:
+    image = encoded(drawn(64, 64), "jpeg")
+    with limited(limit_images=2) as client:
+        view = client.post("/enroll", content=image, headers=JPEG).json()["view"]["id"]
+        answers = [client.get(path.format(view, view)).status_code for _ in range(3)]
+        assert 429 not in answers[:1]
+        assert answers[1:] == [429, 429]
+        assert client.get(f"/views/{view}").status_code == 200
+
+
 def test_bytes_are_counted_whether_announced_or_not() -> None:
     image = encoded(drawn(256, 256), "png")
     for body in (image, iter([image])):

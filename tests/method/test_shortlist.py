@@ -63,6 +63,25 @@ def test_appearances_are_read_once(crowd: Dictionary) -> None:
     assert [len(seqs) for what, seqs in crowd.fetched if what == "appearances"] == [100]
 
 
+def test_more_can_be_looked_at_and_re_ranked_than_the_size_it_begins_at(crowd: Dictionary) -> None:
+    config = changed(shortlist_from=60, shortlist_looked=100, shortlist_kept=70)
+    crowd.fetched.clear()
+    ranking = ranked(config, views=crowd, candidates=alike(0.001))
+    assert [len(seqs) for what, seqs in crowd.fetched if what == "appearances"] == [100]
+    assert len([c for c in ranking if c.dense is not None]) == 70
+    assert seqs(ranking)[0] == RIGHT
+    assert config.searched == 100
+
+
+def test_what_is_looked_at_is_re_ranked_where_it_is_no_more_than_is_kept(crowd: Dictionary) -> None:
+    config = changed(shortlist_from=60, shortlist_looked=100, shortlist_kept=500)
+    assert len([c for c in ranked(config, views=crowd, candidates=alike(0.001)) if c.dense is not None]) == 100
+
+
+def test_a_ranking_without_a_shortlist_searches_for_its_candidates_alone() -> None:
+    assert changed(shortlist_looked=1000, shortlist_kept=200).searched == CONFIG.candidates
+
+
 def test_nothing_is_looked_at_where_the_nearest_stand_out(crowd: Dictionary) -> None:
     """Distances that grow quickly single out few views: the answer is that of a map without a shortlist."""
     crowd.fetched.clear()

@@ -104,6 +104,8 @@ _DEFAULT_RANKING = RankingConfig(
     mode="weighted",
     candidates=50,
     shortlist_from=250,
+    shortlist_looked=1000,
+    shortlist_kept=200,
     weights=TermWeights(
         dense_full=1.7, dense=0.2, histogram={SEMANTIC: 0.04, DETAIL: 0.04}, graph=0.05, verification=0.4
     ),

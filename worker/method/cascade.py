@@ -136,7 +136,8 @@ def shorten(
     large = candidates.searched > config.shortlist_from > config.candidates
     if not large or not query.appearance.coarse.size:
         return shortlist.only(candidates, kept), {}
-    looked = shortlist.worth_a_look(candidates, config.candidates, config.shortlist_from)
+    most = config.shortlist_looked or config.shortlist_from
+    looked = shortlist.worth_a_look(candidates, config.candidates, most)
     count = config.candidates * len(candidates.ranks)
     if looked.sum() <= count:
         return shortlist.only(candidates, kept), {}
@@ -145,7 +146,7 @@ def shorten(
     similarity = shortlist.rough_similarity(query.appearance.coarse, [a.coarse for a in appearances], product)
     distances = {name: of[rows] for name, of in candidates.distances.items()}
     stays = shortlist.nearest(candidates, shortlist.GUARANTEED)[rows]
-    chosen = shortlist.shortlist(distances, similarity, stays, count)
+    chosen = shortlist.shortlist(distances, similarity, stays, config.shortlist_kept or count)
     kept = shortlist.nearest(candidates, LISTED)
     kept[rows[chosen]] = True
     return shortlist.only(candidates, kept), {int(candidates.seqs[rows[i]]): appearances[i] for i in chosen}

@@ -32,6 +32,7 @@ const REFUSED = {
   "not-aligned": "The photos cannot be laid over one another",
   "image-not-kept": "The earlier photo was not kept",
   "no-match": "There is no earlier photo to compare with",
+  busy: "Not compared yet",
 };
 
 function told(found) {

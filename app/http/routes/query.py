@@ -6,6 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from app.http.body import IMAGE_PART, take
+from app.http.changes_report import put_off
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import QUERY_ANSWER
 from app.http.geopose import OGC, basic_ypr, wants_geopose
@@ -14,7 +15,8 @@ from app.http.openapi import OF_IMAGES, refusals, takes_images
 from app.http.parameters import QueryParameters
 from app.http.rate_limits import charge_images
 from app.http.validation import read
-from schemas.errors import ParameterError
+from schemas import wire
+from schemas.errors import Busy, ParameterError
 from schemas.wire import QueryAnswer
 
 router = APIRouter(tags=["enrol and query"])
@@ -63,9 +65,17 @@ async def query(
         drive_timeout_s=params.drive_timeout,
     )
     if params.changes:
-        answer = answer.model_copy(update={"changes": await curator.changes_of_query(answer.query.id)})
+        answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
     metrics.stages("query", answer.timing_ms)
     metrics.verdict(answer.status, answer.reason.code)
     if wants_geopose(request.headers.get("accept", "")):
         return Response(json.dumps(basic_ypr(answer)), media_type=OGC)
     return Response(answer.model_dump_json(), media_type="application/json")
+
+
+async def _changes(curator: Curates, query_id: str) -> wire.Changes:
+    """What changed since the first match; the query's answer does not wait until that can be compared."""
+    try:
+        return await curator.changes_of_query(query_id)
+    except Busy as refused:
+        return put_off(refused, query_id)
