@@ -158,7 +158,7 @@ class Runtime:
         self.attendance.stop()
         self.scheduler.stop()
         self.decoder.close()
-        self.services.query.scores.write()
+        self.services.query.scores.stop()
         self.store.close()
         self.unlock()
 

@@ -50,8 +50,8 @@ CHECK_S = 2.0
 SIDE = 32
 """Sides of images are multiples of this many pixels, so that the network needs no padding."""
 
-MOST_CELLS = 1024
-"""Rows or columns of a segmentation at most: many more than those of any photo."""
+MOST_CELLS = 256
+"""Rows or columns of a segmentation at most: twice those of any photo."""
 
 _BATCHES = (1, 2, 4, 8, 16, 32, 64, 128)
 

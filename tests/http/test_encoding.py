@@ -348,8 +348,9 @@ def test_nothing_waits_for_a_drawing_and_few_drawings_wait(encoder: GatedEncoder
         ((*SCALES, pixels(3)), 3, "needed are the inputs"),
         ((pixels(1, 1), pixels(2)), 3, "shape (1, height, width, 3)"),
         ((pixels(1), pixels(2)[:, :31]), 3, "multiples of 32"),
-        (SCALES, 0, "are 1 to 1024, not 0 and 4"),
-        (SCALES, 1025, "not 1025 and 4"),
+        ((pixels(1)[:, :0], pixels(2)), 3, "the shape of pictures.0 is [1, 0, 64, 3]"),
+        (SCALES, 0, "are 1 to 256, not 0 and 4"),
+        (SCALES, 257, "not 257 and 4"),
         (SCALES, "3", "parameters.rows is a number"),
     ],
 )

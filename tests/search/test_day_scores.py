@@ -37,6 +37,14 @@ def kept() -> Kept:
     return Kept()
 
 
+def wait_for_one(kept: Kept) -> None:
+    """Until something is written."""
+    until = time.monotonic() + 10
+    while not kept.added:
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
 def test_scores_of_a_day_are_one_row(kept: Kept) -> None:
     keeper = ScoreKeeper(kept)
     for score in (0.5, 0.25):
@@ -57,11 +65,33 @@ def test_they_are_written_by_a_thread_of_their_own(kept: Kept) -> None:
     keeper = ScoreKeeper(kept, pace_s=0.0)
     keeper.note("campus", RECIPE, 7, 0.5, NOON)
     keeper.note("campus", RECIPE, 7, 0.5, NOON)
-    until = time.monotonic() + 10
-    while not kept.added:
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    wait_for_one(kept)
     assert kept.thread == "day scores"
+
+
+def test_they_are_written_although_no_further_match_comes(kept: Kept) -> None:
+    ScoreKeeper(kept, pace_s=0.0).note("campus", RECIPE, 7, 0.5, NOON)
+    wait_for_one(kept)
+
+
+def test_what_could_not_be_written_is_written_later_by_itself(kept: Kept) -> None:
+    kept.full = True
+    keeper = ScoreKeeper(kept, pace_s=0.01)
+    keeper.note("campus", RECIPE, 7, 0.5, NOON)
+    keeper.write()
+    kept.full = False
+    wait_for_one(kept)
+    assert kept.added == [("campus", RECIPE.description.id, {7: [DayScore(date(2026, 3, 1), 1, 0.5)]})]
+
+
+def test_nothing_is_written_after_a_stop(kept: Kept) -> None:
+    keeper = ScoreKeeper(kept, pace_s=0.05)
+    keeper.note("campus", RECIPE, 7, 0.5, NOON)
+    kept.full = True
+    keeper.stop()
+    kept.full = False
+    time.sleep(0.2)
+    assert kept.added == []
 
 
 def test_what_cannot_be_written_is_told_and_tried_again(kept: Kept, caplog: pytest.LogCaptureFixture) -> None:

@@ -2,7 +2,6 @@
 
 import logging
 import threading
-import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from typing import Protocol
@@ -43,7 +42,7 @@ class ScoreKeeper:
     def __init__(self, scores: AddsScores, pace_s: float = PACE_S) -> None:
         self._scores, self._pace_s = scores, pace_s
         self._sums: dict[str, tuple[MapRecipe, Sums]] = {}
-        self._due: float | None = None
+        self._timer: threading.Timer | None = None
         self._lock = threading.Lock()
         self._writing = threading.Lock()
 
@@ -58,17 +57,21 @@ class ScoreKeeper:
             if key in sums or sum(len(some) for _, some in self._sums.values()) < MOST:
                 count, total = sums.get(key, (0, 0.0))
                 sums[key] = count + 1, total + score
-            due = self._due is not None and time.monotonic() >= self._due
-            if self._due is None or due:
-                self._due = time.monotonic() + self._pace_s
-        if due:  # by a thread of its own: no query waits for the disk
-            threading.Thread(target=self.write, name="day scores", daemon=True).start()
+            self._write_later()
+
+    def _write_later(self) -> None:
+        """Have what is held written by a thread of its own, so that no query waits for the disk."""
+        if self._timer is None:
+            self._timer = threading.Timer(self._pace_s, self.write)
+            self._timer.name, self._timer.daemon = "day scores", True
+            self._timer.start()
 
     def write(self) -> None:
         """Write down what was noted; what cannot be written now is logged, and tried again later."""
         with self._writing:
             with self._lock:
                 noted, self._sums = self._sums, {}
+                self._forget_timer()
             for name, (recipe, sums) in noted.items():
                 days: dict[int, list[DayScore]] = {}
                 for (seq, day), (count, total) in sums.items():
@@ -79,6 +82,17 @@ class ScoreKeeper:
                     log.error("scores of the map %s could not be kept: %s; they are tried again", name, error.detail)
                     self._take_back(name, recipe, sums)
 
+    def stop(self) -> None:
+        """Write for the last time; what cannot be written then is lost."""
+        self.write()
+        with self._lock:
+            self._forget_timer()
+
+    def _forget_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
     def _take_back(self, name: str, recipe: MapRecipe, sums: Sums) -> None:
         """Hold what could not be written, unless the map has another recipe by now."""
         with self._lock:
@@ -88,3 +102,4 @@ class ScoreKeeper:
                     more, further = newer.get(key, (0, 0.0))
                     newer[key] = count + more, total + further
                 self._sums[name] = recipe, newer
+                self._write_later()

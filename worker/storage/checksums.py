@@ -96,6 +96,21 @@ def is_whole(table: sa.Table, row: sa.Row[Any], checksum: object) -> bool:
         return False
 
 
+def labelled(table: sa.Table, prefix: str) -> list[sa.Label[Any]]:
+    """Covered columns of a table and its checksum, as ``prefix_name``, to be selected beside those of another table."""
+    return [table.c[name].label(f"{prefix}_{name}") for name in (*COVERED[table.name], "checksum")]
+
+
+def is_whole_labelled(table: sa.Table, row: sa.Row[Any], prefix: str) -> bool:
+    """Whether the columns of a table that `labelled` named fit their checksum."""
+    mapping = row._mapping
+    try:
+        found = of_values((name, mapping[f"{prefix}_{name}"]) for name in COVERED[table.name])
+    except (OverflowError, UnicodeError):
+        return False
+    return bool(found == mapping[f"{prefix}_checksum"])
+
+
 def _text(value: str) -> bytes:
     text = value.encode("utf-8", "surrogateescape")
     return b"s%d;%b" % (len(text), text)

@@ -17,7 +17,6 @@ from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
 NOTHING: frozenset[int] = frozenset()
 
-_COVERED = checksums.COVERED[COMPARISONS.name]
 
 _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 """A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
@@ -156,7 +155,7 @@ def _known() -> sa.Select[Any]:
 
 
 def _compared_columns() -> list[sa.Label[Any]]:
-    return [COMPARISONS.c[name].label(f"compared_{name}") for name in (*_COVERED, "checksum")]
+    return checksums.labelled(COMPARISONS, "compared")
 
 
 def _compared_by() -> sa.ColumnElement[bool]:
@@ -186,11 +185,10 @@ def _whole_same_spot(row: sa.Row[Any]) -> frozenset[int] | None:
     """As `_same_spot`; None when there is no comparison, or it is damaged."""
     if row.compared_same_spot is None:
         return None
-    mapping = row._mapping
     try:
-        if checksums.of_values((name, mapping[f"compared_{name}"]) for name in _COVERED) != row.compared_checksum:
+        if not checksums.is_whole_labelled(COMPARISONS, row, "compared"):
             raise ValueError("the row does not fit its checksum")
         return frozenset(json.loads(row.compared_same_spot)) if row.compared_same_spot else NOTHING
-    except (ValueError, OverflowError):
+    except ValueError:
         log.error("view %s: its stored comparison with its map is damaged; it is left out", row.id)
         return None

@@ -20,7 +20,6 @@ Days = dict[int, tuple[int, float]]
 """Of a view: from the day to the number of matches and the sum of their scores."""
 
 _EPOCH = date(1970, 1, 1)
-_COVERED = checksums.COVERED[DAY_SCORES.name]
 
 
 def drop_scores(connection: sa.Connection, map_id: int) -> None:
@@ -72,13 +71,12 @@ class DayScores(Part):
         with self._database.reading() as connection:
             row = find_map(connection, name)
             basis = scoring_basis(map_record(connection, row).recipe)
-            columns = [DAY_SCORES.c[column].label(f"scored_{column}") for column in (*_COVERED, "checksum")]
             joined = VIEWS.join(DAY_SCORES, DAY_SCORES.c.seq == VIEWS.c.seq)
             own = DAY_SCORES.c.map_id == row.id, DAY_SCORES.c.basis == basis
-            wanted = sa.select(VIEWS, *columns).select_from(joined).where(*own)
+            wanted = sa.select(VIEWS, *checksums.labelled(DAY_SCORES, "scored")).select_from(joined).where(*own)
             views: dict[int, tuple[sa.Row[Any], list[DayScore]]] = {}
             for one in connection.execute(wanted.order_by(VIEWS.c.seq, DAY_SCORES.c.day)):
-                if not _is_whole(one):
+                if not checksums.is_whole_labelled(DAY_SCORES, one, "scored"):
                     log.error("view %s: its stored scores of one day are damaged; they are left out", one.id)
                     continue
                 day = DayScore(_EPOCH + timedelta(days=one.scored_day), one.scored_matches, one.scored_total)
@@ -127,17 +125,6 @@ def _bounded(days: Days) -> Days:
     if len(ordered) > 2 * MOST_DAYS:
         ordered = ordered[:MOST_DAYS] + ordered[-MOST_DAYS:]
     return {day: days[day] for day in ordered}
-
-
-def _is_whole(row: sa.Row[Any]) -> bool:
-    mapping = row._mapping
-    if row.scored_checksum is None:
-        return True
-    try:
-        found = checksums.of_values((name, mapping[f"scored_{name}"]) for name in _COVERED)
-    except (OverflowError, UnicodeError):
-        return False
-    return bool(found == row.scored_checksum)
 
 
 def _matched(row: sa.Row[Any], days: Sequence[DayScore]) -> MatchedView:

@@ -5,7 +5,6 @@ import { announce, field, h, moment, percent, problemBox } from "./dom.js";
 import { drawing } from "./images.js";
 
 const MOST_OTHERS = 100;
-const NEARBY_M = 5; // as `same_place_m` of a map is unless it says otherwise
 
 /** A button that fetches the changes at an address, and shows them below it. */
 export function whatChanged(text, address) {
@@ -62,9 +61,9 @@ function line({ kind, label, instead, confidence }) {
 }
 
 /** For a view: what changed between it and another view of the same place; the earlier one is that of then. */
-export function changesSince(view) {
+export function changesSince(view, map) {
   const box = h("div");
-  others(view).then(
+  others(view, map.ranking.same_place_m).then(
     (found) => found.length > 0 && box.append(...chooser(view, found)),
     (error) => box.append(problemBox(error)),
   );
@@ -90,13 +89,14 @@ function chooser(view, found) {
 }
 
 /** Described views of the same place, or near it where it has no name, earliest first. */
-async function others(view) {
+async function others(view, within) {
   const { place, position } = view;
   const query = { map: view.map, state: "ready", limit: MOST_OTHERS };
   if (place !== null) query.place = place;
-  else if (isNumber(position?.x)) query.near = `${position.x},${position.y},${NEARBY_M}`;
+  else if (within === 0) return []; // only a name makes one place of two views there
+  else if (isNumber(position?.x)) query.near = `${position.x},${position.y},${within}`;
   else if (isNumber(position?.lat))
-    Object.assign(query, { near: `${position.lat},${position.lon},${NEARBY_M}`, frame: "geo" });
+    Object.assign(query, { near: `${position.lat},${position.lon},${within}`, frame: "geo" });
   else return [];
   const { views } = await call("GET", "/views", { query });
   return views.filter((one) => one.id !== view.id).sort((one, other) => (taken(one) < taken(other) ? -1 : 1));

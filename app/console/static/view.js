@@ -78,7 +78,7 @@ export function openView(view, map, changed) {
             h("summary", {}, "What it shows"),
             bars(view.description.labels.slice(0, 10).map((one) => [one.label, one.share])),
           ),
-        view.state === "ready" && changesSince(view),
+        view.state === "ready" && changesSince(view, map),
         editor(view, map, told, done),
         h("p"),
         h("button", { type: "button", class: "danger", onclick: remove }, "Delete this view …"),
