@@ -179,8 +179,9 @@ class MapComparer:
         level = float(others.scores[0]) if len(others.seqs) else None
         rival = others.rival
         gap = None if level is None or rival is None else level - float(others.scores[rival])
+        breadth = None if gap is None else others.breadth(rival)
         taken_for = None if level is None else int(others.seqs[0])
-        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best)
+        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best, breadth)
 
     def _search(self, index: SearchableIndex, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
         return index.search(query.vectors, max(2, config.searched), Selection(None, np.array(sorted(never))))
