@@ -37,7 +37,8 @@ from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.health import HealthService
-from worker.service.importing import Importer, ImportService
+from worker.service.import_receiving import ImportService
+from worker.service.importing import Importer
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.keeping import QueryKeeper
