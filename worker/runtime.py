@@ -240,7 +240,7 @@ def build(
                 map_jobs={
                     "vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run, "shadow": shadows.run,
                 },
-                compare=idle_work(store.indexing, comparer if settings.compare else None),
+                compare=idle_work(store.leftovers, store.indexing, comparer if settings.compare else None),
                 decode=decoder.decode_patiently, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
             )  # fmt: skip
@@ -385,15 +385,11 @@ def _services(
         snapshots=snapshots,
         shadows=shadows,
         imports=ImportService(
-            uploads=store.uploads,
-            jobs=store.jobs,
-            limits=Limits.of(settings),
-            default_recipe=default_recipe,
-            refuses_poor=store.maps.refuses_poor,
-            wake=_nothing if loop is None else loop.wake_all,
+            uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,
+            refuses_poor=store.maps.refuses_poor, wake=_nothing if loop is None else loop.wake_all,
         ),
         calibration=calibration,
-    )
+    )  # fmt: skip
 
 
 def _nothing() -> None:

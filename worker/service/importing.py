@@ -126,9 +126,10 @@ class Importer:
             The job was put back, and is to be tried again.
         """
         try:
-            path, wanted = self._uploads.find(claim.job_id)
-            options = ImportOptions(**wanted)
-            with open_recording(path, self._limits, options) as recording:
+            with (
+                self._uploads.opened(claim.job_id, lambda: self._watch(claim, stopping)) as (path, wanted),
+                open_recording(path, self._limits, options := ImportOptions(**wanted)) as recording,
+            ):
                 items = Panoramas(self._decode).split(recording.items) if options.panorama else recording.items
                 report = _Report(len(items) + recording.failed, failed=recording.failed, left_out=recording.left_out)
                 for note in recording.notes:
@@ -147,7 +148,7 @@ class Importer:
             self._jobs.release_map_job(claim)
             raise
         except FileNotFoundError:
-            self._fail(claim, "damaged", "the uploaded recording is gone from the data folder; send it again")
+            self._fail(claim, "damaged", "the uploaded recording is gone from where it was kept; send it again")
         except OSError as error:
             self._jobs.release_map_job(claim)
             raise StorageFailed(f"the uploaded recording cannot be read: {error.strerror}") from error
@@ -157,6 +158,17 @@ class Importer:
             log.exception("importing into the map %s failed", claim.map)
             self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
         self._uploads.discard(claim.job_id)
+
+    def _watch(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
+        """While a recording is fetched: raises _Stop, LeaseLost."""
+        if stopping():
+            raise _Stop
+        try:
+            state = self._jobs.get(claim.job_id).state
+        except NotFound as error:
+            raise LeaseLost(error.detail) from None
+        if state != "running":
+            raise LeaseLost(f"the job {claim.job_id} is {state}")
 
     def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
         try:
