@@ -77,7 +77,7 @@ def images_a_second(services: Sequence[httpx.Client], images: Sequence[bytes], i
 
 def batches(url: str, images: Sequence[bytes], repeats: int) -> dict[int, list[float]]:
     """Milliseconds until all fields of eight images are there, by the number of calls that are under way, in turns."""
-    pictures = [decode(one) for one in images[:8]]
+    decoded = [decode(one) for one in images[:8]]
     with ExitStack() as held:
         encoders = {}
         for calls in (1, 2):
@@ -87,7 +87,7 @@ def batches(url: str, images: Sequence[bytes], repeats: int) -> dict[int, list[f
         for turn in range(repeats + 2):  # the first two warm both
             for calls in sorted(encoders, reverse=bool(turn % 2)):
                 began = time.perf_counter()
-                for _ in encoders[calls].encode(pictures):
+                for _ in encoders[calls].encode(decoded):
                     pass
                 if turn >= 2:
                     took[calls].append(1000 * (time.perf_counter() - began))

@@ -24,6 +24,7 @@ from worker.storage.leftovers import Leftovers
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
 from worker.storage.migrating import enter, migrates_by_itself
+from worker.storage.notices import Notices
 from worker.storage.peers import Peers
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
@@ -85,6 +86,7 @@ class SqlStore:
         self._share = share
         self._images = images
         self._peers = Peers(database)
+        self.notices = None if dialect.is_file(database.engine) else Notices(database.engine)
         self.maps = ForgettingMaps(database, images)
         self.enrolment = Enrolment(database, images)
         self.jobs = self.workers = Workers(database, images)
