@@ -34,13 +34,15 @@ class RunningService:
     """
 
     command = "serve"
+    within: tuple[str, ...] = ()
+    """What the command is run by, such as ``ip netns exec NAME``."""
 
     def __init__(self, data: Path, ready: bool = True, /, **environment: str) -> None:
         self.data = data
         settings = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_PORT": "0", "REVISIT_THREADS": "1"}
         clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.cli", self.command],
+            [*self.within, sys.executable, "-m", "app.cli", self.command],
             cwd=ROOT,
             env=clean | settings | environment,
             stdout=subprocess.PIPE,
@@ -133,12 +135,12 @@ class RunningEncoder(RunningService):
 
 
 @contextmanager
-def worker(data: Path, **environment: str) -> Iterator["subprocess.Popen[str]"]:
-    """`revisit worker` on a data folder, with the encoder that needs no weights."""
+def worker(data: Path, /, *within: str, **environment: str) -> Iterator["subprocess.Popen[str]"]:
+    """`revisit worker` on a data folder, with the encoder that needs no weights; `within`: what runs the command."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
     ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "app.cli", "worker"],
+        [*within, sys.executable, "-m", "app.cli", "worker"],
         cwd=ROOT,
         env=clean | ours | environment,
         stdout=subprocess.PIPE,
