@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import httpx
+import psutil
 import sqlalchemy as sa
 
 from lab.benchmarks.filling import fill
@@ -43,8 +44,8 @@ def serving(data: Path, further: dict[str, str]) -> Iterator[httpx.Client]:
 
 
 @contextmanager
-def working(data: Path, further: dict[str, str], core: int) -> Iterator[None]:
-    """A worker as a process on one core."""
+def working(data: Path, further: dict[str, str], core: int) -> Iterator[psutil.Process]:
+    """A worker as a process on one core, with those of its decoders."""
     mine = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {sorted(mine)[core % len(mine)]})
     try:
@@ -52,29 +53,35 @@ def working(data: Path, further: dict[str, str], core: int) -> Iterator[None]:
     finally:
         os.sched_setaffinity(0, mine)
     with process:
-        yield
+        yield psutil.Process(process.pid)
 
 
-def described_a_second(calls: httpx.Client, data: Path, there: dict[str, str], workers: int, images: int) -> float:
-    """How many images so many workers describe in a second, of as many that wait when they start."""
+def used_s(processes: Sequence[psutil.Process]) -> float:
+    """Seconds of CPU that some processes and their children have had."""
+    times = [each.cpu_times() for one in processes for each in (one, *one.children(recursive=True))]
+    return float(sum(each.user + each.system for each in times))
+
+
+def described(calls: httpx.Client, data: Path, there: dict[str, str], workers: int, images: int) -> tuple[float, float]:
+    """How many images so many workers describe in a second, and on how many cores; as many wait when they start."""
     into = f"round-{time.time_ns()}"
     for number in range(images):
         sent = {"map": into, "wait": "false"}
         calls.post("/enroll", params=sent, content=image(number), headers=TYPE).raise_for_status()
-    at: dict[float, float] = {}
+    at: dict[float, tuple[float, float]] = {}
     with ExitStack() as held:
-        for core in range(workers):
-            held.enter_context(working(data, there, core))
+        processes = [held.enter_context(working(data, there, core)) for core in range(workers)]
         while TO not in at:
             waiting = calls.get(f"/maps/{into}").raise_for_status().json()["views"]["pending"]
             for share in (FROM, TO):
                 if waiting <= share * images:
-                    at.setdefault(share, time.perf_counter())
+                    at.setdefault(share, (time.perf_counter(), used_s(processes)))
             time.sleep(0.02)
         while calls.get(f"/maps/{into}").raise_for_status().json()["views"]["pending"]:
             time.sleep(0.02)
     calls.delete(f"/maps/{into}").raise_for_status()
-    return (FROM - TO) * images / (at[TO] - at[FROM])
+    took, used = (end - begin for begin, end in zip(at[FROM], at[TO], strict=True))
+    return (FROM - TO) * images / took, used / took
 
 
 def filled(folder: Path, urls: dict[str, str | None], encoder: str, views: int, streets: Sequence[bytes]) -> None:
@@ -131,13 +138,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = Path(name)
         print(f"{datetime.now(UTC):%Y-%m-%d}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
         if given.rounds:
-            rates: dict[int, list[float]] = {1: [], 2: []}
+            rates: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
             with serving(folder / "workers", there) as calls:
                 for _ in range(given.rounds):
                     for count, found in rates.items():
-                        found.append(described_a_second(calls, folder / "workers", there, count, given.images))
-            one, two = (statistics.median(each) for each in rates.values())
+                        found.append(described(calls, folder / "workers", there, count, given.images))
+            one, two = (statistics.median(rate for rate, _ in each) for each in rates.values())
             print(f"images a second, medians: one worker {one:.1f}, two {two:.1f}, ratio {two / one:.2f}", flush=True)
+            on_one, on_two = (statistics.median(cores for _, cores in each) for each in rates.values())
+            one, two = (statistics.median(rate / cores for rate, cores in each) for each in rates.values())
+            print(f"cores that they got: {on_one:.2f}, {on_two:.2f}; images for each second of a core: {one:.1f}, "
+                  f"{two:.1f}, ratio {two / one:.2f}", flush=True)  # fmt: skip
         streets = [drawn(number) for number in range(24)]
         urls: dict[str, str | None] = {SQLITE: None, POSTGRESQL: given.database}
         filled(folder, urls, given.encoder, given.views, streets)

@@ -16,6 +16,6 @@ def test_two_workers_and_two_databases_are_compared(capsys: pytest.CaptureFixtur
         main(["--database", url, "--encoder", "color", *further])
     printed = capsys.readouterr().out
     ratios = [float(found) for found in re.findall(r"ratio ([\d.]+)", printed)]
-    assert len(ratios) == 3
+    assert len(ratios) == 4
     assert all(0.1 < ratio < 10 for ratio in ratios)
     assert "postgresql: 60 views in" in printed
