@@ -20,7 +20,7 @@ from tests.stories.running import RunningService
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
     with RunningService(tmp_path_factory.mktemp("imports"), REVISIT_COMPARE="false", REVISIT_MAX_IMPORT_MB="2") as one:
         yield one
 

@@ -1,4 +1,4 @@
-"""Import recordings: receive an upload, then enrol its images as a durable job."""
+"""Import recordings: enrol the images of an upload, as a durable job."""
 
 import hashlib
 import logging
@@ -6,30 +6,25 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
-
-from uuid6 import uuid7
 
 from schemas.errors import EncoderAway, LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.imports import ImportOptions
-from schemas.recipe import MapRecipe
 from schemas.records import (
     JobProgress,
-    JobRecord,
     MapClaim,
     Submitted,
     ViewAttributes,
     ViewRecord,
 )
-from worker.images import panorama
 from worker.images.apart.stream import Repeated
 from worker.service import steady
 from worker.service.blurring import BlurringEnrolment
 from worker.service.completing import completed, turned, wanted_of_exif
-from worker.service.import_ports import ImportJobs, Upload, Uploads
+from worker.service.import_ports import ImportJobs, Uploads
 from worker.service.opening import open_recording
 from worker.service.panoramas import Panoramas
 from worker.service.recordings import Item, Limits, Note
@@ -52,72 +47,6 @@ PAUSE_S = 0.02
 
 MOST_NOTES = 1000
 """Notes that a report lists; the others are counted."""
-
-
-class ImportService:
-    """The use-case: receive a recording, check it, and queue its import.
-
-    Parameters
-    ----------
-    uploads, jobs
-        Parts of the store.
-    limits : Limits
-    default_recipe : MapRecipe
-        Recipe of a map that an import creates.
-    refuses_poor : function
-        Whether a map refuses poor images.
-    wake : function
-        Called when a job was queued.
-    """
-
-    def __init__(
-        self,
-        *,
-        uploads: Uploads,
-        jobs: ImportJobs,
-        limits: Limits,
-        default_recipe: MapRecipe,
-        refuses_poor: Callable[[str], bool],
-        wake: Callable[[], None],
-    ) -> None:
-        self._uploads, self._jobs, self._limits = uploads, jobs, limits
-        self._default_recipe, self._refuses_poor, self._wake = default_recipe, refuses_poor, wake
-
-    def receive(self, announced: int) -> Upload:
-        """Begin to receive a recording of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
-        return self._uploads.receive(announced)
-
-    def check(self, upload: Upload, options: ImportOptions) -> int:
-        """Number of images that will be enrolled of a received recording.
-
-        Raises
-        ------
-        BadBody, BodyTooLarge, InvalidParameters
-            Nothing of it can be imported; the text says why.
-        """
-        upload.end()
-        with open_recording(upload.path, self._limits, options) as recording:
-            views = panorama.DIRECTIONS if options.panorama else 1
-            return views * len(recording.items) + recording.failed
-
-    def accept(self, upload: Upload, name: str, options: ImportOptions) -> JobRecord:
-        """Queue the import of a checked recording into a map, which is made when there is none.
-
-        Raises
-        ------
-        DiskFull, StorageFailed
-        """
-        job_id = str(uuid7())
-        if options.refuse_poor is None:
-            options = replace(options, refuse_poor=self._refuses_poor(name))
-        self._uploads.keep(upload, job_id, asdict(options))
-        try:
-            job = self._jobs.queue_import(job_id, name, self._default_recipe, datetime.now(UTC))
-        except BaseException:
-            self._uploads.discard(job_id)
-            raise
-        self._wake()
-        return job
 
 
 class _Stop(Exception):
@@ -197,9 +126,10 @@ class Importer:
             The job was put back, and is to be tried again.
         """
         try:
-            path, wanted = self._uploads.find(claim.job_id)
-            options = ImportOptions(**wanted)
-            with open_recording(path, self._limits, options) as recording:
+            with (
+                self._uploads.opened(claim.job_id, lambda: self._watch(claim, stopping)) as (path, wanted),
+                open_recording(path, self._limits, options := ImportOptions(**wanted)) as recording,
+            ):
                 items = Panoramas(self._decode).split(recording.items) if options.panorama else recording.items
                 report = _Report(len(items) + recording.failed, failed=recording.failed, left_out=recording.left_out)
                 for note in recording.notes:
@@ -218,7 +148,7 @@ class Importer:
             self._jobs.release_map_job(claim)
             raise
         except FileNotFoundError:
-            self._fail(claim, "damaged", "the uploaded recording is gone from the data folder; send it again")
+            self._fail(claim, "damaged", "the uploaded recording is gone from where it was kept; send it again")
         except OSError as error:
             self._jobs.release_map_job(claim)
             raise StorageFailed(f"the uploaded recording cannot be read: {error.strerror}") from error
@@ -228,6 +158,17 @@ class Importer:
             log.exception("importing into the map %s failed", claim.map)
             self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
         self._uploads.discard(claim.job_id)
+
+    def _watch(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
+        """While a recording is fetched: raises _Stop, LeaseLost."""
+        if stopping():
+            raise _Stop
+        try:
+            state = self._jobs.get(claim.job_id).state
+        except NotFound as error:
+            raise LeaseLost(error.detail) from None
+        if state != "running":
+            raise LeaseLost(f"the job {claim.job_id} is {state}")
 
     def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
         try:

@@ -1,7 +1,15 @@
-"""What a worker does when no job waits: build indexes, compare views."""
+"""What a worker does when no job waits: sweep, build indexes, compare views."""
 
 from collections.abc import Callable
 from typing import Protocol
+
+
+class Sweeping(Protocol):
+    """What crashes left in a store that several processes share."""
+
+    def step(self) -> bool:
+        """Remove some of it; returns whether there was anything to do."""
+        ...
 
 
 class Indexing(Protocol):
@@ -20,10 +28,14 @@ class Comparing(Protocol):
         ...
 
 
-def idle_work(indexing: Indexing | None, comparer: Comparing | None) -> Callable[[bool], bool]:
+def idle_work(
+    sweeping: Sweeping | None, indexing: Indexing | None, comparer: Comparing | None
+) -> Callable[[bool], bool]:
     """One piece of what is given; its argument says whether images wait to be described."""
 
     def step(busy: bool) -> bool:
+        if sweeping is not None and sweeping.step():
+            return True
         if indexing is not None and indexing.step():
             return True
         return comparer is not None and comparer.step(busy=busy)
