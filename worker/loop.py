@@ -17,6 +17,7 @@ from schemas.log_context import bound
 from schemas.records import Claim, JobKind, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
+from worker.service.comparing import Rest
 from worker.service.trouble import STORAGE_ERRORS, StoringTrouble
 
 log = logging.getLogger("revisit.worker")
@@ -104,7 +105,7 @@ class Loop:
         Does a job of a map; its second argument returns whether to stop.
     compare : function
         Compares a portion of views with the others of their map, and returns whether there was anything to do; its
-        argument says whether images wait to be described.
+        arguments say whether images wait to be described, and how to rest until a job of a map waits.
     decode : function
         Bytes to Image; raises BadImage.
     name : str
@@ -126,7 +127,7 @@ class Loop:
         scheduler: Scheduler,
         describers: Describers,
         map_jobs: Mapping[JobKind, Callable[[MapClaim, Callable[[], bool]], None]],
-        compare: Callable[[bool], bool] = lambda busy: False,
+        compare: Callable[[bool, Rest], bool] = lambda busy, rest: False,
         decode: Decode,
         name: str,
         batch: int,
@@ -233,11 +234,11 @@ class Loop:
                     if self._pruning.prune():
                         continue
                     pruned = time.monotonic()
-                compared = self._compare(not self._idle.is_set())
+                compared = self._compare(not self._idle.is_set(), self._map_awake.wait)
                 self._map_trouble.ends()
                 if not compared:
                     self._map_awake.wait(max(self._idle_s, MAP_WORK_EVERY_S))
-                    self._map_awake.clear()
+                self._map_awake.clear()
             except STORAGE_ERRORS as error:
                 self._stopping.wait(self._map_trouble.begins(error))
             except Exception:

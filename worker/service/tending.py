@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Protocol
 
+from worker.service.comparing import Rest
+
 
 class Indexing(Protocol):
     """Indexes that are built in the background."""
@@ -15,17 +17,17 @@ class Indexing(Protocol):
 class Comparing(Protocol):
     """Comparisons of a map's views."""
 
-    def step(self, *, busy: bool = False) -> bool:
+    def step(self, *, busy: bool = False, rest: Rest) -> bool:
         """Compare a portion of views; returns whether there was anything to do."""
         ...
 
 
-def idle_work(indexing: Indexing | None, comparer: Comparing | None) -> Callable[[bool], bool]:
-    """One piece of what is given; its argument says whether images wait to be described."""
+def idle_work(indexing: Indexing | None, comparer: Comparing | None) -> Callable[[bool, Rest], bool]:
+    """One piece of what is given; its arguments say whether images wait to be described, and how to rest between."""
 
-    def step(busy: bool) -> bool:
+    def step(busy: bool, rest: Rest) -> bool:
         if indexing is not None and indexing.step():
             return True
-        return comparer is not None and comparer.step(busy=busy)
+        return comparer is not None and comparer.step(busy=busy, rest=rest)
 
     return step
