@@ -33,6 +33,7 @@ from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.changes import ChangeService
 from worker.service.comparing import MapComparer
 from worker.service.day_scores import ScoreKeeper
+from worker.service.decoded import DecodedImages
 from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
@@ -225,7 +226,8 @@ def build(
         )  # fmt: skip
         settlements = Settlements(store.views, lambda: scheduler.away is not None)
         blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
-        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover)
+        decoded = DecodedImages() if settings.inline_worker or not serving else DecodedImages(0)
+        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover, decoded)
         me = this_process("serve" if serving else "worker")
         loop: Loop | None = None
         if settings.inline_worker or not serving:
@@ -240,7 +242,7 @@ def build(
                     "vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run, "shadow": shadows.run,
                 },
                 compare=idle_work(store.indexing, comparer if settings.compare else None),
-                decode=decoder.decode_patiently, name=me.name, batch=batch,
+                decode=decoder.decode_patiently, decoded=decoded, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
             )  # fmt: skip
         attendance = Attendance.of(store, me, loop, settings.lease_s)
@@ -343,6 +345,10 @@ def _services(
         maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
         comparisons=store.comparisons, catalogue=catalogue, shipped=shipped_calibration, product=product,
     )  # fmt: skip
+    imports = ImportService(
+        uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,
+        refuses_poor=store.maps.refuses_poor, wake=_nothing if loop is None else loop.wake_all,
+    )  # fmt: skip
     return Services(
         enroll=enroll,
         inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
@@ -383,14 +389,7 @@ def _services(
         health=health,
         snapshots=snapshots,
         shadows=shadows,
-        imports=ImportService(
-            uploads=store.uploads,
-            jobs=store.jobs,
-            limits=Limits.of(settings),
-            default_recipe=default_recipe,
-            refuses_poor=store.maps.refuses_poor,
-            wake=_nothing if loop is None else loop.wake_all,
-        ),
+        imports=imports,
         calibration=calibration,
     )
 
