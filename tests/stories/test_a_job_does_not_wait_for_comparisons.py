@@ -27,12 +27,12 @@ def test_a_portion_of_comparisons_ends_when_a_job_waits(tmp_path: Path) -> None:
 
         def rest(seconds: float) -> bool:
             rests.append(seconds)
-            return len(rests) == 2
+            return len(rests) >= 2
 
         assert runtime.comparer.step(rest=rest)
         assert runtime.store.comparisons.levels("town").compared == 2
-        assert len(rests) == 2
-        assert min(rests) > 0
+        assert rests[:-1] == [0, 0]
+        assert rests[-1] > 0
         assert runtime.comparer.step(rest=lambda seconds: False)
         assert runtime.store.comparisons.levels("town").compared == 5
     finally:

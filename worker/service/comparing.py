@@ -102,7 +102,7 @@ class MapComparer:
         busy : bool
             Images wait to be described: compare no more than `FIRST` of each map.
         rest : function
-            Called after each view with the time that it took. A job that waits ends the portion.
+            Called with 0 after each view, and after the portion with the time that it took. A job that waits ends both.
         """
         sample, revision = FIRST if busy else SAMPLE, self._comparisons.last_revision()
         if (sample, revision) == self._nothing_due:
@@ -117,13 +117,14 @@ class MapComparer:
             return True  # the map has just been deleted
         if record.description.id != due.recipe:
             return True  # the map has just changed over
+        began = time.monotonic()
         made = []
         for seq in due.seqs:
-            began = time.monotonic()
             made.append(self._attempt(seq, index, record.description, record.ranking, due.among))
-            if rest(time.monotonic() - began):
+            if rest(0):
                 break
         self._comparisons.keep(due.map, due.recipe, [one for one in made if one is not None], datetime.now(UTC))
+        rest(time.monotonic() - began)
         return True
 
     def all(self) -> None:
