@@ -34,6 +34,7 @@ from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.changes import ChangeService
 from worker.service.comparing import MapComparer
 from worker.service.day_scores import ScoreKeeper
+from worker.service.decoded import DecodedImages
 from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
@@ -232,7 +233,8 @@ def build(
             decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
         )  # fmt: skip
         blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
-        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover)
+        decoded = DecodedImages() if settings.inline_worker or not serving else DecodedImages(0)
+        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover, decoded)
         me = this_process("serve" if serving else "worker")
         loop: Loop | None = None
         if settings.inline_worker or not serving:
@@ -247,7 +249,7 @@ def build(
                     "vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run, "shadow": shadows.run,
                 },
                 compare=idle_work(store.leftovers, store.indexing, comparer if settings.compare else None),
-                decode=decoder.decode_patiently, name=me.name, batch=batch,
+                decode=decoder.decode_patiently, decoded=decoded, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
             )  # fmt: skip
         attendance = Attendance.of(store, me, loop, settings.lease_s)
@@ -342,6 +344,10 @@ def _services(
         maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
         comparisons=store.comparisons, catalogue=catalogue, shipped=shipped_calibration, product=product,
     )  # fmt: skip
+    imports = ImportService(
+        uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,
+        refuses_poor=store.maps.refuses_poor, wake=bell.ring_all,
+    )  # fmt: skip
     return Services(
         enroll=enroll,
         inbox=InboxService(maps=store.maps, kept=store.kept_queries, enroll=enroll),
@@ -382,10 +388,7 @@ def _services(
         health=health,
         snapshots=snapshots,
         shadows=shadows,
-        imports=ImportService(
-            uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,
-            refuses_poor=store.maps.refuses_poor, wake=bell.ring_all,
-        ),
+        imports=imports,
         calibration=calibration,
     )  # fmt: skip
 

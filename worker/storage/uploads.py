@@ -1,7 +1,8 @@
 """Uploads of recordings: kept on disk from the first byte until their job ends.
 
 ``imports/JOB/upload`` is what was sent, ``imports/JOB/request.json`` what was asked; both are durable before the row of
-the job is. What is being received lies in ``imports/.receiving-...``.
+the job is. What is being received lies in ``imports/.receiving-...``. Who reads an upload may keep what it learned
+beside it: that is removed with it.
 
 Where images lie in an object store, recordings lie there too, under the same names: any worker of the database finds
 them. They are received and checked in the folder of one node first.
