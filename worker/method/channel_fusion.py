@@ -129,6 +129,6 @@ def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
 def max_fusion_cells(joined: Agreement, alone: Agreement, rate: float) -> Floats:
     """Weights of the query's cells by that comparison which `max_fusion` takes, float32 (n, cells)."""
     taken, first = joined.cells.copy(), len(alone.scores)
-    stronger = alone.scores * np.float32(rate) > joined.scores[:first]
-    taken[:first][stronger] = alone.cells[stronger] * np.float32(rate**2)
+    larger = alone.scores * np.float32(rate) > joined.scores[:first]
+    taken[:first][larger] = alone.cells[larger] * np.float32(rate**2)
     return taken
