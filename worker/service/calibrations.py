@@ -10,7 +10,7 @@ from worker.service.calibrating import own_calibration
 
 GENERAL = "compact-default.calibration.json"
 COARSE = "compact-coarse.calibration.json"
-"""For rankings that compare no cells at full resolution, and so do not know how broad a lead is."""
+"""For rankings that compare fewer than two views at full resolution, and so do not know how broad a lead is."""
 
 
 def calibration_of(record: MapRecord) -> Calibration:
@@ -23,9 +23,9 @@ def calibration_of(record: MapRecord) -> Calibration:
 
 
 def shipped_calibration(recipe: MapRecipe) -> Calibration:
-    """The calibration shipped for a recipe, whatever its encoder and preset: features are relative to what wrong answers
-    get in a map, and so mean nearly the same for all of them."""
-    return _calibration(COARSE if recipe.ranking.full_resolution_top_k == 0 else GENERAL)
+    """The calibration shipped for a recipe, whatever its encoder: features are relative to what wrong answers get in a
+    map, and so mean nearly the same for all."""
+    return _calibration(COARSE if recipe.ranking.full_resolution_top_k < 2 else GENERAL)
 
 
 @lru_cache
