@@ -16,7 +16,7 @@ PREFIX = "museum/images/"
 
 
 class ObjectStore:
-    """A server with one bucket; what it holds outlives `stop`."""
+    """A server with one bucket, empty at first; what it holds outlives `stop`."""
 
     def __init__(self) -> None:
         logging.getLogger("werkzeug").setLevel(logging.ERROR)
@@ -24,6 +24,7 @@ class ObjectStore:
         self.start()
         self.client = boto3.client("s3", **self.credentials)
         self.client.create_bucket(Bucket=BUCKET)
+        self.empty()  # servers of one process share what they hold
 
     def start(self) -> None:
         """Start it, again after `stop`."""

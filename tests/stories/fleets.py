@@ -84,6 +84,11 @@ class Ledger:
             self.deleted.add(view)
         return view
 
+    def is_ready(self, client: httpx.Client, view: str) -> bool:
+        """Whether a view is described, as far as the service can say."""
+        answer = self._call(lambda: client.get(f"/views/{view}"))
+        return answer is not None and answer.status_code == 200 and answer.json()["state"] == "ready"
+
     def expect(self, client: httpx.Client, number: int, *, there: str | None = None, gone: str | None = None) -> None:
         """Query, and note an answer that contradicts what was acknowledged before the question."""
         views = self._called(lambda: found(client, number))

@@ -23,7 +23,6 @@ IMAGES = 150
 @pytest.fixture
 def objects() -> Iterator[ObjectStore]:
     store = ObjectStore()
-    store.empty()  # servers of one process share what they hold
     yield store
     store.stop()
 

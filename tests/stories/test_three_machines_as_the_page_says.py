@@ -51,7 +51,6 @@ def test_three_machines_serve_and_one_of_them_may_be_away(tmp_path: Path) -> Non
     migrate, create, serve, work = commands("Three machines")
     assert (migrate, serve, work) == (["migrate"], ["serve", "--host", "0.0.0.0"], ["worker"])
     objects = ObjectStore()
-    objects.empty()
     with postgres_schema() as url, ExitStack() as stack:
         stack.callback(objects.stop)
         there = {"REVISIT_DATABASE": url, "REVISIT_INLINE_WORKER": "false", **objects.environment}

@@ -35,6 +35,9 @@ SOFTENING = 0.02
 BREADTH_SOFTENING = 1.0
 """The same for the breadth of wrong answers."""
 
+NARROWING = 0.25
+"""Power of the share of a lead that a floor leaves, by which the lead gets narrower: cells do not know of the floor."""
+
 GROUPED = 10
 """Views that are grouped into places at least; those further down the ranking never decide."""
 
@@ -162,10 +165,10 @@ def features(
     breadth : float
         Of the lead over that view, at least 0.
     least : float
-        Score that the rival is taken to have at least (`floor`); the lead is as broad as what is left of it.
+        Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
     """
     lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
-    broad = breadth * left / lead if lead > 0 else 0.0
+    broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
     return {
         "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
