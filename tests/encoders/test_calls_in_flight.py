@@ -24,6 +24,8 @@ __all__ = ["local", "server"]
 EIGHT = [Image.of(drawn(64, 48, seed)) for seed in range(8)]
 SENT_FIRST = resized(EIGHT[0].pixels)
 FIRST_HALF = 4
+PATIENCE_S = 8.0
+"""Less than the client's own."""
 
 
 @pytest.fixture
@@ -35,11 +37,16 @@ def shared(server: InferenceServer) -> Iterator[SharedCompactEncoder]:
 
 
 class Meeting:
-    """Answers rightly; counts how many calls are there at a time, and holds each for a moment."""
+    """Answers rightly; counts how many calls are there at a time, and holds each for a moment.
 
-    def __init__(self, server: InferenceServer, first_s: float = 0.0, s: float = 0.05) -> None:
-        self._server, self._first_s, self._s = server, first_s, s
+    The first calls wait for one another, or with `second_first` the first one for the answer to another, so that a busy
+    machine does not keep them from meeting.
+    """
+
+    def __init__(self, server: InferenceServer, *, second_first: bool = False) -> None:
+        self._server, self._second_first = server, second_first
         self._lock = threading.Lock()
+        self._met, self._answered = threading.Event(), threading.Event()
         self._here = 0
         self.most = 0
         self.ended: list[int] = []
@@ -48,11 +55,17 @@ class Meeting:
         with self._lock:
             self._here += 1
             self.most = max(self.most, self._here)
+            if self._here > 1:
+                self._met.set()
         first = np.array_equal(tensors["pictures"][0], SENT_FIRST)
-        time.sleep(self._first_s if first else self._s)
+        self._met.wait(PATIENCE_S)
+        if first and self._second_first:
+            self._answered.wait(PATIENCE_S)
+        time.sleep(0.05)
         with self._lock:
             self._here -= 1
             self.ended.append(0 if first else 1)
+            self._answered.set()
         self._server.right(handler, tensors)
 
 
@@ -65,7 +78,7 @@ def same(found: list[PixelField], wanted: list[PixelField]) -> bool:
 def test_fields_come_in_order_though_the_second_call_is_answered_first(
     server: InferenceServer, shared: SharedCompactEncoder, local: CompactEncoder
 ) -> None:
-    meeting = server.answer = Meeting(server, first_s=0.4)
+    meeting = server.answer = Meeting(server, second_first=True)
     assert same(list(shared.encode(EIGHT)), list(local.encode(EIGHT)))
     assert (meeting.most, meeting.ended) == (2, [1, 0])
     assert [shape[0] for _, _, _, shape in server.received] == [4, 4]
@@ -124,15 +137,26 @@ def test_one_image_on_which_it_fails_does_not_fail_the_others(
 
 
 def test_a_query_goes_before_the_enrolments_that_wait(server: InferenceServer, shared: SharedCompactEncoder) -> None:
-    server.answer = Meeting(server, first_s=0.5, s=0.5)
+    asked, answered = threading.Event(), threading.Event()
+
+    def holds(handler: Handler, tensors: dict[str, Tensor]) -> None:
+        """The first two calls until there is a query, and those after the third until that is answered."""
+        number = len(server.received)
+        if number != 3:
+            (asked if number < 3 else answered).wait(PATIENCE_S)
+        server.right(handler, tensors)
+
+    server.answer = holds
     scheduler = Scheduler(shared, 8, 8)
     sent = [scheduler.submit(image, field_alone, urgent=False) for image in EIGHT * 2]
     scheduler.start()
     while len(server.received) < 2:
         time.sleep(0.01)
     query = scheduler.submit(EIGHT[3], field_alone, urgent=True)
+    asked.set()
     query.result(30)
     assert not sent[-1].done()
+    answered.set()
     for one in sent:
         one.result(30)
     scheduler.stop()
