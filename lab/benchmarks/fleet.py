@@ -33,6 +33,9 @@ SQLITE, POSTGRESQL = "sqlite", "postgresql"
 FROM, TO = 0.85, 0.1
 """Shares of the images that wait between which the rate is taken: all workers have started, none is idle."""
 
+LOOKS_S = 0.1
+"""Seconds between two looks at how many still wait: each costs the node some of the workers' cores."""
+
 
 @contextmanager
 def serving(data: Path, further: dict[str, str]) -> Iterator[httpx.Client]:
@@ -76,9 +79,9 @@ def described(calls: httpx.Client, data: Path, there: dict[str, str], workers: i
             for share in (FROM, TO):
                 if waiting <= share * images:
                     at.setdefault(share, (time.perf_counter(), used_s(processes)))
-            time.sleep(0.02)
+            time.sleep(LOOKS_S)
         while calls.get(f"/maps/{into}").raise_for_status().json()["views"]["pending"]:
-            time.sleep(0.02)
+            time.sleep(LOOKS_S)
     calls.delete(f"/maps/{into}").raise_for_status()
     took, used = (end - begin for begin, end in zip(at[FROM], at[TO], strict=True))
     return (FROM - TO) * images / took, used / took

@@ -158,10 +158,10 @@ class Descriptions(Part):
         self, table: sa.Table, seqs: Sequence[int], recipe: str, unpack: Callable[..., Unpacked]
     ) -> dict[int, Unpacked]:
         """A part of descriptions by sequence number, from whole rows."""
-        reading = _appearances() if table is APPEARANCES else _bodies(table)
         found: dict[int, Unpacked] = {}
         damaged: dict[int, str] = {}
         with self._database.reading() as connection:
+            reading = _reading(table, connection.dialect.name)
             for portion in batches(int(seq) for seq in seqs):
                 for seq, body, checksum, *size in connection.execute(reading, {"seqs": portion, "recipe": recipe}):
                     try:
@@ -175,20 +175,16 @@ class Descriptions(Part):
 
 
 @cache
-def _bodies(table: sa.Table) -> sa.Select[Any]:
-    """Selects bodies by views and recipe; cached, since building the statement takes as long as running it."""
-    seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
-    recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
-    bodies = sa.select(table.c.seq, table.c.body, table.c.checksum)
-    mine = table.c.seq.in_(seqs), table.c.recipe == recipe
-    return bodies.where(*mine).execution_options(**{dialect.AS_BYTES: True})
+def _reading(table: sa.Table, database: str) -> sa.Select[Any]:
+    """Selects bodies by views and recipe, appearances with the sizes of their images.
 
-
-@cache
-def _appearances() -> sa.Select[Any]:
-    """Selects appearances and image sizes by views and recipe."""
-    reading = _bodies(APPEARANCES).add_columns(VIEWS.c.width, VIEWS.c.height)
-    return reading.join(VIEWS, VIEWS.c.seq == APPEARANCES.c.seq)
+    Cached, since building the statement takes as long as running it.
+    """
+    mine = dialect.one_of(table.c.seq, "seqs", database), table.c.recipe == sa.bindparam("recipe")
+    bodies = sa.select(table.c.seq, table.c.body, table.c.checksum).where(*mine)
+    if table is APPEARANCES:
+        bodies = bodies.add_columns(VIEWS.c.width, VIEWS.c.height).join(VIEWS, VIEWS.c.seq == table.c.seq)
+    return bodies.execution_options(**{dialect.AS_BYTES: True})
 
 
 def _appearance(body: bytes, width: int, height: int) -> Appearance:
