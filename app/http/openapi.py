@@ -205,9 +205,17 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, problems.OscpProblem, problems.CompreFaceProblem):
-            schemas.update(_definitions(model))
-        for model in (PutMap, PostRecipe, PatchMap, PostCalibration, PostUnknown, PostProposal):
+        for model in (
+            Problem,
+            problems.OscpProblem,
+            problems.CompreFaceProblem,
+            PutMap,
+            PostRecipe,
+            PatchMap,
+            PostCalibration,
+            PostUnknown,
+            PostProposal,
+        ):
             schemas.update(_definitions(model))
         whole["components"]["securitySchemes"] = _SCHEMES
         for method, path, operation in (
