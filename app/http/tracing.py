@@ -26,8 +26,8 @@ PATIENCE_S = 3.0
 """Seconds that a stop waits for the collector to take the last spans."""
 
 EXTRA = (
-    "REVISIT_TRACES needs two packages: pip install opentelemetry-sdk opentelemetry-exporter-otlp-proto-http (the extra "
-    "'otel'), or leave REVISIT_TRACES out"
+    "REVISIT_TRACES needs two packages: pip install opentelemetry-sdk opentelemetry-exporter-otlp-proto-http "
+    "(the extra 'otel'), or leave REVISIT_TRACES out"
 )
 
 WITHOUT_SPANS = frozenset({"/livez", "/readyz", "/metrics"})
