@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -25,6 +26,22 @@ IMAGES_ADDRESS = (
 """Address of images in an S3-compatible store."""
 
 _ORIGIN = r"https?://[^\s/?#@*]+"  # as browsers write it: no path, and no slash at its end
+
+
+def _reachable(address: str) -> str:
+    """An address whose host may exist; raises ValueError where no connection could be tried, in words."""
+    try:
+        to = urlsplit(address)
+        port = to.port
+    except ValueError as error:  # an IPv6 address without its end, a port that is no number or too large
+        raise ValueError(f"has no usable host and port: {error}") from None
+    try:
+        (to.hostname or ".").encode("idna")
+    except UnicodeError:
+        raise ValueError("has a host with an empty part, or one of more than 63 letters") from None
+    if port == 0:
+        raise ValueError("has the port 0, at which nobody listens")
+    return address
 
 
 def _listed(text: str) -> tuple[str, ...]:
@@ -127,14 +144,14 @@ class Settings(BaseSettings):
     def _receiver(cls, text: str | None) -> str | None:
         if text is not None and not re.fullmatch(r"https?://[^\s/?#@]+([/?][^\s#]*)?", text):
             raise ValueError("is no address such as https://app.example/hooks/revisit")
-        return text
+        return None if text is None else _reachable(text)
 
     @field_validator("encoder_url")
     @classmethod
     def _encoder(cls, text: str | None) -> str | None:
         if text is not None and not re.fullmatch(r"https?://[^\s/?#@]+(/[^\s?#]*)?", text):
             raise ValueError("is no address such as http://encoder:8100 (a key: REVISIT_ENCODER_KEY)")
-        return text
+        return None if text is None else _reachable(text)
 
     @field_validator("encoder_key")
     @classmethod
@@ -150,7 +167,7 @@ class Settings(BaseSettings):
             raise ValueError(
                 "is no address such as mqtt://robot@broker.example:1883 (a password: REVISIT_MQTT_PASSWORD)"
             )
-        return text
+        return None if text is None else _reachable(text)
 
     @field_validator("mqtt_topic")
     @classmethod

@@ -9,6 +9,7 @@ from fastapi.testclient import TestClient
 from jsonschema import Draft202012Validator, FormatChecker
 
 from app.console.files import files
+from app.http.problems import shape_of
 from schemas.values import moment
 
 _FORMATS = FormatChecker(())
@@ -40,7 +41,7 @@ class Contract:
         template = next((t for pattern, t in self._patterns if pattern.fullmatch(path)), None)
         if template is None:
             assert response.status_code == 404, f"{method} {path} is not documented"
-            self._shape({"$ref": "#/components/schemas/Problem"}, response.json())
+            self._shape({"$ref": f"#/components/schemas/{shape_of(path).__name__}"}, response.json())
             return
         promised = self.document["paths"][template][method]["responses"].get(str(response.status_code))
         assert promised is not None, f"{method} {template} does not promise {response.status_code}: {response.text}"

@@ -92,15 +92,24 @@ def test_promtool_accepts_the_rules_and_the_configuration() -> None:
         assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
-def test_systemd_knows_every_line_of_the_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["revisit.service", "revisit-worker.service"])
+def test_systemd_knows_every_line_of_the_unit(name: str, tmp_path: Path) -> None:
     program = shutil.which("systemd-analyze")
     if program is None:
         pytest.skip("THE UNIT IS NOT CHECKED: systemd-analyze is not installed")
-    unit = (ROOT / "deploy" / "revisit.service").read_text().replace("/opt/revisit/revisit", "/bin/true")
+    unit = (ROOT / "deploy" / name).read_text().replace("/opt/revisit/revisit", "/bin/true")
     for text, fault in ((unit, ""), (unit.replace("ProtectSystem=", "ProtectSystm="), "Unknown key")):
-        (tmp_path / "revisit.service").write_text(text)
-        checked = subprocess.run(
-            [program, "verify", str(tmp_path / "revisit.service")], capture_output=True, text=True, check=False
-        )
-        said = "".join(line for line in checked.stderr.splitlines() if "revisit.service" in line)
+        (tmp_path / name).write_text(text)
+        checked = subprocess.run([program, "verify", str(tmp_path / name)], capture_output=True, text=True, check=False)
+        said = "".join(line for line in checked.stderr.splitlines() if name in line)
         assert (checked.returncode, fault in said, bool(said)) == (0, True, bool(fault)), checked.stderr
+
+
+def test_both_units_run_commands_that_there_are_and_differ_in_nothing_else() -> None:
+    serve, work = ((ROOT / "deploy" / name).read_text() for name in ("revisit.service", "revisit-worker.service"))
+    starts = [re.findall(r"^ExecStart=/opt/revisit/revisit (\w+)$", unit, re.MULTILINE) for unit in (serve, work)]
+    assert starts == [["serve"], ["worker"]]
+    own = {"Description", "After", "ExecStart", "ExecStartPost", "TimeoutStartSec"}
+    kept = [[line for line in unit.splitlines() if line.partition("=")[0] not in own | {""} and line[0] != "#"]
+            for unit in (serve, work)]  # fmt: skip
+    assert kept[0] == kept[1]

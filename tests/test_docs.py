@@ -99,3 +99,9 @@ def test_every_decision_is_listed() -> None:
     folder = ROOT / "docs" / "decisions"
     listed = (folder / "README.md").read_text()
     assert [path.name for path in sorted(folder.glob("0*.md")) if f"({path.name})" not in listed] == []
+
+
+def test_nobody_is_told_to_install_what_is_not_published() -> None:
+    """Revisit is on no index: `pip install 'revisit[...]'` would fetch somebody else's package."""
+    told = [*PAGES, *(path for room in ("app", "worker", "schemas", "client") for path in (ROOT / room).rglob("*.py"))]
+    assert [str(path) for path in told if re.search(r"pip install '?revisit\b(?!_)", path.read_text())] == []

@@ -3,9 +3,14 @@
 import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+NO_MAP, DEFAULT_MAP = "/compat/compreface/api/", "/compat/compreface/default/api/"
+"""Beginnings of addresses of a service that knows no maps, and what they mean here."""
+
 
 class Addresses:
-    """HEAD is answered as GET without the body (RFC 9110, 9.3.2), and ``/views/`` as ``/views``.
+    """HEAD is answered as GET without the body (RFC 9110, 9.3.2), ``/views/`` as ``/views``.
+
+    `NO_MAP` is the map ``default``. (A map that is named ``api`` has that part twice.)
 
     A body that would be streamed is ended at once: HEAD of a snapshot reads no file, that of events does not last.
 
@@ -24,6 +29,9 @@ class Addresses:
         if len(path) > 1 and path.endswith("/"):
             scope["path"] = path[:-1]
             scope["raw_path"] = scope.get("raw_path", b"").removesuffix(b"/")
+        if path.startswith(NO_MAP) and not path.startswith(f"{NO_MAP}api/"):
+            scope["path"] = DEFAULT_MAP + scope["path"].removeprefix(NO_MAP)
+            scope["raw_path"] = DEFAULT_MAP.encode() + scope.get("raw_path", b"").removeprefix(NO_MAP.encode())
         if scope["method"] != "HEAD":
             await self._app(scope, receive, send)
             return

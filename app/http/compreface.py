@@ -58,7 +58,7 @@ class Examples(Parameters):
     """Parameters of a list of examples."""
 
     page: int = Field(0, ge=0, le=1_000_000, description="Number of the page, from 0.")
-    size: int = Field(20, ge=1, le=500, description="Examples a page.")
+    size: int = Field(20, ge=1, le=10_000, description="Examples a page.")
     subject: PlaceName | None = Field(None, description="Only of this place.")
 
 
@@ -147,7 +147,7 @@ class Verified(Verdict):
     box: Box
     subject: str
     similarity: float = Field(ge=0, le=1)
-    execution_time: dict[str, float] | None = None
+    execution_time: dict[str, float] | None = Field(None, description="Milliseconds; with status=true.")
 
 
 class Recognitions(Answer):
@@ -161,7 +161,7 @@ class Verifications(Answer):
     """The one result of an image."""
 
     result: list[Verified]
-    plugins_versions: dict[str, str] | None = None
+    plugins_versions: dict[str, str] | None = Field(None, description="With status=true.")
 
 
 async def one_image(request: Request) -> tuple[str | None, bytes]:

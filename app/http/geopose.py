@@ -7,18 +7,20 @@ a place, it measures no pose.
 import base64
 import binascii
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from schemas.errors import InvalidParameters, NoPose, ParameterError
+from schemas.errors import BadBody, InvalidParameters, NoPose, ParameterError
 from schemas.wire import QueryAnswer
 
 Json = dict[str, Any]
 
 OGC = "application/geopose+json"
 OSCP = "application/vnd.oscp+json"
-OSCP_VERSION = f"{OSCP};version=2.0"
+OSCP_LEVEL = "2.0"
+OSCP_VERSION = f"{OSCP};version={OSCP_LEVEL}"
 
 HEADING_SD = 20.0
 """Degrees by which a camera that recognises a view may be turned against it, as a standard deviation."""
@@ -29,23 +31,40 @@ ANY_HEADING_SD = 180.0
 LEAST_NEAR_M = 100.0
 """Smallest radius of a search around a prior, metres: what phones are wrong by between houses."""
 
+ANYWHERE_M = 1e7
+"""Accuracy from which a prior says nothing, metres: a quarter of the way around the globe."""
 
-class Orientation(BaseModel):
+
+class _Sent(BaseModel):
+    """Base of what a request is read as: no conversion of types, and fields that are not read are left out.
+
+    A field that is null counts as left out: many libraries write so what an object does not have.
+    """
+
+    model_config = ConfigDict(strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_nulls(cls, given: Any) -> Any:
+        return {key: value for key, value in given.items() if value is not None} if isinstance(given, dict) else given
+
+
+class Orientation(_Sent):
     """How the camera held the image."""
 
     mirrored: bool = False
     rotation: float = 0.0
 
 
-class CameraReading(BaseModel):
-    """One image; fields that are not read are left out."""
+class CameraReading(_Sent):
+    """One image."""
 
     image_bytes: str = Field(alias="imageBytes", description="Base64 of an image file.")
     orientation: Orientation = Field(default_factory=Orientation, alias="imageOrientation")
     privacy: Json | None = Field(None, description="Where it is given, the image is not kept for unknown places.")
 
 
-class GeolocationReading(BaseModel):
+class GeolocationReading(_Sent):
     """Where the phone takes itself to be, WGS 84."""
 
     latitude: float = Field(ge=-90, le=90)
@@ -53,61 +72,82 @@ class GeolocationReading(BaseModel):
     accuracy: float = Field(0.0, ge=0, description="Metres.")
 
 
-class SensorReadings(BaseModel):
+class SensorReadings(_Sent):
     """What the phone has measured."""
 
     camera_readings: list[CameraReading] = Field(alias="cameraReadings", min_length=1, max_length=16)
     geolocation_readings: list[GeolocationReading] = Field(default_factory=list, alias="geolocationReadings")
 
 
-class PriorPosition(BaseModel):
+class PriorPosition(_Sent):
     """A position of WGS 84."""
 
     lat: float = Field(ge=-90, le=90)
     lon: float = Field(ge=-180, le=180)
 
 
-class PriorGeoPose(BaseModel):
+class PriorGeoPose(_Sent):
     """A pose, of which the position is read."""
 
     position: PriorPosition
 
 
-class PriorAccuracy(BaseModel):
+class PriorAccuracy(_Sent):
     """How far off a prior may be."""
 
     position: float = Field(0.0, ge=0, description="Metres.")
 
 
-class Prior(BaseModel):
-    """A pose that was known before: the protocol's own answer, sent back."""
+class Prior(_Sent):
+    """A pose that was known before: the protocol's own answer, sent back, or the pose in it alone."""
 
     geopose: PriorGeoPose
     accuracy: PriorAccuracy = Field(default_factory=PriorAccuracy)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _whole(cls, given: Any) -> Any:
+        bare = isinstance(given, Mapping) and "geopose" not in given and "position" in given
+        return {"geopose": given} if bare else given
 
-class GeoPoseRequest(BaseModel):
+
+class GeoPoseRequest(_Sent):
     """A request of the OSCP GeoPose protocol."""
 
     id: str = Field(max_length=200)
+    type: Literal["geopose"] = "geopose"
     readings: SensorReadings = Field(alias="sensorReadings")
-    priors: list[Prior] = Field(default_factory=list, alias="priorPoses", max_length=100)
+    priors: list[Prior] = Field(default_factory=list, alias="priorPoses")
 
     def image(self) -> bytes:
-        """The first image; raises InvalidParameters where it is no base64, or not upright."""
+        """The first image.
+
+        Raises
+        ------
+        InvalidParameters
+            It is no base64, or not upright.
+        BadBody
+            It is empty.
+        """
         reading = self.readings.camera_readings[0]
         where = "sensorReadings.cameraReadings.0."
         if reading.orientation.mirrored or reading.orientation.rotation % 360:
             raise InvalidParameters(
                 [ParameterError(where + "imageOrientation", "send the image upright, or with EXIF")]
             )
+        if not reading.image_bytes:
+            raise BadBody("no-picture", f"`{where}imageBytes` is empty; send an image file in base64")
         try:
             return base64.b64decode(reading.image_bytes, validate=True)
         except (binascii.Error, ValueError):
-            raise InvalidParameters([ParameterError(where + "imageBytes", "is no base64")]) from None
+            wrong = "is no base64; send it without line breaks, and without `data:` before it"
+            raise InvalidParameters([ParameterError(where + "imageBytes", wrong)]) from None
 
     def near(self) -> tuple[float, float, float] | None:
-        """(latitude, longitude, radius in metres) to search in: of the last prior pose, else of the last reading."""
+        """(latitude, longitude, radius in metres) to search in: of the last prior pose, else of the last reading.
+
+        None where there is neither, and where it may be anywhere: clients say so with the largest number that there is.
+        """
         if self.priors:
             last = self.priors[-1]
             at, accuracy = (last.geopose.position.lat, last.geopose.position.lon), last.accuracy.position
@@ -116,7 +156,7 @@ class GeoPoseRequest(BaseModel):
             at, accuracy = (reading.latitude, reading.longitude), reading.accuracy
         else:
             return None
-        return (*at, max(LEAST_NEAR_M, 3 * accuracy))
+        return None if accuracy > ANYWHERE_M else (*at, max(LEAST_NEAR_M, 3 * accuracy))
 
     def may_be_kept(self) -> bool:
         """Whether the image may be kept among a map's unknown places: not where it came with wishes for privacy."""
@@ -130,8 +170,12 @@ def wants_geopose(accept: str) -> bool:
 
 def speaks_oscp(accept: str) -> bool:
     """Whether a caller asks for version 2 of the OSCP protocol."""
-    ranges = [part.replace(" ", "").lower() for part in accept.split(",")]
-    return any(one.split(";q=")[0] == OSCP_VERSION for one in ranges)
+    for part in accept.split(","):
+        name, *options = (word.strip().lower() for word in part.split(";"))
+        told = {key.strip(): value.strip().strip('"') for key, _, value in (word.partition("=") for word in options)}
+        if name == OSCP and told.get("version") == OSCP_LEVEL and told.get("q") not in ("0", "0.0"):
+            return True
+    return False
 
 
 def _quality(accept: str, media_type: str) -> float:

@@ -106,7 +106,7 @@ class RequestContext:
                     headers["Connection"] = "close"
             await send(message)
 
-        with bound(request_id=request_id), noting() as notes, self._metrics.in_flight.track_inprogress():
+        with bound(request_id=request_id), noting(scope["path"]) as notes, self._metrics.in_flight.track_inprogress():
             try:
                 await self._app(scope, receive_watched, send_with_id)
             except asyncio.CancelledError:

@@ -12,12 +12,15 @@ class Notes:
 
     Parameters
     ----------
+    path : str
+        Its path as it came, without parameters.
     fields : dict
         Further fields of its log line.
     problems : list of str
         Codes of the errors that were answered; several images of one request may each have one.
     """
 
+    path: str = ""
     fields: dict[str, object] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
@@ -26,9 +29,9 @@ _NOTES: ContextVar[Notes | None] = ContextVar("revisit_notes", default=None)
 
 
 @contextmanager
-def noting() -> Iterator[Notes]:
+def noting(path: str = "") -> Iterator[Notes]:
     """Collect the notes of the request that the block answers."""
-    notes = Notes()
+    notes = Notes(path)
     token = _NOTES.set(notes)
     try:
         yield notes
@@ -48,3 +51,9 @@ def note_problem(code: str) -> None:
     notes = _NOTES.get()
     if notes is not None:
         notes.problems.append(code)
+
+
+def noted_path() -> str:
+    """The path of the present request; empty where there is none."""
+    notes = _NOTES.get()
+    return "" if notes is None else notes.path

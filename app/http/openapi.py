@@ -205,7 +205,17 @@ def document(app: FastAPI) -> Json:
             title=app.title, version=app.version, description=DESCRIPTION, routes=app.routes, tags=app.openapi_tags
         )
         schemas = whole.setdefault("components", {}).setdefault("schemas", {})
-        for model in (Problem, PutMap, PostRecipe, PatchMap, PostCalibration, PostUnknown, PostProposal):
+        for model in (
+            Problem,
+            problems.OscpProblem,
+            problems.CompreFaceProblem,
+            PutMap,
+            PostRecipe,
+            PatchMap,
+            PostCalibration,
+            PostUnknown,
+            PostProposal,
+        ):
             schemas.update(_definitions(model))
         whole["components"]["securitySchemes"] = _SCHEMES
         for method, path, operation in (
@@ -214,6 +224,7 @@ def document(app: FastAPI) -> Json:
             _secure(operation, method.upper(), path)
             if "requestBody" not in operation:
                 _add_refusal(operation["responses"], "unexpected-body", str)
+            _reshape(operation, problems.shape_of(path))
             if "parameters" in operation:
                 operation["parameters"] = [_described(parameter) for parameter in operation["parameters"]]
         # FastAPI's own validation errors are never sent.
@@ -237,7 +248,20 @@ def _secure(operation: Json, method: str, path: str) -> None:
             _add_refusal(responses, code, str)
 
 
+def _reshape(operation: Json, shape: type[Problem]) -> None:
+    """Say of which shape the problems of a route are."""
+    if shape is Problem:
+        return
+    told = [response.get("content", {}).get(problems.MEDIA_TYPE) for response in operation["responses"].values()]
+    for content in filter(None, told):
+        content["schema"] = {"$ref": _REF + shape.__name__}
+        content["examples"] = {
+            code: {"value": example["value"] | problems.own_members(shape, example["value"]["detail"])}
+            for code, example in content["examples"].items()
+        }
+
+
 def _definitions(model: type[BaseModel]) -> Json:
-    mode: Any = "serialization" if model is Problem else "validation"
+    mode: Any = "serialization" if issubclass(model, Problem) else "validation"
     schema = model.model_json_schema(mode=mode, ref_template=_REF + "{model}")
     return {**schema.pop("$defs", {}), model.__name__: schema}

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
+from pydantic import Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from app.http.notes import note_problem
+from app.http.notes import note_problem, noted_path
 from app.http.validation import in_words
 from schemas.errors import (
     BadBody,
@@ -108,6 +109,33 @@ KINDS: Mapping[str, Kind] = {
 }
 """All problem types by their codes."""
 
+
+class OscpProblem(Problem):
+    """An error for clients of the OSCP GeoPose protocol."""
+
+    ERROR: str = Field(description="`detail` again, where clients of this protocol look for it.")
+
+
+class CompreFaceProblem(Problem):
+    """An error for clients of CompreFace."""
+
+    message: str = Field(description="`detail` again, where clients of CompreFace look for it.")
+
+
+_SHAPES: Mapping[str, type[Problem]] = {"/localize/geopose": OscpProblem, "/compat/compreface/": CompreFaceProblem}
+"""Paths, or what they begin with, whose protocols have a name of their own for what is wrong."""
+
+
+def shape_of(path: str) -> type[Problem]:
+    """The model of a problem that is answered at a path."""
+    return next((shape for start, shape in _SHAPES.items() if path.startswith(start)), Problem)
+
+
+def own_members(shape: type[Problem], detail: str) -> dict[str, str]:
+    """What a shape has besides the members of every problem."""
+    return dict.fromkeys(shape.model_fields.keys() - Problem.model_fields.keys(), detail)
+
+
 _OF_STATUS = {404: "not-found", 405: "method-not-allowed", 413: "body-too-large"}
 
 _INTERNAL_DETAIL = "something went wrong inside the service; its log has the reason under this request id"
@@ -129,13 +157,15 @@ def problem(
     """The answer for a problem of one kind; `code` is a key of `KINDS`."""
     kind = KINDS[code]
     note_problem(code)
-    body = Problem(
+    shape = shape_of(noted_path())
+    body = shape(
         type=URN + code,
         title=kind.title,
         status=kind.status,
         detail=detail,
         errors=[ProblemParameter(parameter=e.parameter, detail=e.detail) for e in errors],
         request_id=request_id,
+        **own_members(shape, detail),
     )
     return Response(body.model_dump_json(), kind.status, dict(headers or {}), MEDIA_TYPE)
 

@@ -25,6 +25,11 @@ logger = logging.getLogger("revisit.http")
 PATIENCE_S = 3.0
 """Seconds that a stop waits for the collector to take the last spans."""
 
+EXTRA = (
+    "REVISIT_TRACES needs two packages: pip install opentelemetry-sdk opentelemetry-exporter-otlp-proto-http "
+    "(the extra 'otel'), or leave REVISIT_TRACES out"
+)
+
 WITHOUT_SPANS = frozenset({"/livez", "/readyz", "/metrics"})
 """Asked every few seconds by supervisors: their spans would hide all others."""
 
@@ -109,7 +114,7 @@ def make_provider() -> Any:
         from opentelemetry.sdk.trace import TracerProvider
         from opentelemetry.sdk.trace.export import BatchSpanProcessor, ConsoleSpanExporter
     except ModuleNotFoundError:
-        raise SetupError("REVISIT_TRACES needs an extra: pip install 'revisit[otel]', or switch it off") from None
+        raise SetupError(EXTRA) from None
     named = {} if os.environ.get("OTEL_SERVICE_NAME") else {SERVICE_NAME: "revisit"}
     # `finish` sends what is left; at exit the exporter would take all the time it likes.
     provider = TracerProvider(resource=Resource.create(named), shutdown_on_exit=False)
@@ -118,7 +123,7 @@ def make_provider() -> Any:
         try:
             from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
         except ModuleNotFoundError:
-            raise SetupError("REVISIT_TRACES needs an extra: pip install 'revisit[otel]', or switch it off") from None
+            raise SetupError(EXTRA) from None
         provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
     elif exporter == "console":
         provider.add_span_processor(BatchSpanProcessor(ConsoleSpanExporter()))

@@ -162,7 +162,7 @@ class Webhooks:
         timeout = TIMEOUT_S if self._ends_at is None else max(0.1, self._ends_at - time.monotonic())
         try:
             answer = client.post(self._url, content=one.body, headers=headers, timeout=timeout)
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:  # UnicodeError: a host that cannot be named
             return _Failure(f"{type(error).__name__} after attempt {one.attempts}")
         if answer.is_success:
             return None

@@ -88,6 +88,8 @@ def test_who_asks_for_a_pose(accept: str, wanted: bool) -> None:
         ("application/vnd.oscp+json;version=2.0", True),
         ("application/vnd.oscp+json; version=2.0", True),
         ("text/html, application/vnd.oscp+json;version=2.0;q=0.9", True),
+        ('application/vnd.oscp+json; charset=utf-8; version="2.0"', True),
+        ("application/vnd.oscp+json;version=2.0;q=0", False),
         ("application/vnd.oscp+json;version=1.0", False),
         ("application/vnd.oscp+json", False),
         ("*/*", False),
@@ -130,6 +132,37 @@ def test_the_last_prior_says_where_to_look() -> None:
     assert read(request(readings={"geolocationReadings": [FIX]}, priorPoses=[PRIOR])).near() == (50.1, 14.1, 180.0)
 
 
+def test_an_answer_is_a_prior_of_the_next_request() -> None:
+    read = geopose.GeoPoseRequest.model_validate
+    sure, vague = (geopose.oscp_answer("a", 1, answer(radius=radius)) for radius in (50.0, None))
+
+    assert read(request(priorPoses=[sure])).near() == (50.0, 14.0, 150.0)
+    assert vague["accuracy"]["position"] is None
+    assert read(request(priorPoses=[vague])).near() == (50.0, 14.0, 100.0)
+    assert read(request(priorPoses=[vague["geopose"]] * 500)).near() == (50.0, 14.0, 100.0)
+
+
+def test_a_prior_of_any_accuracy_says_nothing() -> None:
+    """The protocol's own library sends the largest number that there is where it knows none."""
+    read = geopose.GeoPoseRequest.model_validate
+    largest = {"position": 1.7976931348623157e308, "orientation": 1.7976931348623157e308}
+
+    assert read(request(priorPoses=[PRIOR | {"accuracy": largest}])).near() is None
+    assert read(request(readings={"geolocationReadings": [FIX | {"accuracy": 1e7}]})).near() == (50.2, 14.2, 3e7)
+
+
+def test_null_is_nothing() -> None:
+    read = geopose.GeoPoseRequest.model_validate
+    nothing = request(
+        camera={"imageOrientation": None, "privacy": None}, readings={"geolocationReadings": None}, priorPoses=None
+    )
+
+    assert read(nothing).near() is None
+    assert read(nothing).may_be_kept()
+    assert read(nothing).image() == photo()
+    assert read(request(priorPoses=[PRIOR | {"accuracy": None}])).near() == (50.1, 14.1, 100.0)
+
+
 @pytest.mark.parametrize("camera", [{"imageBytes": "no base64!"}, {"imageOrientation": {"rotation": 90}}])
 def test_an_image_that_cannot_be_read_is_refused(camera: dict[str, Any]) -> None:
     with pytest.raises(InvalidParameters):
@@ -154,6 +187,7 @@ def test_another_version_is_a_bad_request(client: CheckedClient) -> None:
     for headers in ({"accept": "application/json"}, {"accept": "application/vnd.oscp+json;version=1.0"}):
         answered = client.post("/localize/geopose", json=request(), headers=headers)
         assert (answered.status_code, answered.json()["type"]) == (400, "urn:revisit:problem:bad-request")
+        assert answered.json()["ERROR"] == answered.json()["detail"]
 
 
 @pytest.mark.parametrize(
@@ -163,6 +197,22 @@ def test_another_version_is_a_bad_request(client: CheckedClient) -> None:
         ({"id": "a", "sensorReadings": {"cameraReadings": []}}, "sensorReadings.cameraReadings"),
         (request(camera={"imageBytes": "%"}), "sensorReadings.cameraReadings.0.imageBytes"),
         (request(priorPoses=[{"geopose": {"position": {"lat": 99, "lon": 0}}}]), "priorPoses.0.geopose.position.lat"),
+        (request(priorPoses=[{"position": {"lat": 0, "lon": 181}}]), "priorPoses.0.geopose.position.lon"),
+        (request(priorPoses=[{"geopose": {"position": {"lat": True, "lon": 0}}}]), "priorPoses.0.geopose.position.lat"),
+        (request(priorPoses=[{"geopose": {"position": {"lat": "5", "lon": 0}}}]), "priorPoses.0.geopose.position.lat"),
+        (
+            request(priorPoses=[{"geopose": {"position": {"lat": 10**400, "lon": 0}}}]),
+            "priorPoses.0.geopose.position.lat",
+        ),
+        (request(priorPoses=[PRIOR | {"accuracy": {"position": -1}}]), "priorPoses.0.accuracy.position"),
+        (request(priorPoses={}), "priorPoses"),
+        (request(type="localize"), "type"),
+        (request(id=5), "id"),
+        (request(camera={"imageBytes": None}), "sensorReadings.cameraReadings.0.imageBytes"),
+        (
+            request(camera={"imageOrientation": {"mirrored": "no"}}),
+            "sensorReadings.cameraReadings.0.imageOrientation.mirrored",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_request_is_named(client: CheckedClient, body: dict[str, Any], named: str) -> None:
@@ -170,6 +220,21 @@ def test_what_is_wrong_with_a_request_is_named(client: CheckedClient, body: dict
 
     assert refused.status_code == 422
     assert named in [one["parameter"] for one in refused.json()["errors"]]
+    assert refused.json()["ERROR"] == refused.json()["detail"]
+
+
+@pytest.mark.parametrize("body", [b"{", b"[1]", b'{"id": NaN}', b'{"a": 1e400}', b'{"a":' * 50_000])
+def test_what_is_no_json_is_refused(client: CheckedClient, body: bytes) -> None:
+    refused = client.post("/localize/geopose", content=body, headers=OSCP)
+
+    assert (refused.status_code, refused.json()["type"]) == (400, "urn:revisit:problem:malformed-body")
+    assert refused.json()["ERROR"] == refused.json()["detail"]
+
+
+def test_no_image_is_no_image(client: CheckedClient) -> None:
+    refused = client.post("/localize/geopose", json=request(camera={"imageBytes": ""}), headers=OSCP)
+
+    assert (refused.status_code, refused.json()["type"]) == (400, "urn:revisit:problem:no-picture")
 
 
 def test_what_is_no_image_is_refused_as_everywhere(client: CheckedClient) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from app.cli.logs import JsonLines, _WithContext
+from app.http.tracing import make_provider
+from schemas.errors import SetupError
 from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -83,3 +85,13 @@ def test_nothing_of_opentelemetry_is_loaded_while_traces_are_off() -> None:
     assert [name for name in loaded.stdout.split() if name.startswith("opentelemetry.sdk")] == []
     assert [name for name in loaded.stdout.split() if name.startswith("opentelemetry.exporter")] == []
     assert "prometheus_client" in loaded.stdout.split()
+
+
+def test_without_the_packages_a_start_says_how_to_get_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("opentelemetry.sdk.trace", "opentelemetry.exporter.otlp.proto.http.trace_exporter"):
+        with monkeypatch.context() as patched:
+            patched.setitem(sys.modules, name, None)
+            with pytest.raises(
+                SetupError, match="pip install opentelemetry-sdk opentelemetry-exporter-otlp-proto-http"
+            ):
+                make_provider()

@@ -196,11 +196,26 @@ def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
     assert "more than 50 wait" in caplog.text
 
 
+@pytest.mark.parametrize("url", ["http://a..b/hook", "http://xn--/hook", "http://\u202e/hook", "http://[::1/hook"])
+def test_an_address_that_cannot_be_one_is_given_up_and_the_next_event_is_tried(url: str) -> None:
+    """Settings refuse most of these; none of them may end the thread that sends."""
+    with telling(url) as (webhooks, outcomes):
+        for number in range(2):
+            webhooks.tell(answer(f"q{number}"))
+        assert settled(outcomes, 2) == ["given_up", "given_up"]
+
+
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
         ("REVISIT_WEBHOOK", "app.example/hook"),
         ("REVISIT_WEBHOOK", "https://key@app.example/hook"),
+        ("REVISIT_WEBHOOK", "http://app..example/hook"),
+        ("REVISIT_WEBHOOK", f"http://{'a' * 64}.example/hook"),
+        ("REVISIT_WEBHOOK", "http://[::1/hook"),
+        ("REVISIT_WEBHOOK", "http://app.example:port/hook"),
+        ("REVISIT_WEBHOOK", "http://app.example:70000/hook"),
+        ("REVISIT_WEBHOOK", "http://app.example:0/hook"),
         ("REVISIT_WEBHOOK_SECRET", "whsec_not base64 at all"),
         ("REVISIT_WEBHOOK_SECRET", "too-short"),
         ("REVISIT_WEBHOOK_EVENTS", "matched,found"),

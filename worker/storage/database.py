@@ -10,6 +10,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, StorageFailed
 from worker.storage import dialect, sealing
+from worker.storage.again import Commits, again
 from worker.storage.disk_errors import DAMAGED, FULL, problem_of, translated
 from worker.storage.space import Space
 
@@ -38,13 +39,14 @@ class Database:
         self.engine = dialect.make_engine(url)
         sealing.follow(self.engine)
         self.space: Space | None = None
+        self.commits = Commits()
         self.trouble: str | None = None  # why the last transaction that wrote could not be stored
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
         """A transaction whose reads all see the same snapshot; raises StorageFailed or Damaged when its file fails."""
         try:
-            with translated("database"), self.engine.connect() as connection:
+            with translated("database", sent=False), self.engine.connect() as connection:
                 connection = dialect.for_reading(connection)
                 with connection.begin():
                     yield connection
@@ -68,6 +70,7 @@ class Database:
         """
         if self.space is not None and not frees:
             self.space.require()
+        sent = False
         try:
             with self.engine.connect() as connection:
                 connection = dialect.for_writing(connection)
@@ -76,9 +79,11 @@ class Database:
                     sealing.begin(connection)
                     yield connection
                     sealing.seal(connection)
+                    sent = True
+                self.commits.count += 1
             self.trouble = None
         except (OSError, sa.exc.DBAPIError) as error:
-            problem = problem_of(error, "database")
+            problem = problem_of(error, "database", sent=sent)
             if problem is None:
                 raise
             # SQLite says of a used-up quota, and of a disk that is full when it is synced, only that there is an error.
@@ -88,16 +93,22 @@ class Database:
             raise problem from error
 
     def freeing(self, work: Callable[[sa.Connection], T]) -> T:
-        """Run a deletion in a transaction, on a full disk with the reserve given up for it; raises DiskFull."""
-        try:
+        """Run a deletion in a transaction, on a full disk with the reserve given up for it; raises DiskFull.
+
+        `work` is run again where it was rolled back, also after others of the same call.
+        """
+
+        def run() -> T:
             with self.writing(frees=True) as connection:
                 return work(connection)
+
+        try:
+            return again(self.commits, run)
         except DiskFull:
             if self.space is None or not self.space.give_up():
                 raise
         self._truncate_journal()
-        with self.writing(frees=True) as connection:
-            return work(connection)
+        return run()
 
     def tidy(self) -> None:
         """After deletions on a disk that is nearly full: give the journal's space back and make the reserve again."""

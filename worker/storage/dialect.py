@@ -51,6 +51,12 @@ _IN_A_MOMENT = {
     "25P03": "this process was silent for too long while it wrote",
 }
 
+_OVER = frozenset({"40001", "40P01"})
+"""Codes that say of a transaction, whatever it was doing, that nothing of it is kept."""
+
+_TIMED_OUT = "ConnectionTimeout"
+"""Of `psycopg.errors`: a server that is silent for seconds will be so for more."""
+
 
 def make_engine(url: str) -> sa.Engine:
     """The engine of a database, set up for durable writes and consistent reads.
@@ -268,6 +274,22 @@ def server_trouble(error: sa.exc.DBAPIError) -> str | None:
     if state is None or error.connection_invalidated:
         return "there is no connection to it" if isinstance(error, sa.exc.OperationalError) else None
     return "there is no connection to it" if state[:2] == "08" else None
+
+
+def kept_nothing(error: sa.exc.DBAPIError, *, sent: bool) -> bool:
+    """Whether a server in trouble kept nothing of the transaction, so that it may be run again at once.
+
+    Parameters
+    ----------
+    error : DBAPIError
+        For which `server_trouble` has words.
+    sent : bool
+        Whether the server may have been told to commit. Then only its own word counts: a connection that broke says
+        nothing of what was done before.
+    """
+    if sent:
+        return getattr(error.orig, "sqlstate", None) in _OVER
+    return type(error.orig).__name__ != _TIMED_OUT
 
 
 def is_file(engine: sa.Engine) -> bool:

@@ -9,6 +9,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, RevisitError, StorageFailed
 from worker.storage import dialect
+from worker.storage.again import RolledBack
 
 _READ_ONLY, _IO_ERROR, _CANNOT_OPEN, _NO_PERMISSION = 8, 10, 14, 3
 _SQLITE = {
@@ -29,7 +30,7 @@ BUSY = "the database was being written by others for {} s; try again in a moment
 FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
 
 
-def problem_of(error: BaseException, what: str) -> RevisitError | None:
+def problem_of(error: BaseException, what: str, *, sent: bool = True) -> RevisitError | None:
     """DiskFull, StorageFailed or Damaged when the disk, the file, the server or other writers are at fault, else None.
 
     Parameters
@@ -37,6 +38,8 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
     error : BaseException
     what : str
         ``database`` or ``images``, for the text.
+    sent : bool
+        Whether the server may have been told to commit; else it is RolledBack where it is StorageFailed by the server.
     """
     if dialect.is_full(error):
         return DiskFull(FULL.format(what))
@@ -47,7 +50,8 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
             return StorageFailed(BUSY.format(dialect.BUSY_S))
         trouble = dialect.server_trouble(error)
         if trouble is not None:
-            return StorageFailed(AWAY.format(trouble))
+            kept_nothing = dialect.kept_nothing(error, sent=sent)
+            return (RolledBack if kept_nothing else StorageFailed)(AWAY.format(trouble))
         code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF
         return StorageFailed(FAILED.format(what, _SQLITE[code])) if code in _SQLITE else None
     if isinstance(error, OSError) and error.errno in _FILES:
@@ -56,12 +60,15 @@ def problem_of(error: BaseException, what: str) -> RevisitError | None:
 
 
 @contextmanager
-def translated(what: str) -> Iterator[None]:
-    """Raise errors of the disk and of the database inside the block as DiskFull, StorageFailed or Damaged."""
+def translated(what: str, *, sent: bool = True) -> Iterator[None]:
+    """Raise errors of the disk and of the database inside the block as DiskFull, StorageFailed or Damaged.
+
+    `sent`: as in `problem_of`.
+    """
     try:
         yield
     except (OSError, sa.exc.DBAPIError) as error:
-        problem = problem_of(error, what)
+        problem = problem_of(error, what, sent=sent)
         if problem is None:
             raise
         raise problem from error

@@ -38,7 +38,8 @@ def image_lock(database: Database, data: Path) -> ImageLock:
 
     @contextmanager
     def by_server(first: str) -> Iterator[None]:
-        with translated("database"), database.engine.connect() as connection, connection.begin():
+        # Its commit keeps nothing; whether the block committed something is counted by the database.
+        with translated("database", sent=False), database.engine.connect() as connection, connection.begin():
             lock = f"pg_advisory_xact_lock({SCHEMA}, {int(first, 16)})"
             connection.execute(dialect.bounded(IMAGE_SILENT_S, lock))
             yield

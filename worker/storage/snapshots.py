@@ -35,7 +35,7 @@ RECEIVING = ".receiving-"
 _ID = re.compile("[0-9a-f-]{36}")
 
 
-class Snapshots(Part):
+class Snapshots(Part, again=False):
     """Files of snapshots, named by the job that made each.
 
     Parameters

@@ -195,7 +195,7 @@ async def example_image(name: MapName, view_id: ViewId, request: Request, curato
 # recognition
 
 
-@router.post("/recognize", openapi_extra=_IMAGE, responses=refusals(*_QUERIED))
+@router.post("/recognize", openapi_extra=_IMAGE, responses=refusals(*_QUERIED), response_model_exclude_none=True)
 async def recognize(
     name: MapName,
     params: Annotated[shapes.Recognition, Query()],
@@ -207,7 +207,12 @@ async def recognize(
     return shapes.recognised(await _query(request, name, recogniser, metrics), params, VERSION)
 
 
-@router.post("/faces/{view_id}/verify", openapi_extra=_IMAGE, responses=refusals(*_QUERIED))
+@router.post(
+    "/faces/{view_id}/verify",
+    openapi_extra=_IMAGE,
+    responses=refusals(*_QUERIED),
+    response_model_exclude_none=True,
+)
 async def verify(
     name: MapName,
     view_id: ViewId,
