@@ -1,32 +1,38 @@
 """Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order and shuffled.
 
 ``python -m lab.drives pairs --root DIR``. Maps are made in the order of the path: of everything, and of every other
-stretch.
+stretch. SeqSLAM stands beside them, which knows nothing but the order; with ``--no-service`` it stands alone.
 """
 
 import argparse
 import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from lab import evaluate
+from lab.baselines.seqslam import CLAIMED, SeqSlam, matched
 from lab.datasets.dataset import Dataset
 from lab.datasets.layout import with_attributes
-from lab.datasets.protocols import Trial, halves, whole
+from lab.datasets.protocols import Query, Trial, halves, whole
 from lab.evaluation.deciding import is_right
 from lab.evaluation.in_process import runtime_for_measuring
 from lab.evaluation.once import DescribeOnce
 from lab.evaluation.querying import position_of
 from lab.evaluation.service import ServiceRetriever, map_of_its_own
+from lab.metrics.recall import Booleans, Doubles
 from schemas.errors import RevisitError
 from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 
 FOREVER_S = 86400.0
 ORDERS = ("in order", "shuffled")
+HEADING = "| walk | single images | as a drive | the same, shuffled | SeqSLAM | SeqSLAM, shuffled |"
+PRECISION = 0.97
+"""Of claims, that SeqSLAM's threshold is chosen for when it may know the answers."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,56 @@ def drive(
     return single_counts, driven_counts
 
 
+@dataclass(frozen=True, eq=False)
+class Claims:
+    """SeqSLAM's answers to the queries of one map.
+
+    Parameters
+    ----------
+    quotient : float64 of shape (queries,)
+        As of `lab.baselines.seqslam.Matched`: small where a place is unique.
+    right : bool of shape (queries,)
+    """
+
+    quotient: Doubles
+    right: Booleans
+
+    def counts(self, threshold: float = CLAIMED) -> Counts:
+        """What is claimed at a threshold of the quotient."""
+        claimed = self.quotient <= threshold
+        return Counts(int(claimed.sum()), int((claimed & self.right).sum()), int(self.right.sum()))
+
+
+def sequences(trial: Trial, order: Sequence[int]) -> Claims:
+    """Query SeqSLAM in some order, the trial's images enrolled in the order of the path."""
+    enrolled = np.sort(trial.enrolled)
+    database = [trial.dataset.database[image] for image in enrolled]
+    queries = [trial.queries[index] for index in order]
+    found = matched(SeqSlam().rank(database, [one.image for one in queries], lambda: None))
+    answers = zip(queries, enrolled[found.image].tolist(), strict=True)
+    return Claims(found.quotient, np.array([_is_right(trial.dataset, one, image) for one, image in answers], np.bool_))
+
+
+def _is_right(dataset: Dataset, query: Query, image: int) -> bool:
+    """Whether a database image is a right answer, or has the name of a right one's place."""
+    if query.kind != "known":
+        return False
+    if image in query.right:
+        return True
+    return dataset.places is not None and dataset.places[image] in {dataset.places[right] for right in query.right}
+
+
+def best_threshold(claims: Sequence[Claims], precision: float = PRECISION) -> float:
+    """The largest quotient at which so many of all claims are right; 0 where there is none. It knows the answers."""
+    quotients = np.concatenate([one.quotient for one in claims])
+    order = np.argsort(quotients, kind="stable")
+    rightly = np.cumsum(np.concatenate([one.right for one in claims])[order])
+    # Claims with the same quotient are made together.
+    last = np.append(np.diff(quotients[order]) > 0, True)
+    kept = np.flatnonzero(last & (rightly >= precision * np.arange(1, len(order) + 1)))
+    return float(quotients[order][kept[-1]]) if len(kept) else 0.0
+
+
 def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[int]]:
     """Enrol a trial's images in the order of the path; the database images that each view stands for."""
     dataset, images = trial.dataset, defaultdict(set)
@@ -92,17 +148,27 @@ def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[
     return images
 
 
-def measure(dataset: Dataset, service: ServiceRetriever, trial: Trial, seed: int) -> str:
-    """A row of the table: one map, its queries in order and shuffled."""
+def drives(service: ServiceRetriever, trial: Trial, seed: int) -> list[Counts]:
+    """Counts of one map, its queries in order and shuffled: single images, as a drive, and as one that is shuffled."""
     images = enrolled_in_order(trial, service)
     service.runtime.comparer.all()
+    (single, driven), (_, jumbled) = (
+        drive(trial, service, images, order, name.replace(" ", "-"))
+        for name, order in zip(ORDERS, orders(trial, seed), strict=True)
+    )
+    return [single, driven, jumbled]
+
+
+def orders(trial: Trial, seed: int) -> tuple[list[int], list[int]]:
+    """The queries in order, and shuffled."""
     count = len(trial.queries)
-    shuffled = np.random.default_rng(seed).permutation(count).tolist()
-    cells = []
-    for name, order in zip(ORDERS, (range(count), shuffled), strict=True):
-        single, together = drive(trial, service, images, order, name.replace(" ", "-"))
-        cells += [str(single), str(together)] if name == ORDERS[0] else [str(together)]
-    return f"| {dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
+    return list(range(count)), np.random.default_rng(seed).permutation(count).tolist()
+
+
+def row(trial: Trial, counts: Sequence[Counts | None]) -> str:
+    """A row of the table; nothing stands where nothing was measured."""
+    cells = ["" if one is None else str(one) for one in counts]
+    return f"| {trial.dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -114,17 +180,47 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         sets = [one for one in evaluate.read(options.dataset, options) if one.sequential]
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
-        with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
-            recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
-            print("| walk | single images | as a drive | the same, shuffled |\n|---|---|---|---|")
-            for dataset in map(with_attributes, chosen):
-                for trial in [whole(dataset), *halves(dataset)]:
-                    with map_of_its_own(runtime, recipe, "default", dataset) as service:
-                        print(measure(dataset, service, trial, options.seed), flush=True)
+        trials = [trial for one in map(with_attributes, chosen) for trial in [whole(one), *halves(one)]]
+        with served(options) as measured:
+            print(HEADING + "\n" + "|---" * 6 + "|")
+            claims = []
+            for trial in trials:
+                ordered, jumbled = (sequences(trial, order) for order in orders(trial, options.seed))
+                claims.append(ordered)
+                print(row(trial, [*measured(trial), ordered.counts(), jumbled.counts()]), flush=True)
+        print(told(claims))
     except (RevisitError, ValueError) as refusal:
         print(refusal, file=sys.stderr)
         return 2
     return 0
+
+
+@contextmanager
+def served(options: argparse.Namespace) -> Iterator[Callable[[Trial], Sequence[Counts | None]]]:
+    """What measures the service on one map, as `drives` does; nothing with ``--no-service``."""
+    if options.no_service:
+        yield lambda _: [None, None, None]
+        return
+    with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
+        recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
+
+        def measured(trial: Trial) -> list[Counts]:
+            with map_of_its_own(runtime, recipe, "default", trial.dataset) as service:
+                return drives(service, trial, options.seed)
+
+        yield measured
+
+
+def told(claims: Sequence[Claims]) -> str:
+    """SeqSLAM on all maps together, at its own threshold and at the best one."""
+    if not claims:
+        return "no walk among these sets"
+    together = Claims(np.concatenate([c.quotient for c in claims]), np.concatenate([c.right for c in claims]))
+    best = best_threshold(claims)
+    return (
+        f"SeqSLAM, all maps: {together.counts()}; at {best:.3f}, the threshold that keeps {PRECISION:.0%} right and is "
+        f"chosen with the answers: {together.counts(best)}"
+    )
 
 
 if __name__ == "__main__":

@@ -19,20 +19,29 @@ import numpy as np
 
 from lab.baselines.baseline import Baseline
 from lab.baselines.from_files import Descriptors, Ranked, named
-from lab.baselines.known import NAMES, PLAIN, Needs, baselines
-from lab.datasets import aligned, folder, kitti, pairs, pitts30k
+from lab.baselines.known import NAMES, PLAIN, Needs, Rivals, rivals
+from lab.datasets import aligned, folder, kitti, pairs, pitts30k, tutorial, utm_names
 from lab.datasets.dataset import Dataset
 from lab.datasets.hold_out import hold_out
 from lab.evaluation.contender import Contender
 from lab.evaluation.gallery import Artist, first_answers, the_papers_figures
 from lab.evaluation.html import Example, as_html
-from lab.evaluation.measuring import Evaluation, frame, measure
+from lab.evaluation.measuring import Evaluation, Figures, frame, measure
 from lab.evaluation.progress import progress_bar
 from lab.evaluation.querying import Answers, Progress, counted, query_all, ranked_by
+from lab.evaluation.reranking import Reranking
 from lab.evaluation.tables import as_json, as_text, overview
 from lab.libraries import FOR_REPORTS, require
 from schemas.errors import InvalidParameters, RevisitError
 from schemas.settings import read_settings
+
+PROTOCOLS = {
+    "kitti": ("loop", "halves"),
+    "pairs": ("vpr-tutorial",),
+    "aligned": ("vpr-tutorial",),
+    "folder": ("utm",),
+}
+"""Ways of reading or judging a data set, by its name; of kitti the first is the default."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +55,9 @@ class Outcome:
 def run(
     dataset: Dataset,
     contenders: Sequence[Contender],
-    rivals: Sequence[Baseline] = (),
+    baselines: Sequence[Baseline] = (),
     *,
+    rerankings: Sequence[Reranking] = (),
     seed: int = 0,
     journals: Path | None = None,
     progress: Progress | None = None,
@@ -59,7 +69,9 @@ def run(
     ----------
     dataset : Dataset
     contenders : sequence of Contender
-    rivals : sequence of Baseline
+    baselines : sequence of Baseline
+    rerankings : sequence of Reranking
+        Their answers follow those that they order anew.
     seed : int
         Of the order of enrolment, the intervals and the draw of examples.
     journals : Path or None
@@ -74,17 +86,22 @@ def run(
     """
     methods = []
     shown: list[Example] = []
+
+    def figures(answers: Answers) -> list[Figures]:
+        again = [one.reranked(dataset, answers, progress) for one in rerankings if one.of == answers.method]
+        return [each for some in (answers, *again) for each in measure(dataset, some, seed=seed)]
+
     for contender in contenders:
         with contender.open(dataset) as retriever:
             answers = query_all(dataset, retriever, seed=seed, journals=journals, progress=progress)
-            methods += measure(dataset, answers, seed=seed)
+            methods += figures(answers)
             if examples:
                 artist = contender.artist(retriever) if contender.artist else None
                 shown += _images(dataset, answers, artist, examples, seed)
-    for rival in rivals:
+    for baseline in baselines:
         total = len(dataset.database) + len(dataset.queries)
-        distances = rival.rank(dataset.database, dataset.queries, counted(progress, rival.name, total))
-        methods += measure(dataset, ranked_by(distances, dataset, rival.name), seed=seed)
+        distances = baseline.rank(dataset.database, dataset.queries, counted(progress, baseline.name, total))
+        methods += figures(ranked_by(distances, dataset, baseline.name))
     found = replace(frame(dataset), methods=tuple(methods), circumstances=circumstances(seed))
     return Outcome(found, shown)
 
@@ -111,13 +128,19 @@ def circumstances(seed: int) -> dict[str, str]:
 
 
 def read(name: str, options: argparse.Namespace) -> list[Dataset]:
-    """The data sets that the command line asks for; raises UnexpectedLayout."""
+    """The data sets that the command line asks for; raises UnexpectedLayout and InvalidParameters."""
     root: Path = options.root
+    protocol: str | None = options.protocol
+    if protocol is not None and protocol not in PROTOCOLS.get(name, ()):
+        there = ", ".join(PROTOCOLS.get(name, ())) or "none"
+        raise InvalidParameters.of("protocol", f"{protocol} is none of {name}'s; there are: {there}")
+    if protocol == "vpr-tutorial" and options.hold_out:
+        raise InvalidParameters.of("hold-out", "vpr-tutorial judges frame for frame: nothing can be held out of it")
     if name == "kitti":
         found = kitti.read(
             root,
             sequence=options.sequence,
-            protocol=options.protocol,
+            protocol="halves" if protocol == "halves" else "loop",
             radius_m=options.radius,
             gap=options.gap,
             every=options.every,
@@ -130,8 +153,12 @@ def read(name: str, options: argparse.Namespace) -> list[Dataset]:
         found = pairs.read(root, unlisted=options.unlisted)
     elif name == "aligned":
         found = aligned.read(root, tolerance=options.tolerance)
+    elif protocol == "utm":
+        found = utm_names.read(root, radius_m=options.radius)
     else:
         found = folder.read(root, radius_m=options.radius, heading_tolerance=options.heading)
+    if protocol == "vpr-tutorial":
+        found = [tutorial.diagonal(dataset) for dataset in found]
     if options.hold_out:
         rng = np.random.default_rng(options.seed)
         found = [hold_out(dataset, options.hold_out, rng) for dataset in found]
@@ -159,6 +186,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--descriptors", action="append", default=[], metavar="NAME=FILE", help="descriptors of another method (npz)"
     )
     parser.add_argument("--netvlad", type=Path, help="published weights for the baseline netvlad")
+    parser.add_argument("--dinov2", type=Path, help="ONNX file of DINOv2 ViT-S/14 for the baseline anyloc")
+    parser.add_argument("--dinov2-block", type=int, help="block whose tokens anyloc reads, of 0..11 (default: 9)")
+    parser.add_argument("--aliked-lightglue", type=Path, metavar="FOLDER", help="weights that --rerank needs")
+    parser.add_argument(
+        "--rerank",
+        action="append",
+        default=[],
+        metavar="METHOD",
+        help="order the first answers of a method anew by ALIKED and LightGlue: a preset, or a name as in the tables",
+    )
+    parser.add_argument("--rerank-first", type=int, default=10, metavar="N", help="so many of them (default: 10)")
+    parser.add_argument(
+        "--protocol",
+        choices=sorted({name for names in PROTOCOLS.values() for name in names}),
+        help="kitti: loop (default) or halves; pairs, aligned: vpr-tutorial (frame for frame, 8 either way ignored); "
+        "folder: utm (positions in names, @easting@northing@...)",
+    )
+    parser.add_argument("--export", type=Path, metavar="FOLDER", help="copy the set under such names, measure nothing")
     parser.add_argument("--device", default="cpu", help="where networks run")
     parser.add_argument("--url", help="measure the service that runs there")
     parser.add_argument("--no-service", action="store_true", help="baselines only")
@@ -168,7 +213,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hold-out", type=float, default=0.0, help="share of queries whose places are not enrolled")
     one = parser.add_argument_group("kitti")
     one.add_argument("--sequence", default="00")
-    one.add_argument("--protocol", choices=["loop", "halves"], default="loop")
     one.add_argument("--gap", type=int, default=100, help="frames between a query and the newest it may know")
     one.add_argument("--every", type=int, default=1, help="use every n-th frame")
     one.add_argument("--camera", default="image_2")
@@ -209,21 +253,22 @@ def main(argv: Sequence[str] | None = None, connect: Callable[[str, str], Conten
 def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None) -> int:
     """Run the command from parsed arguments; raises RevisitError."""
     datasets = read(options.dataset, options)
+    if options.export is not None:
+        return export(datasets, options.export)
     if options.truth_only:
         print("\n\n".join(as_text(frame(dataset)) for dataset in datasets))
         return 0
     require(FOR_REPORTS)
-    names = [] if options.baselines in ("", "none") else options.baselines.split(",")
     outcomes = []
     with services(options, connect) as (contenders, needs):
-        rivals = baselines(names, needs, options.seed)
-        rivals += [*named(options.ranked, Ranked), *named(options.descriptors, Descriptors)]
+        others = others_of(options, needs)
         for dataset in datasets:
             with progress_bar(dataset.name) as progress:
                 outcome = run(
                     dataset,
                     contenders,
-                    rivals,
+                    others.baselines,
+                    rerankings=others.rerankings,
                     seed=options.seed,
                     journals=options.out / "answers",
                     progress=progress,
@@ -241,19 +286,58 @@ def evaluate(options: argparse.Namespace, connect: Callable[[str, str], Contende
     return 0
 
 
+def export(datasets: Sequence[Dataset], target: Path) -> int:
+    """Copy a set for other programs; raises InvalidParameters."""
+    if len(datasets) > 1:
+        raise InvalidParameters.of("export", f"one set at a time; there are {len(datasets)}: name one by --root")
+    utm_names.export(datasets[0], target)
+    print(f"{target}: {len(datasets[0].database)} images in database, {len(datasets[0].queries)} in queries")
+    return 0
+
+
+def others_of(options: argparse.Namespace, needs: Needs) -> Rivals:
+    """What the service is compared with: baselines, what was left in files, and first answers ordered anew."""
+    names = [] if options.baselines in ("", "none") else options.baselines.split(",")
+    made = rivals(names, needs, options.seed)
+    everything = (*made.baselines, *named(options.ranked, Ranked), *named(options.descriptors, Descriptors))
+    if not options.rerank:
+        return replace(made, baselines=everything)
+    there = [one.name for one in everything] + ([] if options.no_service else presets(options))
+    if unknown := [name for name in options.rerank if name not in there]:
+        raise InvalidParameters.of("rerank", f"{', '.join(unknown)} is not measured here; there are {', '.join(there)}")
+    if options.aliked_lightglue is None:
+        raise InvalidParameters.of(
+            "rerank", "needs the weights of ALIKED and LightGlue: --aliked-lightglue FOLDER (docs/evaluation.md)"
+        )
+    if options.rerank_first < 1:
+        raise InvalidParameters.of("rerank-first", "is the number of answers that are ordered, 1 or more")
+    # Late: it brings torch, and a package that only this needs.
+    from lab.baselines.aliked_lightglue import AlikedLightGlue
+
+    verifier = AlikedLightGlue(options.aliked_lightglue, options.device)
+    again = tuple(Reranking(verifier, name, options.rerank_first) for name in options.rerank)
+    return Rivals(everything, (*made.rerankings, *again))
+
+
+def presets(options: argparse.Namespace) -> list[str]:
+    """Names of the presets that are measured."""
+    return options.preset or ["default", "paper"]
+
+
 @contextmanager
 def services(
     options: argparse.Namespace, connect: Callable[[str, str], Contender] | None = None
 ) -> Iterator[tuple[list[Contender], Needs]]:
     """The services to measure, and what baselines can use of them: one runtime, started, with a map for each preset."""
-    needs = Needs(netvlad=options.netvlad, device=options.device)
-    presets = options.preset or ["default", "paper"]
+    needs = Needs(
+        netvlad=options.netvlad, dinov2=options.dinov2, dinov2_block=options.dinov2_block, device=options.device
+    )
     if options.no_service:
         yield [], needs
     elif options.url:
         if connect is None:
             raise InvalidParameters.of("url", "only `revisit evaluate` can measure a service by URL")
-        yield [connect(options.url, preset) for preset in presets], needs
+        yield [connect(options.url, preset) for preset in presets(options)], needs
     else:
         # Late: a runtime brings torch, the database and the index, which baselines do without.
         from lab.evaluation.in_process import contender, runtime_for_measuring
@@ -267,7 +351,7 @@ def services(
                 dynamic=recipe.dynamic,
                 decode=lambda path: runtime.decode(path.read_bytes()),
             )
-            yield [contender(runtime, preset) for preset in presets], inside
+            yield [contender(runtime, preset) for preset in presets(options)], inside
 
 
 if __name__ == "__main__":

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from lab.baselines.two_views import fundamental
 from lab.datasets import pairs
 from lab.datasets.dataset import Dataset
 from lab.libraries import FOR_FITTING, for_studies, require
@@ -54,9 +54,6 @@ TEN = 10
 SOFT = 12.0
 """Inliers and matches added before quotients, so that a few over none are weak evidence."""
 
-EPIPOLAR = 3 / 640
-"""Largest distance of an inlier from its epipolar line, as a fraction of the longer side."""
-
 
 @dataclass(frozen=True)
 class Features:
@@ -84,21 +81,6 @@ class Features:
 def affine(source: Floats, target: Floats) -> Booleans:
     """Inliers of the affine transform that the service finds."""
     return verification.consensus(source, target)[1]
-
-
-def fundamental(source: Floats, target: Floats) -> Booleans:
-    """Inliers of a fundamental matrix by MAGSAC, seeded; none with fewer than eight matches."""
-    nobody = np.zeros(len(source), np.bool_)
-    if len(source) < 8:
-        return nobody
-    parameters = cv2.UsacParams()
-    parameters.randomGeneratorState, parameters.threshold, parameters.confidence = 0, EPIPOLAR * 1000, 0.999
-    parameters.maxIterations, parameters.score = 1000, cv2.SCORE_METHOD_MAGSAC
-    try:
-        found, mask = cv2.findFundamentalMat(source * 1000, target * 1000, parameters)
-    except cv2.error:  # OpenCV 5.0 fails on an assertion where no sample of matches gives a matrix
-        return nobody
-    return nobody if found is None or mask is None else mask.ravel().astype(np.bool_)
 
 
 VARIANTS: Mapping[str, tuple[Features, Callable[[Floats, Floats], Booleans]]] = {

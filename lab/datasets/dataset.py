@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,8 @@ class Dataset:
         Online loop closure: how many of the first database images each query may be answered with. None: all.
     places : tuple of str or None
         Name of the place that each database image shows, as a user would give it.
+    ignored : tuple of int64 of shape (images,), or None
+        For each query the database images that are neither right nor wrong: they are left out of its answers.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Dataset:
     query_positions: Doubles | None = None
     allowed: Indices | None = None
     places: tuple[str, ...] | None = None
+    ignored: tuple[Indices, ...] | None = None
 
     def __post_init__(self) -> None:
         for images, positions in (
@@ -66,13 +69,20 @@ class Dataset:
         ):
             if positions is not None and positions.shape != (len(images), 2):
                 raise ValueError(f"{self.name}: {positions.shape} positions for {len(images)} images")
+        if self.ignored is not None:
+            both = zip(self.positives, self.ignored, strict=True)
+            if any(len(np.intersect1d(right, neither)) for right, neither in both):
+                raise ValueError(f"{self.name}: an image is right for a query and ignored for it too")
         if self.places is not None and len(self.places) != len(self.database):
             raise ValueError(f"{self.name}: {len(self.places)} names of places for {len(self.database)} images")
         self.judged()
 
     def judged(self) -> Truth:
         """The ground truth in the form that `lab.metrics.recall` counts with."""
-        return Truth.of(self.positives, len(self.database) if self.allowed is None else self.allowed)
+        truth = Truth.of(self.positives, len(self.database) if self.allowed is None else self.allowed)
+        if self.ignored is None:
+            return truth
+        return replace(truth, ignored=np.array([len(images) for images in self.ignored], np.int64))
 
     @property
     def sequential(self) -> bool:

@@ -1,12 +1,12 @@
 """Pittsburgh 30k: street views with UTM positions, by the NetVLAD structure or by file names."""
 
-import re
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, images_in, within
+from lab.datasets.dataset import RADIUS_M, Dataset, UnexpectedLayout, within
+from lab.datasets.utm_names import images_with_positions
 from lab.libraries import for_studies
 from lab.metrics.recall import Doubles, Indices
 
@@ -54,8 +54,8 @@ def read(
     if table.is_file():
         files, positions, query_files, query_positions = _from_table(root, table)
     elif by_name.is_dir():
-        files, positions = _from_names(by_name / "database")
-        query_files, query_positions = _from_names(by_name / "queries")
+        files, positions = images_with_positions(by_name / "database", EXPECTED)
+        query_files, query_positions = images_with_positions(by_name / "queries", EXPECTED)
     else:
         raise UnexpectedLayout(root, f"neither datasets/{table.name} nor images/{split} is there", EXPECTED)
     generator = np.random.default_rng(seed)
@@ -116,14 +116,3 @@ def _read(table: Path) -> dict[str, Any]:
 def _columns(positions: Doubles) -> Doubles:
     """Positions of shape (2, n), or (2,) of a single one, as float64 (n, 2)."""
     return np.asarray(positions, np.float64).reshape(2, -1).T
-
-
-def _from_names(folder: Path) -> tuple[list[Path], Doubles]:
-    files = images_in(folder, EXPECTED)
-    positions = []
-    for path in files:
-        found = re.match(r"@\s*(\d+(?:\.\d+)?)@\s*(\d+(?:\.\d+)?)@", path.name)
-        if found is None:
-            raise UnexpectedLayout(folder, f"{path.name} does not begin with @easting@northing@", EXPECTED)
-        positions.append((float(found[1]), float(found[2])))
-    return files, np.array(positions)

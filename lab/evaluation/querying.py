@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -159,6 +159,7 @@ def query_all(
     In online loop closure the database grows as the drive goes on: before each query, what it may know is enrolled.
     """
     tell = progress or _silent
+    wanted, depth = depth, depth + _most_ignored(dataset)
     journal = _Journal(journals, dataset, retriever, seed, depth)
     total = len(dataset.database)
     if dataset.allowed is None:
@@ -187,7 +188,7 @@ def query_all(
                 answer = Answer(())
             journal.keep(query, answer, images)
         tell("querying", done, len(dataset.queries))
-    return journal.results(depth, refused)
+    return _without_ignored(journal.results(depth, refused), dataset, wanted)
 
 
 def count_refusal(refused: dict[str, int], refusal: RevisitError) -> None:
@@ -269,6 +270,8 @@ def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20)
     known = np.array(distances, np.float64)
     if dataset.allowed is not None:
         known[np.arange(known.shape[1]) >= dataset.allowed[:, None]] = np.inf
+    for row, ignored in zip(known, dataset.ignored or (), strict=dataset.ignored is not None):
+        row[ignored] = np.inf
     order = np.argsort(known, axis=1, kind="stable")[:, :depth]
     nearest = np.take_along_axis(known, order, axis=1)
     order[np.isinf(nearest)] = -1
@@ -276,6 +279,38 @@ def ranked_by(distances: Floats, dataset: Dataset, method: str, depth: int = 20)
     # Infinitely far means nothing to answer with: below any answer.
     confidence = np.where(np.isinf(best), -np.finfo(np.float64).max, -best)
     return Answers(method, order.astype(np.int64), confidence)
+
+
+def _most_ignored(dataset: Dataset) -> int:
+    """How many answers to one query may have to be left out."""
+    return max(map(len, dataset.ignored), default=0) if dataset.ignored is not None else 0
+
+
+def _without_ignored(answers: Answers, dataset: Dataset, depth: int) -> Answers:
+    """Answers without images that are ignored, cut to `depth`.
+
+    Confidences, verdicts and evidence are of first answers, some of which may be gone: there are none then.
+    """
+    if dataset.ignored is None:
+        return answers
+
+    def judged(ranked: Indices) -> Indices:
+        kept = np.full((len(ranked), depth), -1, np.int64)
+        for line, row, ignored in zip(kept, ranked, dataset.ignored or (), strict=True):
+            left = row[~np.isin(row, ignored)][:depth]
+            line[: len(left)] = left
+        return kept
+
+    before = None if answers.before is None else judged(answers.before)
+    return replace(
+        answers,
+        ranked=judged(answers.ranked),
+        before=before,
+        confidence=None,
+        claimed=None,
+        calibrated=False,
+        features={},
+    )
 
 
 def counted(progress: Progress | None, what: str, total: int) -> Callable[[], None]:

@@ -75,7 +75,8 @@ def looks_like_chance(
     fixed answers happen to be right for many.
 
     In online loop closure a permuted ranking may name images that its new query could not have seen; they
-    count as wrong. That makes luck look a little worse than it is, and only there.
+    count as wrong, as do images that are ignored for the new query. That makes luck look a little worse than it is,
+    and only there.
     """
     answerable = np.flatnonzero(truth.answerable)
     if len(answerable) == 0:
@@ -105,7 +106,7 @@ def suspicions(truth: Truth, positions: Doubles | None = None) -> tuple[str, ...
     if share == 0:
         found.append("no query has a right answer in the database")
     else:
-        lucky = np.mean(truth.counts[truth.answerable] / truth.searched[truth.answerable])
+        lucky = np.mean(truth.counts[truth.answerable] / truth.judged[truth.answerable])
         if lucky > GENEROUS:
             found.append(
                 f"{lucky:.0%} of the database is right for an average query: a random order does well here, "

@@ -29,10 +29,13 @@ class Truth:
     searched : int64 of shape (queries,)
         How many database images each query is searched among: those with a smaller index. The whole database
         except in online loop closure, where a frame knows only what came well before it.
+    ignored : int64 of shape (queries,) or None
+        How many of those are neither right nor wrong, and left out of rankings.
     """
 
     positives: tuple[Indices, ...]
     searched: Indices
+    ignored: Indices | None = None
 
     def __post_init__(self) -> None:
         if self.searched.shape != (len(self.positives),):
@@ -49,6 +52,11 @@ class Truth:
 
     def __len__(self) -> int:
         return len(self.positives)
+
+    @property
+    def judged(self) -> Indices:
+        """How many database images can be right or wrong for each query, int64 (queries,)."""
+        return self.searched if self.ignored is None else self.searched - self.ignored
 
     @property
     def counts(self) -> Indices:
@@ -113,7 +121,7 @@ def chance_of_each(truth: Truth, depths: Sequence[int] = DEPTHS) -> Doubles:
     Hypergeometric: with r right answers among n, the first N miss all of them with probability
     C(n - r, N) / C(n, N) = product over i < N of (n - r - i) / (n - i).
     """
-    n, r = truth.searched.astype(np.float64), truth.counts.astype(np.float64)
+    n, r = truth.judged.astype(np.float64), truth.counts.astype(np.float64)
     out = np.zeros((len(truth), len(depths)))
     missed = np.ones(len(truth))
     for i in range(max(depths, default=0)):

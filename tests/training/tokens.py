@@ -7,8 +7,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
+from lab.baselines.dinov2 import BLOCK, CHANNELS, SIZE
 from training.commands import cache_tokens
-from training.models.dinov2 import BLOCK, CHANNELS, SIZE
 
 PATCH = 14
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from lab.baselines.dinov2 import SIZE, DinoV2
 from training.data.crops import crops_of, images_to_distil, token_file
 from training.data.images import read_rgb
-from training.models.dinov2 import SIZE, DinoV2
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from lab.baselines.baseline import Baseline
 from lab.baselines.hog import Hog, gradients
-from lab.baselines.known import PLAIN, Needs, baselines
+from lab.baselines.known import PLAIN, Needs, rivals
 from lab.baselines.orb_words import OrbWords
 from lab.baselines.random_order import RandomOrder
 from lab.baselines.tiny import TinyImage, thumbnail
@@ -49,7 +49,7 @@ def test_places_are_known_again_at_dusk(places: tuple[list[Path], list[Path]], b
 def test_a_ranking_depends_on_the_seed_alone(places: tuple[list[Path], list[Path]], name: str) -> None:
     noon, dusk = places
     ticks: list[int] = []
-    [one], [two] = baselines([name], Needs(), seed=3), baselines([name], Needs(), seed=3)
+    [one], [two] = (rivals([name], Needs(), seed=3).baselines for _ in range(2))
     a = one.rank(noon, dusk, lambda: ticks.append(1))
     assert np.array_equal(a, two.rank(noon, dusk, lambda: None))
     assert len(ticks) == 12
@@ -95,9 +95,11 @@ def test_a_thumbnail_is_normalised_patch_by_patch(tmp_path: Path) -> None:
 
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
     with pytest.raises(InvalidParameters, match="--netvlad FILE"):
-        baselines(["netvlad"], Needs())
+        rivals(["netvlad"], Needs())
+    with pytest.raises(InvalidParameters, match="--dinov2 FILE"):
+        rivals(["anyloc"], Needs())
     with pytest.raises(InvalidParameters, match="there are random, tiny"):
-        baselines(["sift"], Needs())
+        rivals(["sift"], Needs())
     (tmp_path / "text.png").write_text("no image")
     with pytest.raises(BadImage):
         TinyImage().rank([tmp_path / "text.png"], [], lambda: None)

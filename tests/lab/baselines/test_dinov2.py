@@ -4,8 +4,9 @@ import numpy as np
 import onnx
 import pytest
 
+from lab.baselines.dinov2 import CHANNELS, SIZE, DinoV2
+from schemas.errors import SetupError
 from tests.training.tokens import write_teacher
-from training.models.dinov2 import CHANNELS, SIZE, DinoV2
 
 
 def test_tokens_are_read_row_by_row_from_within_the_graph(tmp_path: Path) -> None:
@@ -29,5 +30,13 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
     model.graph.output[0].name = "something else"
     onnx.save(model, str(path))
 
-    with pytest.raises(ValueError, match="is it DINOv2"):
+    with pytest.raises(SetupError, match="is it DINOv2"):
         DinoV2(path)
+
+
+def test_a_file_that_is_missing_or_none_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"no such file; DINOv2's weights are not shipped.*says where"):
+        DinoV2(tmp_path / "none.onnx")
+    (tmp_path / "text.onnx").write_text("no graph")
+    with pytest.raises(SetupError, match=r"text\.onnx cannot be read.*says where"):
+        DinoV2(tmp_path / "text.onnx")
