@@ -78,7 +78,7 @@ def test_it_is_named_taken_or_dismissed(kept: FakeService, given: list[str], sen
 def test_how_much_is_kept(kept: FakeService) -> None:
     kept.replies["PATCH /maps/campus"] = 404, {}
     assert main(["inbox", "campus", "--keep", "50"]) == 1
-    assert changes(kept) == [("PATCH /maps/campus", {"keep_queries": 50})]
+    assert changes(kept) == [("PATCH /maps/campus", {"keep_queries": 50, "keep_matches": 50})]
 
 
 def test_what_is_not_there_is_said(kept: FakeService, capsys: Out) -> None:

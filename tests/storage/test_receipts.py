@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from schemas.map_changes import MapChanges
 from schemas.records import Filters, ViewAttributes
 from schemas.removal import Holding
 from tests.storage.carried import made, views
@@ -30,7 +31,7 @@ def campus(store: SqlStore) -> SqlStore:
 def test_what_is_gone_from_where(campus: SqlStore) -> None:
     campus.jobs.switch_recipe("campus", recipe("next"), NOW)
     describe_all(campus)  # the descriptions by the recipe of before are kept for the way back
-    campus.maps.keep_queries("campus", 5, matched=True)
+    campus.maps.change("campus", MapChanges(keep_matches=5))
     seq = views(campus)[0].seq
     by = campus.maps.get("campus").description
     for name in ("a", "b"):
@@ -81,7 +82,7 @@ def test_a_restored_view_is_found_in_the_snapshot_though_it_has_another_id(campu
 
 
 def test_a_snapshot_without_images_has_the_descriptions(campus: SqlStore) -> None:
-    campus.maps.set_keep_images("campus", False)
+    campus.maps.change("campus", MapChanges(keep_images=False))
     campus.snapshots.make("campus", SECOND, NOW, quiet)
     receipt = campus.removals.delete_views("campus", Filters(place="east"))
     assert [(one.id, one.views) for one in receipt.snapshots] == [(SECOND, 2)]
@@ -110,7 +111,7 @@ def test_one_that_is_being_made_is_named_until_it_is_there(campus: SqlStore) -> 
 
 
 def test_the_receipt_of_a_map_counts_what_it_had(campus: SqlStore) -> None:
-    campus.maps.keep_queries("campus", 5)
+    campus.maps.change("campus", MapChanges(keep_queries=5))
     campus.kept_queries.keep("campus", "q", RECIPE.description, description(1), image("q"), NOW)
     made(campus)
     receipt = campus.removals.delete_map("campus")
