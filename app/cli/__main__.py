@@ -19,6 +19,7 @@ GROUPS = (
     "changes",
     "loops",
     "browse",
+    "jobs",
     "recipes",
     "shadow",
     "calibrate",

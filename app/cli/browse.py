@@ -18,6 +18,11 @@ def add(verbs: Verbs) -> None:
     maps = verbs.add_parser("maps", help="list maps, or show one")
     maps.add_argument("name", nargs="?", help="show this map with its labels and recipe")
     maps.add_argument("--delete", action="store_true", help="delete the named map with all its views")
+    maps.add_argument(
+        "--refuse-poor",
+        choices=("yes", "no"),
+        help="whether the named map refuses images that are dark, overexposed, covered or blurred",
+    )
     speaks(maps)
     maps.set_defaults(run=run_maps)
 
@@ -29,7 +34,11 @@ def add(verbs: Verbs) -> None:
     views.add_argument("--state", choices=("pending", "ready", "failed"))
     views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
     views.add_argument("--newest", action="store_true", help="newest first")
-    views.add_argument("--delete", action="store_true", help="delete the named view and its image")
+    views.add_argument(
+        "--delete",
+        action="store_true",
+        help="delete the named view and its image; or all views of --map that pass the filters",
+    )
     views.add_argument(
         "--set",
         metavar="JSON",
@@ -47,22 +56,27 @@ def add(verbs: Verbs) -> None:
 
 
 def run_maps(arguments: argparse.Namespace) -> int:
-    """List maps, or show or delete one."""
+    """List maps, or show, change or delete one."""
     from revisit_client import Revisit
 
     from app.cli.console import wrong_use
 
+    if arguments.name is None and (arguments.delete or arguments.refuse_poor is not None):
+        wrong_use("--delete and --refuse-poor need the name of a map")
+    if arguments.delete and arguments.refuse_poor is not None:
+        wrong_use("--delete and --refuse-poor exclude each other")
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete:
-            if arguments.name is None:
-                wrong_use("--delete needs the name of a map")
             receipt = revisit.delete_map(arguments.name)
             if arguments.json:
                 show_json(receipt.model_dump(mode="json"))
             else:
                 show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} images{_left(receipt)}")
             return DONE
-        maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
+        if arguments.refuse_poor is not None:
+            maps = [revisit.change_map(arguments.name, refuse_poor=arguments.refuse_poor == "yes")]
+        else:
+            maps = revisit.maps() if arguments.name is None else [revisit.map(arguments.name)]
     if arguments.json:
         found = [facts.model_dump(mode="json") for facts in maps]
         show_json(found if arguments.name is None else found[0])
@@ -87,17 +101,29 @@ def run_maps(arguments: argparse.Namespace) -> int:
 
 
 def run_views(arguments: argparse.Namespace) -> int:
-    """List views, or show, draw or delete one."""
+    """List views, or show, draw or delete one; or delete those of a map that pass filters."""
     from revisit_client import Revisit
 
     from app.cli.console import wrong_use
     from app.cli.query import position_text
 
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
-    if arguments.id is None and (arguments.delete or arguments.set is not None or any(drawn.values())):
-        wrong_use("--delete, --set, --image, --segmentation and --graph need the id of a view")
+    if arguments.id is None and (arguments.set is not None or any(drawn.values())):
+        wrong_use("--set, --image, --segmentation and --graph need the id of a view")
     filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
+    if arguments.delete and arguments.id is None:
+        if arguments.map is None or not any(filters.values()):
+            wrong_use("--delete needs the id of a view; or --map and filters, of which all that pass are deleted")
+        if arguments.words or arguments.state or arguments.newest:
+            wrong_use("--words, --state and --newest choose no views to delete; give filters")
     with Revisit(arguments.url, key=arguments.key) as revisit:
+        if arguments.delete and arguments.id is None:
+            receipt = revisit.delete_views(arguments.map, **filters)
+            if arguments.json:
+                show_json(receipt.model_dump(mode="json"))
+            else:
+                show(f"deleted {receipt.views} views, {receipt.images} images{_left(receipt)}")
+            return DONE
         if arguments.delete:
             receipt = revisit.delete(arguments.id)
             if arguments.json:

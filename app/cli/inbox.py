@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Failure, Verbs, say, show, show_json, speaks, table, wrong_use
+from app.cli.console import DONE, Failure, Verbs, json_object, say, show, show_json, speaks, table, wrong_use
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -29,6 +29,11 @@ def add(verbs: Verbs) -> None:
     what.add_argument("--name", nargs=2, metavar=("ID", "PLACE"), help="enrol the images of a spot as this place")
     what.add_argument("--accept", metavar="ID", help="take images of a proposal as views; `confirmed`: of all that are")
     what.add_argument("--dismiss", metavar="ID", help="delete the queries of a spot or of a proposal, and their images")
+    parser.add_argument(
+        "--position",
+        metavar="JSON",
+        help='with --name: where the place is, {"x": 1.5, "y": 2.0} or {"lat": ..., "lon": ...}',
+    )
     parser.add_argument("--views", type=int, default=3, help="with --accept: images of a place at most (default: 3)")
     parser.add_argument("--unconfirmed", action="store_true", help="with --accept: what no other image confirms, too")
     parser.add_argument("--images", type=Path, metavar="DIR", help="save an image of each spot and proposal there")
@@ -42,15 +47,17 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.accept is None and arguments.unconfirmed:
         wrong_use("--unconfirmed goes with --accept")
+    position = json_object("--position", arguments.position, '{"x": 1.5, "y": 2.0}')
+    if position is not None and arguments.name is None:
+        wrong_use("--position goes with --name")
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.keep is not None:
-            revisit.keep_queries(arguments.map, arguments.keep)
-            revisit.keep_matches(arguments.map, arguments.keep)
+            revisit.change_map(arguments.map, keep_queries=arguments.keep, keep_matches=arguments.keep)
             say(f"{arguments.map}: at most {arguments.keep} queries of each kind are kept")
             return DONE
         if arguments.name is not None:
             spot, place = arguments.name
-            named = revisit.name_unknown(arguments.map, spot, place)
+            named = revisit.name_unknown(arguments.map, spot, place, position=position)
             say(f"{arguments.map}: {len(named.views)} images of {place} enrolled")
             return DONE
         unknown = revisit.unknown(arguments.map, limit=MOST)

@@ -31,12 +31,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Change what is asked, then show what the map keeps."""
     from revisit_client import Revisit
 
+    words = None if arguments.blur is None else [word.strip() for word in arguments.blur.split(",") if word.strip()]
+    drop = False if arguments.drop_images else None
     with Revisit(arguments.url, key=arguments.key) as revisit:
-        if arguments.blur is not None:
-            revisit.blur(arguments.map, *(word.strip() for word in arguments.blur.split(",") if word.strip()))
-        if arguments.drop_images:
-            revisit.keep_images(arguments.map, False)
-        facts = revisit.map(arguments.map)
+        if words is None and drop is None:
+            facts = revisit.map(arguments.map)
+        else:
+            facts = revisit.change_map(arguments.map, blur=words, keep_images=drop)
     if arguments.json:
         kept = ("name", "blur", "keep_images", "keep_queries", "keep_matches")
         show_json({name: getattr(facts, name) for name in kept})

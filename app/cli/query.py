@@ -29,6 +29,9 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--candidates", type=int, metavar="N", help="candidates of each channel to re-rank")
     parser.add_argument("--precision", type=float, metavar="P", help="share of `matched` that must be right")
     parser.add_argument("--drive", metavar="NAME", help="the image is the next one of this drive")
+    parser.add_argument(
+        "--drive-timeout", type=float, metavar="S", help="seconds of silence after which the drive begins anew (60)"
+    )
     chooses(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     parser.add_argument("--changes", type=Path, metavar="PNG", help="say and draw what changed since the best match")
@@ -52,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             explain=arguments.explain is not None,
             changes=arguments.changes is not None or None,
             drive=arguments.drive,
+            drive_timeout=arguments.drive_timeout,
             **filters,
         )
         if arguments.explain is not None and answer.matches:

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Failure, Verbs, say, show, show_json, size, speaks, wrong_use
+from app.cli.console import DONE, Failure, Verbs, job_progress, say, show, show_json, size, speaks, table, wrong_use
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
@@ -25,6 +25,10 @@ def add(verbs: Verbs) -> None:
     snapshot.add_argument("--all", action="store_true", help="every map, a file each")
     snapshot.add_argument("--output", type=Path, metavar="PATH", help="file, or folder to put it into (default: .)")
     snapshot.add_argument("--keep", action="store_true", help="leave the file with the service too")
+    kept = snapshot.add_mutually_exclusive_group()
+    kept.add_argument("--list", action="store_true", help="list the snapshots that the service keeps")
+    kept.add_argument("--fetch", metavar="ID", help="fetch one that the service keeps, which goes on keeping it")
+    kept.add_argument("--delete", metavar="ID", help="remove one that the service keeps")
     speaks(snapshot)
     snapshot.set_defaults(run=run_snapshot)
 
@@ -45,6 +49,12 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
     """Make snapshots, and fetch them."""
     from revisit_client import Revisit
 
+    if arguments.list or arguments.fetch is not None or arguments.delete is not None:
+        if arguments.map is not None or arguments.all or arguments.keep:
+            wrong_use("--list, --fetch and --delete are about snapshots that are kept: give no map, --all or --keep")
+        if arguments.output is not None and arguments.fetch is None:
+            wrong_use("--output goes with snapshots that are made or fetched")
+        return _of_kept(arguments)
     if (arguments.map is None) != arguments.all:
         wrong_use("name one map, or say --all")
     if arguments.all and arguments.output is not None and not arguments.output.is_dir():
@@ -65,18 +75,47 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
 def _fetched(revisit: "Revisit", name: str, arguments: argparse.Namespace) -> "tuple[Snapshot, Path]":
     job = revisit.make_snapshot(name)
     say(f"job {job.id} is running; interrupting this command does not stop it")
-    revisit.wait_for_job(job.id, timeout=24 * 3600)
+    with job_progress(f"views of map {name}", quiet=arguments.json) as follow:
+        revisit.wait_for_job(job.id, timeout=24 * 3600, follow=follow)
     (made,) = [one for one in revisit.snapshots() if one.id == job.id]
-    path = arguments.output or Path()
-    if path.is_dir():
-        path /= f"{name}-{made.created_at:%Y%m%dT%H%M%SZ}.snapshot"
-    try:
-        revisit.download_snapshot(made.id, path)
-    except OSError as error:
-        raise Failure(f"{path}: {error.strerror}; the service keeps the snapshot {made.id}") from error
+    path = _downloaded(revisit, made, arguments.output)
     if not arguments.keep:
         revisit.delete_snapshot(made.id)
     return made, path
+
+
+def _downloaded(revisit: "Revisit", made: "Snapshot", output: Path | None) -> Path:
+    path = output or Path()
+    if path.is_dir():
+        path /= f"{made.map}-{made.created_at:%Y%m%dT%H%M%SZ}.snapshot"
+    try:
+        return revisit.download_snapshot(made.id, path)
+    except OSError as error:
+        raise Failure(f"{path}: {error.strerror}; the service keeps the snapshot {made.id}") from error
+
+
+def _of_kept(arguments: argparse.Namespace) -> int:
+    """List the snapshots that the service keeps, or fetch or remove one."""
+    from revisit_client import Revisit
+
+    with Revisit(arguments.url, key=arguments.key) as revisit:
+        if arguments.delete is not None:
+            chosen, did = [revisit.delete_snapshot(arguments.delete)], "removed"
+        else:
+            chosen, did = revisit.snapshots(), ""
+        if arguments.fetch is not None:
+            chosen = [one for one in chosen if one.id == arguments.fetch]
+            if not chosen:
+                raise Failure(f"the service keeps no snapshot {arguments.fetch}; `revisit snapshot --list` lists them")
+            did = f"fetched to {_downloaded(revisit, chosen[0], arguments.output)}"
+    if arguments.json:
+        show_json([one.model_dump(mode="json") for one in chosen])
+    elif did:
+        show(f"{chosen[0].id}: {chosen[0].views} views of map {chosen[0].map}, {size(chosen[0].bytes)}, {did}")
+    else:
+        rows = [(one.id, one.map, one.views, size(one.bytes), f"{one.created_at:%Y-%m-%d %H:%M:%S}") for one in chosen]
+        show(table(("snapshot", "map", "views", "size", "made"), rows))
+    return DONE
 
 
 def run_restore(arguments: argparse.Namespace) -> int:

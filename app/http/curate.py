@@ -1,11 +1,11 @@
 """Use-cases for views, images, maps and jobs: each runs in a thread, and its result becomes an answer."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import BinaryIO, Protocol
 
 from app.http import presenters, snapshot_presenters
 from app.http.calibration_report import calibration_report
@@ -17,7 +17,7 @@ from schemas import wire
 from schemas.health import Code as HealthCode
 from schemas.imports import ImportOptions
 from schemas.records import Filters, JobKind, JobState, Position, Replay, ViewAttributes
-from schemas.requests import PostCalibration, PutMap
+from schemas.requests import PatchMap, PostCalibration, PutMap
 from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
 from worker.service.changes import ChangeService
@@ -208,9 +208,18 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         state, created = await asyncio.to_thread(self._maps.put, name, wanted_of(wanted))
         return presenters.map_facts(state), created
 
-    async def change_ranking(self, name: str, changes: Mapping[str, Any]) -> wire.MapFacts:
-        """Change fields of a map's ranking config."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.change_ranking, name, changes))
+    async def change_map(self, name: str, changes: PatchMap) -> wire.MapFacts:
+        """Change what is given of a map, all of it or nothing."""
+        change = partial(
+            self._maps.change,
+            ranking=changes.ranking,
+            blur=changes.blur,
+            keep_images=changes.keep_images,
+            keep_queries=changes.keep_queries,
+            keep_matches=changes.keep_matches,
+            refuse_poor=changes.refuse_poor,
+        )
+        return presenters.map_facts(await asyncio.to_thread(change, name))
 
     async def calibrate(self, name: str, labels: PostCalibration) -> wire.CalibrationReport:
         """Fit a map's calibration to labelled queries, judge it, and keep it if it helps."""
@@ -236,14 +245,6 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
     async def health(self, name: str, code: HealthCode | None, limit: int) -> wire.MapHealth:
         """What a map lacks or suffers from: at most `limit` findings of each kind, or of the kind `code`."""
         return map_health(await asyncio.to_thread(self._health.of, name), code, limit)
-
-    async def refuse_poor(self, name: str, wanted: bool) -> wire.MapFacts:
-        """Refuse poor images of a map from now on, or no longer."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.refuse_poor, name, wanted))
-
-    async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
-        """Keep a map's images, or remove each once it is described."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_images, name, wanted))
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""

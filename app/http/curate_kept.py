@@ -2,33 +2,19 @@
 
 import asyncio
 
-from app.http import enrolment_presenters, presenters
+from app.http import enrolment_presenters
 from app.http.health_report import proposals, unknown_places
 from schemas import wire
 from schemas.records import ViewAttributes
 from worker.service.inbox import InboxService
-from worker.service.maps import MapService
 from worker.service.proposals import ProposalService
 
 
 class KeptQueryCuration:
-    """The part of `app.http.curate.Curator` that is about blurring, and about queries which are kept."""
+    """The part of `app.http.curate.Curator` that is about queries which are kept."""
 
-    _maps: MapService
     _inbox: InboxService
     _proposals: ProposalService
-
-    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
-        """Keep at most `count` of a map's queries that matched nothing."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count))
-
-    async def keep_matches(self, name: str, count: int) -> wire.MapFacts:
-        """Keep at most `count` of a map's queries that matched a view although they look unlike it."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.keep_queries, name, count, matched=True))
-
-    async def blur(self, name: str, words: list[str]) -> wire.MapFacts:
-        """Cover what words name in each image of a map before it is stored."""
-        return presenters.map_facts(await asyncio.to_thread(self._maps.blur, name, words))
 
     async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
         """Queries that matched nothing, by spot: at most `limit` spots."""

@@ -342,7 +342,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
 
     def change_ranking(self, name: str, **ranking: Any) -> wire.MapFacts:
         """Change fields of a map's ranking config, from the next query on; the others stay."""
-        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json={"ranking": ranking})
+        return self.change_map(name, ranking=ranking)
 
     def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on the map's own views, then describe them by it."""

@@ -19,6 +19,7 @@ BENCHMARKS = {
     "fleet": "what PostgreSQL costs a query against SQLite, and what a second worker gives",
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
     "importing": "how fast recordings are imported, against the encoder's own rate",
+    "living": "what filters, drives, recipe switches, snapshots and health cost in a large map",
     "refreshing": "what accepting proposals gives, on three walks along one way",
     "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
     "fit_changes": "the confidence of changes fitted anew, on other drawn places",

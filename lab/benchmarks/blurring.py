@@ -115,7 +115,7 @@ def recognised(runtime: Runtime, walks: Sequence[Sequence[Path]]) -> list[Row]:
     for name, words in (("as-sent", []), ("blurred", list(BLUR_GROUPS))):
         runtime.services.maps.put(name, Wanted())
         if words:
-            runtime.services.maps.blur(name, words)
+            runtime.services.maps.change(name, blur=words)
         times = []
         for frame, path in enumerate(base):
             given = ViewAttributes(position=Position(x=float(frame), y=0.0))

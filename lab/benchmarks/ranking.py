@@ -26,6 +26,7 @@ from lab.evaluation.service import map_of_its_own
 from lab.metrics.recall import bootstrap_interval
 from schemas.description import Description
 from schemas.errors import NothingStatic
+from schemas.map_changes import MapChanges
 from schemas.recipe import MapRecipe
 from schemas.records import Filters, Position
 from schemas.settings import Settings
@@ -127,7 +128,7 @@ def _first_views(
 ) -> dict[int, int]:
     """Sequence numbers of the views that are first after a step, by query."""
     ranking = changed_ranking(recipe, step.changes)
-    runtime.store.maps.change_ranking(map_name, lambda _: ranking)
+    runtime.store.maps.change(map_name, MapChanges(ranking=lambda _: ranking))
     seen: list[int] = []
 
     def observe(stage: str, evidence: Evidence) -> None:

@@ -90,7 +90,7 @@ def measure(
 def _refresh(runtime: Runtime, name: str, images: Sequence[Path], policy: Policy) -> tuple[int, int]:
     """Query a walk and accept what is proposed; returns how many views were added, and how many at a wrong frame."""
     services = runtime.services
-    services.maps.keep_queries(name, KEPT, matched=True)
+    services.maps.change(name, keep_matches=KEPT)
     frames = {}
     for frame, image in enumerate(images):
         frames[services.query.query(image.read_bytes(), name).id] = frame
@@ -105,7 +105,7 @@ def _refresh(runtime: Runtime, name: str, images: Sequence[Path], policy: Policy
                 taken += 1
                 true = frames[str(view.attributes.metadata["proposed_by"])]
                 wrong += not _near(view.attributes.position.x, true)
-    services.maps.keep_queries(name, 0, matched=True)
+    services.maps.change(name, keep_matches=0)
     return taken, wrong
 
 

@@ -61,6 +61,10 @@ def test_what_is_kept_is_listed_and_its_images_saved(kept: FakeService, tmp_path
     ("given", "sent"),
     [
         (["--name", "u1", "dock"], [("POST /maps/campus/unknown/u1", {"place": "dock", "position": None})]),
+        (
+            ["--name", "u1", "dock", "--position", '{"x": 1.5, "y": 2}'],
+            [("POST /maps/campus/unknown/u1", {"place": "dock", "position": {"x": 1.5, "y": 2}})],
+        ),
         (["--accept", "confirmed"], [("POST /maps/campus/proposals/p1", {"views": 3, "unconfirmed": False})]),
         (
             ["--accept", "p2", "--unconfirmed", "--views", "1"],
@@ -78,7 +82,7 @@ def test_it_is_named_taken_or_dismissed(kept: FakeService, given: list[str], sen
 def test_how_much_is_kept(kept: FakeService) -> None:
     kept.replies["PATCH /maps/campus"] = 404, {}
     assert main(["inbox", "campus", "--keep", "50"]) == 1
-    assert changes(kept) == [("PATCH /maps/campus", {"keep_queries": 50})]
+    assert changes(kept) == [("PATCH /maps/campus", {"keep_queries": 50, "keep_matches": 50})]
 
 
 def test_what_is_not_there_is_said(kept: FakeService, capsys: Out) -> None:
@@ -86,4 +90,5 @@ def test_what_is_not_there_is_said(kept: FakeService, capsys: Out) -> None:
         assert main(["inbox", "campus", *given]) == 1
         assert "p9; `revisit inbox campus` lists" in capsys.readouterr().err
     assert main(["inbox", "campus", "--unconfirmed"]) == 2
+    assert main(["inbox", "campus", "--position", '{"x": 1, "y": 2}']) == 2
     assert changes(kept) == []

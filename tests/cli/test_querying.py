@@ -1,6 +1,7 @@
 """What the command line prints of answers, for people and for machines."""
 
 import json
+import urllib.parse
 from pathlib import Path
 
 import pytest
@@ -337,3 +338,35 @@ def test_a_deletion_tells_which_snapshots_are_left(service: FakeService, capsys:
         "deleted v1: 1 images; snapshots that may still have some of it: s1, 2 of other maps",
         "deleted campus: 1 views, 1 images",
     ]
+
+
+def test_views_that_pass_filters_are_deleted_together(service: FakeService, capsys: Out) -> None:
+    service.replies["DELETE /views"] = 200, {"views": 3, "images": 2, "revision": 9}
+    added = '{"metadata.proposed_by": {"$exists": true}}'
+    assert main(["views", "--map", "campus", "--where", added, "--delete"]) == 0
+    assert capsys.readouterr().out == "deleted 3 views, 2 images\n"
+    called = urllib.parse.unquote_plus(service.requests[0][0])
+    assert called == f"DELETE /views?map=campus&where={added}"
+
+
+@pytest.mark.parametrize(
+    "wrong", [[], ["--map", "campus"], ["--place", "hall"], ["--map", "campus", "--place", "hall", "--state", "failed"]]
+)
+def test_a_deletion_that_would_reach_more_than_was_meant_is_refused(service: FakeService, wrong: list[str]) -> None:
+    assert main(["views", *wrong, "--delete"]) == 2
+    assert service.requests == []
+
+
+def test_a_drive_and_its_silence_are_told(service: FakeService, image: Path) -> None:
+    service.replies["POST /query"] = 200, answers.query_answer(answers.match())
+    assert main(["query", str(image), "--drive", "robot-7", "--drive-timeout", "5"]) == 0
+    sent = service.requests[0][1]
+    assert b'name="drive"\r\n\r\nrobot-7' in sent
+    assert b'name="drive_timeout"\r\n\r\n5.0' in sent
+
+
+def test_a_map_is_told_to_refuse_poor_images(service: FakeService, capsys: Out) -> None:
+    service.replies["PATCH /maps/campus"] = 200, answers.map_facts("campus")
+    assert main(["maps", "campus", "--refuse-poor", "yes"]) == main(["maps", "campus", "--refuse-poor", "no"]) == 0
+    assert [json.loads(body) for _, body in service.requests] == [{"refuse_poor": True}, {"refuse_poor": False}]
+    assert main(["maps", "--refuse-poor", "yes"]) == main(["maps", "campus", "--refuse-poor", "no", "--delete"]) == 2

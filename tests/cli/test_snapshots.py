@@ -31,7 +31,15 @@ def test_maps_are_fetched_and_restored_on_both_ways(
         assert revisit.snapshots() == []
 
         assert main(["snapshot", "campus", "--output", str(tmp_path / "one"), "--keep"]) == 0
-        assert [one.map for one in revisit.snapshots()] == ["campus"]
+        (kept,) = revisit.snapshots()
+        assert kept.map == "campus"
+        capsys.readouterr()
+        assert main(["snapshot", "--list"]) == 0
+        assert capsys.readouterr().out.splitlines()[2].split()[:3] == [kept.id, "campus", "1"]
+        assert main(["snapshot", "--fetch", kept.id, "--output", str(tmp_path / "again")]) == 0
+        assert (tmp_path / "again").read_bytes() == (tmp_path / "one").read_bytes()
+        assert main(["snapshot", "--fetch", "none"]) == 1
+        assert "--list" in capsys.readouterr().err
         with pytest.raises(FileExistsError):
             revisit.download_snapshot(revisit.snapshots()[0].id, tmp_path / "one")
 
@@ -42,6 +50,10 @@ def test_maps_are_fetched_and_restored_on_both_ways(
         assert revisit.map("copy").views["ready"] == 1
         assert main(["restore", str(tmp_path / "one"), "--data", str(tmp_path / "data")]) == 1
         assert "--url" in capsys.readouterr().err
+
+        assert main(["snapshot", "--delete", kept.id]) == 0
+        assert "removed" in capsys.readouterr().out
+        assert revisit.snapshots() == []
 
     assert main(["restore", str(files[0]), "--data", str(stopped), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["map"] == "campus"
@@ -57,6 +69,9 @@ def test_maps_are_fetched_and_restored_on_both_ways(
     [
         ["snapshot"],
         ["snapshot", "campus", "--all"],
+        ["snapshot", "campus", "--list"],
+        ["snapshot", "--delete", "s1", "--keep"],
+        ["snapshot", "--list", "--output", "here"],
         ["snapshot", "--all", "--output", "/nowhere"],
         ["restore", "f", "--as", "../x"],
         ["restore", "f", "--url", "http://127.0.0.1:9", "--data", "d"],

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from schemas import wire
 from schemas.errors import NotFound
 from schemas.records import ViewAttributes
+from schemas.requests import PatchMap
 
 
 class FakeInbox:
@@ -13,20 +14,10 @@ class FakeInbox:
     async def map(self, name: str) -> wire.MapFacts:
         raise NotImplementedError
 
-    async def keep_queries(self, name: str, count: int) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"keep_queries": count})
-
-    async def keep_matches(self, name: str, count: int) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"keep_matches": count})
-
-    async def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"keep_images": wanted})
-
-    async def blur(self, name: str, words: list[str]) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"blur": words})
-
-    async def refuse_poor(self, name: str, wanted: bool) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"refuse_poor": wanted})
+    async def change_map(self, name: str, changes: PatchMap) -> wire.MapFacts:
+        given = changes.model_dump(exclude_none=True)
+        ranking = {"id": "changed", **(changes.ranking or {})}
+        return (await self.map(name)).model_copy(update={**given, "ranking": ranking})
 
     async def dynamic_preview(self, name: str, labels: Sequence[str], limit: int) -> wire.DynamicPreview:
         return wire.DynamicPreview(map=name, views=0, before=0, after=0, nothing_left=0, labels=[], most=[])

@@ -380,9 +380,6 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
         self.given = {"map": map_name, **how}
         return wire.Jobs(jobs=[self._job("j1")] if among is None or "default" in among else [], next=None)
 
-    async def change_ranking(self, name: str, changes: dict[str, Any]) -> wire.MapFacts:
-        return (await self.map(name)).model_copy(update={"ranking": {"id": "changed", **changes}})
-
 
 @dataclass
 class FakeRuntime:

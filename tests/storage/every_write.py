@@ -17,6 +17,7 @@ from typing import Any
 
 from schemas.ageing import DayScore
 from schemas.errors import DiskFull, NotFound, StorageFailed
+from schemas.map_changes import MapChanges
 from schemas.records import Filters, Replay, ViewAttributes
 from tests.failing_writes import FailingWrites
 from tests.storage.databases import sqlite_url
@@ -36,8 +37,8 @@ def prepared(folder: Path) -> None:
     describe_all(store)
     enroll(store, "stairs")
     store.calls.begin("runs", "f", NOW)
-    store.maps.keep_queries("campus", 1)
-    store.maps.keep_queries("campus", 1, matched=True)
+    store.maps.change("campus", MapChanges(keep_queries=1))
+    store.maps.change("campus", MapChanges(keep_matches=1))
     keep_scores(store, 1)
     keep_query(store, "dock")
     for name in ("shadowed", "described"):
@@ -86,6 +87,14 @@ def describe(store: SqlStore) -> object:
     return [finish(store, claim) for claim in store.jobs.claim("worker", 10)]
 
 
+SETTINGS = MapChanges(
+    ranking=lambda recipe: recipe.ranking.model_copy(update={"candidates": 7}),
+    keep_queries=0,
+    keep_matches=0,
+    refuse_poor=True,
+)
+"""Several of a map's settings, which change together."""
+
 OPERATIONS: dict[str, Operation] = {
     "enrol": lambda store: enroll(store, "new"),
     "enrol into a new map": lambda store: enroll(store, "new", map="fresh"),
@@ -94,6 +103,7 @@ OPERATIONS: dict[str, Operation] = {
     "delete views": lambda store: store.removals.delete_views("campus", Filters()),
     "delete a map": lambda store: store.removals.delete_map("campus"),
     "patch": lambda store: store.views.change(view_named(store, "gate"), lambda _: ViewAttributes(place="hall")),
+    "change a map": lambda store: store.maps.change("campus", SETTINGS),
     "put a map": lambda store: store.maps.put("fresh", RECIPE, NOW),
     "switch the recipe": lambda store: store.jobs.switch_recipe("campus", recipe("paper"), NOW),
     "begin a shadow": lambda store: store.jobs.begin_shadow("other", recipe("paper"), 5, NOW),
@@ -102,9 +112,9 @@ OPERATIONS: dict[str, Operation] = {
     "begin a call": lambda store: store.calls.begin("new", "f", NOW),
     "end a call": lambda store: store.calls.end("runs", Replay(201, {}, b"{}"), NOW),
     "keep a query": lambda store: keep_query(store, "tower"),
-    "keep no queries": lambda store: store.maps.keep_queries("campus", 0),
+    "keep no queries": lambda store: store.maps.change("campus", MapChanges(keep_queries=0)),
     "keep scores": lambda store: keep_scores(store, 1, 2),
-    "keep no scores": lambda store: store.maps.keep_queries("campus", 0, matched=True),
+    "keep no scores": lambda store: store.maps.change("campus", MapChanges(keep_matches=0)),
     "recover": lambda store: store.recover(),
 }
 

@@ -7,6 +7,7 @@ import sqlalchemy as sa
 
 from schemas.blur import BLUR_WORDS
 from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
+from schemas.map_changes import MapChanges
 from schemas.records import Covered, Submitted, ViewAttributes
 from tests.storage.carried import made, views
 from tests.storage.conftest import Open
@@ -33,7 +34,7 @@ def blurred(
 def campus(store: SqlStore) -> SqlStore:
     """A map that blurs people, with one described view."""
     store.maps.put("campus", RECIPE, NOW)
-    assert store.maps.set_blur("campus", PEOPLE).blur == PEOPLE
+    assert store.maps.change("campus", MapChanges(blur=PEOPLE)).blur == PEOPLE
     blurred(store, "gate")
     describe_all(store)
     return store
@@ -102,7 +103,7 @@ def test_nothing_is_stored_that_was_blurred_by_other_words(
         blurred(campus, "yard", words=words)
     with pytest.raises(BlurChanged):
         enroll(campus, "yard")
-    campus.maps.set_blur("campus", ())
+    campus.maps.change("campus", MapChanges(blur=()))
     with pytest.raises(BlurChanged):
         blurred(campus, "yard")
     assert files(data) == digests("gate blurred")
@@ -110,7 +111,7 @@ def test_nothing_is_stored_that_was_blurred_by_other_words(
 
 
 def test_what_a_map_once_blurred_is_not_enrolled_again_beside_it(campus: SqlStore, data: Path) -> None:
-    campus.maps.set_blur("campus", ())
+    campus.maps.change("campus", MapChanges(blur=()))
     again = enroll(campus, "gate")
     assert (again.created, again.view.image.sha256) == (False, facts(image("gate blurred")).sha256)
     assert files(data) == digests("gate blurred")
@@ -118,25 +119,25 @@ def test_what_a_map_once_blurred_is_not_enrolled_again_beside_it(campus: SqlStor
 
 def test_words_are_added_before_the_first_view_alone(campus: SqlStore) -> None:
     with pytest.raises(Conflict, match="stored with vehicles to be seen"):
-        campus.maps.set_blur("campus", ("people", "vehicles"))
+        campus.maps.change("campus", MapChanges(blur=("people", "vehicles")))
     assert campus.maps.blur("campus") == PEOPLE
-    assert campus.maps.set_blur("campus", PEOPLE).blur == PEOPLE
-    assert campus.maps.set_blur("campus", ()).blur == ()
+    assert campus.maps.change("campus", MapChanges(blur=PEOPLE)).blur == PEOPLE
+    assert campus.maps.change("campus", MapChanges(blur=())).blur == ()
     with pytest.raises(Conflict):
-        campus.maps.set_blur("campus", PEOPLE)
+        campus.maps.change("campus", MapChanges(blur=PEOPLE))
     campus.removals.delete_view(views(campus)[0].id)
-    assert campus.maps.set_blur("campus", BLUR_WORDS).blur == BLUR_WORDS
+    assert campus.maps.change("campus", MapChanges(blur=BLUR_WORDS)).blur == BLUR_WORDS
     with pytest.raises(NotFound):
-        campus.maps.set_blur("moon", PEOPLE)
+        campus.maps.change("moon", MapChanges(blur=PEOPLE))
     assert campus.maps.blur("moon") == ()
 
 
 def test_kept_queries_of_before_go_and_later_ones_are_blurred_or_not_kept(store: SqlStore) -> None:
     store.maps.put("campus", RECIPE, NOW)
-    store.maps.keep_queries("campus", 9)
+    store.maps.change("campus", MapChanges(keep_queries=9))
     keep = store.kept_queries.keep
     keep("campus", "a", RECIPE.description, description(1), image("a"), NOW)
-    store.maps.set_blur("campus", PEOPLE)
+    store.maps.change("campus", MapChanges(blur=PEOPLE))
     assert store.kept_queries.newest("campus", 9) == ([], 0)
     keep("campus", "b", RECIPE.description, description(1), image("b"), NOW)
     keep("campus", "c", RECIPE.description, description(1), image("c"), NOW, None, PEOPLE)

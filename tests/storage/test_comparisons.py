@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from schemas.comparisons import Comparison, KnownView
+from schemas.map_changes import MapChanges
 from schemas.records import Position
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, recipe
 from worker.storage.store import SqlStore
@@ -101,9 +102,11 @@ def test_a_view_that_moved_is_compared_again_and_a_deleted_one_is_forgotten(stor
 def test_another_recipe_or_ranking_begins_anew_and_another_precision_does_not(store: SqlStore) -> None:
     seqs = described(store, "gate", "pond")
     store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in seqs], NOW)
-    store.maps.change_ranking("campus", lambda now: now.ranking.model_copy(update={"precision": 0.99}))
+    store.maps.change("campus", MapChanges(ranking=lambda now: now.ranking.model_copy(update={"precision": 0.99})))
     assert due(store) == set()
-    store.maps.change_ranking("campus", lambda now: now.ranking.model_copy(update={"full_resolution_top_k": 3}))
+    store.maps.change(
+        "campus", MapChanges(ranking=lambda now: now.ranking.model_copy(update={"full_resolution_top_k": 3}))
+    )
     assert due(store) == set(seqs)
     store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in seqs], NOW)
     store.jobs.switch_recipe("campus", recipe("paper"), NOW)

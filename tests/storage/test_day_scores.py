@@ -8,6 +8,7 @@ import sqlalchemy as sa
 
 from schemas.ageing import DayScore
 from schemas.errors import NotFound
+from schemas.map_changes import MapChanges
 from schemas.recipe import MapRecipe
 from schemas.records import Position, ViewAttributes
 from tests.storage.material import RECIPE, describe_all, enroll, recipe
@@ -24,7 +25,7 @@ def campus(store: SqlStore) -> SqlStore:
     """Two views, one with a place and a position, in a map that keeps matches."""
     enroll(store, "gate", attributes=ViewAttributes("gate", Position(x=1.0, y=2.0)))
     enroll(store, "yard")
-    store.maps.keep_queries("campus", 5, matched=True)
+    store.maps.change("campus", MapChanges(keep_matches=5))
     return store
 
 
@@ -69,14 +70,14 @@ def test_only_scores_that_compare_with_those_of_today_are_kept(campus: SqlStore)
     assert kept(campus) == {}  # noted by a recipe that the map does not have
     add(campus, 1, (1, 0.5))
     stricter = RECIPE.ranking.model_copy(update={"precision": 0.99})
-    campus.maps.change_ranking("campus", lambda _: stricter)
+    campus.maps.change("campus", MapChanges(ranking=lambda _: stricter))
     assert kept(campus) == {"gate": [(1, 1, 0.5)]}  # the scores are the same
     other = RECIPE.ranking.model_copy(update={"candidates": RECIPE.ranking.candidates + 1})
-    campus.maps.change_ranking("campus", lambda _: other)
+    campus.maps.change("campus", MapChanges(ranking=lambda _: other))
     assert kept(campus) == {}
     add(campus, 1, (2, 0.75), by=RECIPE.model_copy(update={"ranking": other}))
     assert kept(campus) == {"gate": [(2, 1, 0.75)]}
-    campus.maps.change_ranking("campus", lambda _: stricter)
+    campus.maps.change("campus", MapChanges(ranking=lambda _: stricter))
     assert kept(campus) == {}
 
 
@@ -88,9 +89,9 @@ def test_nothing_is_kept_unless_the_map_keeps_matches_and_nothing_once_it_no_lon
     add(campus, 1, (1, 0.5), map="moon")
     assert kept(campus) == {}
     add(campus, 1, (1, 0.5))
-    campus.maps.keep_queries("campus", 0)
+    campus.maps.change("campus", MapChanges(keep_queries=0))
     assert kept(campus) == {"gate": [(1, 1, 0.5)]}
-    campus.maps.keep_queries("campus", 0, matched=True)
+    campus.maps.change("campus", MapChanges(keep_matches=0))
     assert kept(campus) == {}
 
 

@@ -27,6 +27,6 @@ def test_an_operation_is_done_or_undone_whichever_of_its_writes_fails(tmp_path: 
         )
     assert done.returncode == 0, done.stderr
     writes = {line["operation"]: line["writes"] for line in map(json.loads, done.stdout.splitlines())}
-    assert len(writes) == 19
+    assert len(writes) == 20
     assert all(count >= 2 for count in writes.values()), f"some operation was not disturbed: {writes}"
     assert writes["enrol"] > 8  # image, folders, journal, and each made durable

@@ -6,6 +6,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import BadSnapshot, Conflict, Damaged, ImageNotKept, NotFound
+from schemas.map_changes import MapChanges
 from schemas.records import ViewRecord
 from tests.storage.carried import made, views
 from tests.storage.conftest import Open
@@ -28,7 +29,7 @@ def digests(*names: str) -> set[str]:
 def forgetful(store: SqlStore) -> SqlStore:
     """A map that keeps no images, with two described views."""
     store.maps.put("campus", RECIPE, NOW)
-    assert store.maps.set_keep_images("campus", False).keep_images is False
+    assert store.maps.change("campus", MapChanges(keep_images=False)).keep_images is False
     enroll(store, "gate")
     enroll(store, "yard")
     describe_all(store)
@@ -37,7 +38,7 @@ def forgetful(store: SqlStore) -> SqlStore:
 
 def test_an_image_is_removed_once_its_view_is_described(store: SqlStore, data: Path) -> None:
     store.maps.put("campus", RECIPE, NOW)
-    store.maps.set_keep_images("campus", False)
+    store.maps.change("campus", MapChanges(keep_images=False))
     view = enroll(store, "gate").view
     assert store.views.image(view.id) == image("gate")
     describe_all(store)
@@ -56,7 +57,7 @@ def test_images_that_are_there_go_at_once_and_those_that_are_needed_stay(store: 
     enroll(store, "shared", map="other")
     describe_all(store)
     pending = enroll(store, "pending").view
-    store.maps.set_keep_images("campus", False)
+    store.maps.change("campus", MapChanges(keep_images=False))
     assert files(data) == digests("shared", "pending")
     assert store.views.image(pending.id) == image("pending")
     describe_all(store)
@@ -129,20 +130,20 @@ def test_a_job_that_reads_images_is_waited_for(store: SqlStore) -> None:
     describe_all(store)
     job = store.jobs.queue_vocabulary("campus", NOW)
     with pytest.raises(Conflict, match=job.id):
-        store.maps.set_keep_images("campus", False)
+        store.maps.change("campus", MapChanges(keep_images=False))
     store.jobs.cancel(job.id, NOW)
-    assert store.maps.set_keep_images("campus", False).keep_images is False
+    assert store.maps.change("campus", MapChanges(keep_images=False)).keep_images is False
 
 
 def test_images_are_kept_again_only_while_none_is_gone(forgetful: SqlStore) -> None:
-    assert forgetful.maps.set_keep_images("campus", False).keep_images is False
+    assert forgetful.maps.change("campus", MapChanges(keep_images=False)).keep_images is False
     with pytest.raises(Conflict, match="images are gone"):
-        forgetful.maps.set_keep_images("campus", True)
+        forgetful.maps.change("campus", MapChanges(keep_images=True))
     for view in views(forgetful):
         forgetful.removals.delete_view(view.id)
-    assert forgetful.maps.set_keep_images("campus", True).keep_images
+    assert forgetful.maps.change("campus", MapChanges(keep_images=True)).keep_images
     with pytest.raises(NotFound):
-        forgetful.maps.set_keep_images("moon", False)
+        forgetful.maps.change("moon", MapChanges(keep_images=False))
 
 
 def test_a_damaged_description_asks_for_the_image_again(forgetful: SqlStore) -> None:
@@ -158,9 +159,9 @@ def test_a_damaged_description_asks_for_the_image_again(forgetful: SqlStore) -> 
 
 
 def test_a_snapshot_carries_the_map_without_its_images(forgetful: SqlStore, elsewhere: SqlStore) -> None:
-    forgetful.maps.keep_queries("campus", 7)
-    forgetful.maps.keep_queries("campus", 8, matched=True)
-    forgetful.maps.set_refuse_poor("campus", True)
+    forgetful.maps.change("campus", MapChanges(keep_queries=7))
+    forgetful.maps.change("campus", MapChanges(keep_matches=8))
+    forgetful.maps.change("campus", MapChanges(refuse_poor=True))
     pending = enroll(forgetful, "pending").view
     elsewhere.restoring.restore(made(forgetful), None, NOW)
     record = elsewhere.maps.get("campus")

@@ -7,6 +7,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import NotFound
+from schemas.map_changes import MapChanges
 from tests.storage.material import NOW, RECIPE, description, enroll
 from worker.storage.database import Database
 from worker.storage.examining import Finding
@@ -28,22 +29,22 @@ def test_a_map_keeps_as_many_as_it_is_told_and_drops_the_oldest(store: SqlStore)
     enroll(store, "gate")
     keep(store, "a")
     assert kept(store) == []
-    store.maps.keep_queries("campus", 3)
+    store.maps.change("campus", MapChanges(keep_queries=3))
     assert store.maps.get("campus").keep_queries == 3
     keep(store, "b", "c", "d", "e")
     assert kept(store) == ["c", "d", "e"]
     assert kept(store, most=2) == ["d", "e"]
     assert store.kept_queries.newest("campus", 2)[1] == 3
-    store.maps.keep_queries("campus", 1)
+    store.maps.change("campus", MapChanges(keep_queries=1))
     assert kept(store) == ["e"]
-    store.maps.keep_queries("campus", 0)
+    store.maps.change("campus", MapChanges(keep_queries=0))
     assert (kept(store), store.maps.get("campus").keep_queries) == ([], 0)
     keep(store, "f", map="moon")
 
 
 def test_what_is_kept_is_what_was_described(store: SqlStore) -> None:
     enroll(store, "gate")
-    store.maps.keep_queries("campus", 3)
+    store.maps.change("campus", MapChanges(keep_queries=3))
     keep(store, "a")
     [query] = store.kept_queries.newest("campus", 3)[0]
     made = description(97)
@@ -58,7 +59,7 @@ def test_what_is_kept_is_what_was_described(store: SqlStore) -> None:
 def test_queries_of_another_map_are_out_of_reach(store: SqlStore) -> None:
     enroll(store, "gate")
     enroll(store, "gate", map="harbour")
-    store.maps.keep_queries("campus", 3)
+    store.maps.change("campus", MapChanges(keep_queries=3))
     keep(store, "a")
     assert store.kept_queries.delete("harbour", ["a"]) == 0
     with pytest.raises(NotFound):
@@ -72,7 +73,7 @@ def test_a_deleted_map_takes_its_queries_with_it_and_says_how_many(store: SqlSto
     enroll(store, "gate")
     enroll(store, "gate", map="harbour")
     for name in ("campus", "harbour"):
-        store.maps.keep_queries(name, 300)
+        store.maps.change(name, MapChanges(keep_queries=300))
     keep(store, *(f"{i:04}" for i in range(250)))
     keep(store, "x", map="harbour")
     assert store.removals.delete_map("campus").queries == 250
@@ -83,7 +84,7 @@ def test_a_damaged_query_is_left_out_and_the_doctor_removes_it(store: SqlStore, 
     from worker.storage.examining import examine
 
     enroll(store, "gate")
-    store.maps.keep_queries("campus", 3)
+    store.maps.change("campus", MapChanges(keep_queries=3))
     keep(store, "a", "b")
     database = Database(database_url)
     with database.writing() as connection:
@@ -102,8 +103,8 @@ def test_queries_that_matched_a_view_are_kept_apart_and_go_with_it(store: SqlSto
     gate, yard = enroll(store, "gate").view, enroll(store, "yard").view
     match(store, "0", gate.seq)
     assert matched(store) == []
-    store.maps.keep_queries("campus", 2, matched=True)
-    store.maps.keep_queries("campus", 1)
+    store.maps.change("campus", MapChanges(keep_matches=2))
+    store.maps.change("campus", MapChanges(keep_queries=1))
     keep(store, "a")
     for query_id, view in (("b", gate), ("c", yard), ("d", gate)):
         match(store, query_id, view.seq, 0.25)

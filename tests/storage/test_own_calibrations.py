@@ -7,6 +7,7 @@ import pytest
 
 from schemas.comparisons import Comparison
 from schemas.errors import Conflict, NotFound
+from schemas.map_changes import MapChanges
 from schemas.recipe import MapRecipe, RankingConfig
 from schemas.records import Filters
 from tests.storage.conftest import Open
@@ -54,9 +55,9 @@ def test_the_same_one_again_gives_no_revision_and_none_returns_to_the_shipped_on
 
 
 def test_it_is_dropped_with_other_scores_and_kept_with_another_precision(calibrated: SqlStore) -> None:
-    calibrated.maps.change_ranking("campus", changed(precision=0.9))
+    calibrated.maps.change("campus", MapChanges(ranking=changed(precision=0.9)))
     assert own(calibrated) == OWN
-    calibrated.maps.change_ranking("campus", changed(precision=0.9, candidates=7))
+    calibrated.maps.change("campus", MapChanges(ranking=changed(precision=0.9, candidates=7)))
     assert own(calibrated) is None
 
 
@@ -80,9 +81,9 @@ def test_it_is_dropped_with_another_recipe(calibrated: SqlStore, described: bool
 
 def test_one_that_was_fitted_to_other_scores_is_refused(calibrated: SqlStore) -> None:
     old = calibrated.maps.get("campus").recipe
-    calibrated.maps.change_ranking("campus", changed(precision=0.9))
+    calibrated.maps.change("campus", MapChanges(ranking=changed(precision=0.9)))
     calibrated.maps.set_calibration("campus", '{"b": 2}', old)
-    calibrated.maps.change_ranking("campus", changed(candidates=7))
+    calibrated.maps.change("campus", MapChanges(ranking=changed(candidates=7)))
     with pytest.raises(Conflict, match="query the map with them again"):
         calibrated.maps.set_calibration("campus", OWN, old)
     with pytest.raises(Conflict):

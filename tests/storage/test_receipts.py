@@ -1,13 +1,17 @@
 """What a deletion says: what is gone from where, and which snapshots still have it."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
+from schemas.map_changes import MapChanges
 from schemas.records import Filters, ViewAttributes
 from schemas.removal import Holding
 from tests.storage.carried import made, views
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, image, recipe
+from worker.storage.image_files import Discarded
 from worker.storage.store import SqlStore
 
 SECOND = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b91"
@@ -30,7 +34,7 @@ def campus(store: SqlStore) -> SqlStore:
 def test_what_is_gone_from_where(campus: SqlStore) -> None:
     campus.jobs.switch_recipe("campus", recipe("next"), NOW)
     describe_all(campus)  # the descriptions by the recipe of before are kept for the way back
-    campus.maps.keep_queries("campus", 5, matched=True)
+    campus.maps.change("campus", MapChanges(keep_matches=5))
     seq = views(campus)[0].seq
     by = campus.maps.get("campus").description
     for name in ("a", "b"):
@@ -81,7 +85,7 @@ def test_a_restored_view_is_found_in_the_snapshot_though_it_has_another_id(campu
 
 
 def test_a_snapshot_without_images_has_the_descriptions(campus: SqlStore) -> None:
-    campus.maps.set_keep_images("campus", False)
+    campus.maps.change("campus", MapChanges(keep_images=False))
     campus.snapshots.make("campus", SECOND, NOW, quiet)
     receipt = campus.removals.delete_views("campus", Filters(place="east"))
     assert [(one.id, one.views) for one in receipt.snapshots] == [(SECOND, 2)]
@@ -110,10 +114,54 @@ def test_one_that_is_being_made_is_named_until_it_is_there(campus: SqlStore) -> 
 
 
 def test_the_receipt_of_a_map_counts_what_it_had(campus: SqlStore) -> None:
-    campus.maps.keep_queries("campus", 5)
+    campus.maps.change("campus", MapChanges(keep_queries=5))
     campus.kept_queries.keep("campus", "q", RECIPE.description, description(1), image("q"), NOW)
     made(campus)
     receipt = campus.removals.delete_map("campus")
     assert (receipt.views, receipt.descriptions, receipt.searched, receipt.queries) == (3, 3, 3, 1)
     assert (receipt.images, receipt.images_shared, receipt.revision) == (2, 1, None)
     assert [one.views for one in receipt.snapshots] == [3]
+
+
+def test_a_snapshot_that_begins_just_before_the_deletion_is_named(
+    campus: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is looked for in the deletion's own transaction: what is claimed before it has what is deleted."""
+    job = campus.jobs.queue_snapshot("campus", NOW)
+    gate, _, _ = views(campus)
+    freeing = campus.removals._database.freeing
+
+    def claimed_first(work: Callable[[sa.Connection], object]) -> object:
+        campus.jobs.claim_map_job("worker", NOW)
+        return freeing(work)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(campus.removals._database, "freeing", claimed_first)
+        receipt = campus.removals.delete_view(gate.id)
+    assert receipt.snapshots == (Holding(job.id, None, None, None),)
+
+
+def test_an_image_is_told_as_it_was_when_it_was_removed_or_kept(
+    campus: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever enrols or deletes it a moment later has answers of their own; each image is in one of both counts."""
+    gate, yard, _ = views(campus)
+    discard = campus.removals._images.discard
+
+    def enrolled_again(digests: Iterable[str]) -> Discarded:
+        done = discard(digests)
+        enroll(campus, "yard", map="other")
+        return done
+
+    def deleted_too(digests: Iterable[str]) -> Discarded:
+        done = discard(digests)
+        monkeypatch.setattr(campus.removals._images, "discard", discard)
+        campus.removals.delete_map("other")
+        return done
+
+    monkeypatch.setattr(campus.removals._images, "discard", enrolled_again)
+    receipt = campus.removals.delete_view(yard.id)
+    assert (receipt.images, receipt.images_shared) == (1, 0)
+    monkeypatch.setattr(campus.removals._images, "discard", deleted_too)
+    receipt = campus.removals.delete_view(gate.id)
+    assert (receipt.images, receipt.images_shared) == (0, 1)

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 
 from schemas.comparisons import Comparison
 from schemas.errors import Conflict, LeaseLost, NotFound
+from schemas.map_changes import MapChanges
 from schemas.records import JobProgress, MapClaim
 from tests.storage.carried import made
 from tests.storage.conftest import Open
@@ -121,7 +122,7 @@ def test_one_at_a_time_and_of_another_recipe(store: SqlStore) -> None:
         lambda: begin(store),
         lambda: store.jobs.switch_recipe("campus", PAPER, NOW),
         lambda: store.jobs.queue_vocabulary("campus", NOW),
-        lambda: store.maps.set_keep_images("campus", False),
+        lambda: store.maps.change("campus", MapChanges(keep_images=False)),
     ):
         with pytest.raises(Conflict, match="/maps/campus/shadow"):
             again()
@@ -261,7 +262,7 @@ def test_a_snapshot_meanwhile_is_of_the_map_without_its_shadow(store: SqlStore) 
 
 def test_a_changed_ranking_is_that_of_the_map_alone(store: SqlStore) -> None:
     made_ready(store)
-    store.maps.change_ranking("campus", lambda recipe: recipe.ranking.model_copy(update={"candidates": 3}))
+    store.maps.change("campus", MapChanges(ranking=lambda recipe: recipe.ranking.model_copy(update={"candidates": 3})))
     assert store.jobs.shadow("campus").recipe == PAPER
     store.jobs.switch_to_shadow("campus", NOW)
     assert store.maps.get("campus").ranking == PAPER.ranking

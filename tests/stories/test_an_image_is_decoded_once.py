@@ -108,7 +108,7 @@ def test_a_photo_is_described_alike_whether_it_is_handed_on_or_read_from_the_sto
 
 def test_a_blurred_image_is_described_as_it_is_stored(runtime: Runtime, decoder: CountingDecoder) -> None:
     runtime.services.maps.put("shop", Wanted())
-    runtime.services.maps.blur("shop", ["people"])
+    runtime.services.maps.change("shop", blur=["people"])
     sent = encoded(drawn(96, 64, 2))
     described(runtime, sent, "shop")
     stored = {view.image.sha256 for view in runtime.store.views.list("shop", Filters())[0]}

@@ -167,6 +167,20 @@ def test_what_cannot_be_blurred_is_refused(client: httpx.Client, body: dict[str,
     assert client.patch("/maps/shop", json=body).status_code == status
 
 
+def test_of_changes_of_which_one_is_refused_none_is_made(client: httpx.Client) -> None:
+    enrol(client, jpeg(street(5)))
+    settings = "ranking", "blur", "keep_images", "keep_queries", "keep_matches", "refuse_poor"
+    before = client.get("/maps/shop").json()
+    changes = {"ranking": {"candidates": 33}, "keep_queries": 9, "refuse_poor": True, "blur": ["people", "building"]}
+
+    assert client.patch("/maps/shop", json=changes).status_code == 409
+
+    after = client.get("/maps/shop").json()
+    assert {name: after[name] for name in settings} == {name: before[name] for name in settings}
+    wrong = client.patch("/maps/shop", json={"ranking": {"candidates": -1, "colour": 1}, "blur": ["nonsense"]})
+    assert [error["parameter"] for error in wrong.json()["errors"]] == ["blur", "ranking.candidates", "ranking.colour"]
+
+
 def test_words_that_were_given_up_are_not_taken_back_while_there_are_views(client: httpx.Client) -> None:
     client.put("/maps/stall", json={})
     assert client.patch("/maps/stall", json={"blur": ["people", "vehicles"]}).status_code == 200

@@ -3,9 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from schemas.comparisons import MapLevels
+from schemas.errors import InvalidParameters, ParameterError
+from schemas.map_changes import MapChanges
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobRecord, MapCounts, MapRecord, Meaning
 from schemas.removal import Removal
@@ -92,51 +95,65 @@ class MapService:
         record, created = self._maps.put(name, recipe, datetime.now(UTC))
         return self._state(record), created
 
-    def change_ranking(self, name: str, changes: Mapping[str, Any]) -> MapState:
-        """Change parameters of a map's ranking, effective from the next query; no view is described again.
+    def change(
+        self,
+        name: str,
+        *,
+        ranking: Mapping[str, Any] | None = None,
+        blur: Sequence[str] | None = None,
+        keep_images: bool | None = None,
+        keep_queries: int | None = None,
+        keep_matches: int | None = None,
+        refuse_poor: bool | None = None,
+    ) -> MapState:
+        """Change what is given of a map, all of it or, when one of them is refused, nothing.
 
-        Raises
-        ------
-        NotFound, InvalidParameters
-        """
-        return self._state(self._maps.change_ranking(name, lambda recipe: changed_ranking(recipe, changes)))
-
-    def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapState:
-        """Keep at most `count` of a map's queries that matched nothing, or a view that they look unlike; 0 for none.
-
-        Raises
-        ------
-        NotFound
-        """
-        return self._state(self._maps.keep_queries(name, count, matched=matched))
-
-    def refuse_poor(self, name: str, wanted: bool) -> MapState:
-        """Refuse images that are dark, overexposed, covered or blurred, or no longer; raises NotFound."""
-        return self._state(self._maps.set_refuse_poor(name, wanted))
-
-    def blur(self, name: str, words: Sequence[str]) -> MapState:
-        """Cover what words name in each image of a map before it is stored; none: store images as they are sent.
+        Parameters
+        ----------
+        name : str
+        ranking : mapping or None
+            Parameters of the ranking, effective from the next query; no view is described again.
+        blur : sequence of str or None
+            What is covered in each image before it is stored; empty: store images as they are sent.
+        keep_images : bool or None
+            False removes all images now, and each later one once it is described.
+        keep_queries, keep_matches : int or None
+            Keep at most so many queries that matched nothing, or a view that they look unlike; 0 for none.
+        refuse_poor : bool or None
+            Refuse images that are dark, overexposed, covered or blurred.
 
         Raises
         ------
         NotFound
         InvalidParameters
-            The encoder knows nothing that a word names.
+            All that are invalid; or the encoder knows nothing that a word of `blur` names.
         Conflict
-            The map has views, in whose images not all of it is covered.
+            The map has views, in whose images not all of `blur` is covered; a job reads the images that are to be
+            removed; or images are to be kept again, but those of views are gone.
         """
-        return self._state(self._maps.set_blur(name, self._blurring.checked(words)))
-
-    def keep_images(self, name: str, wanted: bool) -> MapState:
-        """Keep the images of a map, or remove them all now and each later one once it is described.
-
-        Raises
-        ------
-        NotFound
-        Conflict
-            A job reads the images; or images are to be kept again, but those of views are gone.
-        """
-        return self._state(self._maps.set_keep_images(name, wanted))
+        errors: list[ParameterError] = []
+        words = None
+        try:
+            words = None if blur is None else self._blurring.checked(blur)
+        except InvalidParameters as error:
+            errors += error.errors
+        if ranking is not None:
+            try:
+                changed_ranking(self._maps.get(name).recipe, ranking)
+            except InvalidParameters as error:
+                errors += error.errors
+        if errors:
+            raise InvalidParameters(errors)
+        changes = MapChanges(
+            # Anew in the transaction: another call may have changed the ranking since.
+            ranking=None if ranking is None else partial(changed_ranking, changes=ranking),
+            blur=words,
+            keep_images=keep_images,
+            keep_queries=keep_queries,
+            keep_matches=keep_matches,
+            refuse_poor=refuse_poor,
+        )
+        return self._state(self._maps.change(name, changes))
 
     def delete(self, name: str) -> Removal:
         """Remove a map and all its views; raises NotFound."""

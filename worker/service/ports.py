@@ -7,7 +7,8 @@ from typing import Protocol
 
 from schemas.comparisons import MapLevels
 from schemas.description import Floats
-from schemas.recipe import MapRecipe, RankingConfig
+from schemas.map_changes import MapChanges
+from schemas.recipe import MapRecipe
 from schemas.records import (
     Filters,
     JobKind,
@@ -43,32 +44,16 @@ class Maps(Protocol):
         """Size of a map; raises NotFound."""
         ...
 
-    def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapRecord:
-        """Keep at most `count` queries that matched nothing, or a view that they look unlike; raises NotFound."""
+    def change(self, name: str, changes: MapChanges) -> MapRecord:
+        """Change settings of a map in one transaction; raises NotFound, Conflict, and what `changes.ranking` raises."""
         ...
 
     def refuses_poor(self, name: str) -> bool:
         """Whether a map refuses poor images; False where there is no such map."""
         ...
 
-    def set_keep_images(self, name: str, wanted: bool) -> MapRecord:
-        """Keep images, or remove each once it is described; raises NotFound, Conflict."""
-        ...
-
-    def set_blur(self, name: str, words: tuple[str, ...]) -> MapRecord:
-        """Cover what words name before images are stored, from the first view on; raises NotFound, Conflict."""
-        ...
-
-    def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:
-        """Refuse poor images from now on, or no longer; raises NotFound."""
-        ...
-
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:
         """Create a map, or replace the recipe of an empty one; raises Conflict when it has views and another recipe."""
-        ...
-
-    def change_ranking(self, name: str, change: Callable[[MapRecipe], RankingConfig]) -> MapRecord:
-        """Replace a map's ranking in one transaction; raises NotFound, and what `change` raises."""
         ...
 
     def set_calibration(self, name: str, calibration: str | None, fitted_to: MapRecipe | None = None) -> MapRecord:

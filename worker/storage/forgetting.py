@@ -9,10 +9,9 @@ from typing import Any
 import sqlalchemy as sa
 
 from schemas.errors import Conflict
-from schemas.records import MapRecord
 from worker.storage import switching
-from worker.storage.maps import Maps
-from worker.storage.rows import find_map, map_record
+from worker.storage.database import Database
+from worker.storage.image_store import ImageStore
 from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
@@ -23,48 +22,45 @@ READING = ("recipe", "shadow", "vocabulary", "snapshot")
 """Kinds of jobs that read the images of a map."""
 
 
-class ForgettingMaps(Maps):
-    """Maps by name; they may keep no images."""
+def set_keep_images(connection: sa.Connection, row: sa.Row[Any], wanted: bool) -> bool:
+    """Keep a map's images, or each from now on until its view is described.
 
-    def set_keep_images(self, name: str, wanted: bool) -> MapRecord:
-        """Keep a map's images, or remove them all now and each later one once its view is described.
+    Returns
+    -------
+    bool
+        Whether `remove_all` is to be called after the commit.
 
-        Raises
-        ------
-        NotFound
-        Conflict
-            A job that reads the images has not finished, or the map has a shadow; or images are to be kept again, but
-            those of views are gone.
-        """
-        with self._database.writing(frees=not wanted) as connection:
-            row = find_map(connection, name)
-            if wanted != bool(row.drop_images):
-                return map_record(connection, row)
-            if wanted and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
-                raise Conflict(
-                    f"the map {name!r} has views whose images are gone; a new map keeps the images enrolled in it"
-                )
-            if not wanted:
-                _refuse_while_read(connection, row)
-                switching.refuse_with_shadow(row)
-            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(drop_images=None if wanted else True))
-            record = map_record(connection, find_map(connection, name))
-        if not wanted:
-            self._forget_all(row.id)
-        return record
+    Raises
+    ------
+    Conflict
+        A job that reads the images has not finished, or the map has a shadow; or images are to be kept again, but
+        those of views are gone.
+    """
+    if wanted != bool(row.drop_images):
+        return False
+    if wanted and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
+        raise Conflict(
+            f"the map {row.name!r} has views whose images are gone; a new map keeps the images enrolled in it"
+        )
+    if not wanted:
+        _refuse_while_read(connection, row)
+        switching.refuse_with_shadow(row)
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(drop_images=None if wanted else True))
+    return not wanted
 
-    def _forget_all(self, map_id: int) -> None:
-        """Remove the images of a map's described views; the next start goes on where a crash stopped it."""
-        last = -1
-        described = sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(VIEWS.c.map_id == map_id, VIEWS.c.state == "ready")
-        while True:
-            with self._database.reading() as connection:
-                page = described.where(VIEWS.c.seq > last).order_by(VIEWS.c.seq).limit(PORTION)
-                rows = connection.execute(page).all()
-            if not rows:
-                return
-            self._images.discard([row.sha256 for row in rows])
-            last = rows[-1].seq
+
+def remove_all(database: Database, images: ImageStore, map_id: int) -> None:
+    """Remove the images of a map's described views; the next start goes on where a crash stopped it."""
+    last = -1
+    described = sa.select(VIEWS.c.seq, VIEWS.c.sha256).where(VIEWS.c.map_id == map_id, VIEWS.c.state == "ready")
+    while True:
+        with database.reading() as connection:
+            page = described.where(VIEWS.c.seq > last).order_by(VIEWS.c.seq).limit(PORTION)
+            rows = connection.execute(page).all()
+        if not rows:
+            return
+        images.discard([row.sha256 for row in rows])
+        last = rows[-1].seq
 
 
 def _refuse_while_read(connection: sa.Connection, row: sa.Row[Any]) -> None:

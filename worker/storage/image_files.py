@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 from schemas.errors import Damaged
 from worker.storage.disk_errors import translated
@@ -32,6 +33,16 @@ SYNCS = 16
 
 Owned = Callable[[list[str]], set[str]]
 """From digests to those that some view still needs."""
+
+
+class Discarded(NamedTuple):
+    """What became of images that views gave up: how many were removed, and those that other views still need.
+
+    Both are as it was when their removal was decided, and nobody could add a view of them.
+    """
+
+    removed: int
+    needed: frozenset[str]
 
 
 def sync_folder(folder: Path) -> None:
@@ -135,17 +146,19 @@ class Images:
             raise Damaged(LOST.format(name, "does not hold what was enrolled" if image else "is empty"))
         return image
 
-    def discard(self, digests: Iterable[str]) -> int:
-        """Remove images that no view needs, after their rows were deleted; returns how many.
+    def discard(self, digests: Iterable[str]) -> Discarded:
+        """Remove images that no view needs, after their rows were deleted.
 
         What is no digest comes from a damaged row and names no image; as a path it could be that of any file.
         """
-        removed = 0
+        removed, needed = 0, set[str]()
         named = {digest for digest in digests if DIGEST.fullmatch(digest)}
         for first, group in groupby(sorted(named), key=lambda digest: digest[:2]):
             with self._locked(first):
-                removed += self._discard(list(group))
-        return removed
+                some = self._discard(list(group))
+            removed += some.removed
+            needed |= some.needed
+        return Discarded(removed, frozenset(needed))
 
     def sweep(self) -> int:
         """Remove unfinished files and images without a view, which a crash left; returns how many."""
@@ -156,7 +169,7 @@ class Images:
                     unfinished.unlink()
                     removed += 1
                 names = (path.name for path in folder.glob("[0-9a-f][0-9a-f]/*"))
-                removed += self._discard([name for name in names if DIGEST.fullmatch(name)])
+                removed += self._discard([name for name in names if DIGEST.fullmatch(name)]).removed
         return removed
 
     def sweep_at_start(self, alone: bool) -> None:
@@ -209,11 +222,11 @@ class Images:
         for folder in (path.parent, path.parent.parent, self._folder):
             sync_folder(folder)
 
-    def _discard(self, digests: list[str]) -> int:
-        removed = 0
-        for digest in sorted(set(digests) - self._owned(digests)):
+    def _discard(self, digests: list[str]) -> Discarded:
+        removed, needed = 0, self._owned(digests)
+        for digest in sorted(set(digests) - needed):
             path = self._path(digest)
             if path.is_file():
                 path.unlink()
                 removed += 1
-        return removed
+        return Discarded(removed, frozenset(needed))

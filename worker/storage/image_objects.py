@@ -19,7 +19,7 @@ from typing import Any
 
 from schemas.errors import Damaged, RevisitError, SetupError
 from schemas.settings import IMAGES_ADDRESS
-from worker.storage.image_files import DIGEST, LOST, Owned
+from worker.storage.image_files import DIGEST, LOST, Discarded, Owned
 from worker.storage.object_errors import MISSING, code_of, told
 from worker.storage.object_files import ObjectFiles
 from worker.storage.peers import ImageLock
@@ -156,15 +156,16 @@ class ImageObjects:
             raise Damaged(LOST.format(name, "does not hold what was enrolled" if image else "is empty"))
         return image
 
-    def discard(self, digests: Iterable[str]) -> int:
-        """Remove images that no view needs, after their rows were deleted; returns how many.
+    def discard(self, digests: Iterable[str]) -> Discarded:
+        """Remove images that no view needs, after their rows were deleted.
 
         While the store is away they are kept in mind: `problem` removes them once it answers, or the next start.
         """
         named = sorted({digest for digest in digests if DIGEST.fullmatch(digest)})
         groups = [list(group) for _, group in groupby(named, key=lambda digest: digest[:2])]
         with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
-            return sum(pool.map(self._discard, groups))
+            done = list(pool.map(self._discard, groups))
+        return Discarded(sum(some.removed for some in done), frozenset[str]().union(*(some.needed for some in done)))
 
     def sweep(self) -> int:
         """Remove images without a view, which a crash left; returns how many."""
@@ -173,7 +174,7 @@ class ImageObjects:
             named = sorted(name for name in page if DIGEST.fullmatch(name))
             for first, group in groupby(named, key=lambda digest: digest[:2]):
                 with self._locked(first):
-                    removed += self._remove(list(group))
+                    removed += self._remove(list(group)).removed
             if self._closing.is_set():
                 break
         return removed
@@ -233,24 +234,25 @@ class ImageObjects:
             raise
         self._trouble = False
 
-    def _discard(self, digests: list[str]) -> int:
+    def _discard(self, digests: list[str]) -> Discarded:
         try:
             with self._locked(digests[0][:2]):
-                removed = self._remove(digests)
+                done = self._remove(digests)
         except RevisitError as error:
             log.warning("%d images of deleted views are not removed yet: %s", len(digests), error.detail)
             self._left.update(digests)
-            return 0
+            return Discarded(0, frozenset(self._owned(digests)))
         self._left.difference_update(digests)
-        return removed
+        return done
 
-    def _remove(self, digests: list[str]) -> int:
+    def _remove(self, digests: list[str]) -> Discarded:
         """Remove those that no view needs, with their lock held; raises StorageFailed."""
-        needless = sorted(set(digests) - self._owned(digests))
+        needed = self._owned(digests)
+        needless = sorted(set(digests) - needed)
         with told(self.address):
             for digest in needless:
                 self._client.delete_object(Bucket=self._bucket, Key=self._key(digest))
-        return len(needless)
+        return Discarded(len(needless), frozenset(needed))
 
     def _pages(self) -> Iterator[list[str]]:
         """Last parts of the names of all objects at the place of an image, many at a time."""

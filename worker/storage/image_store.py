@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from worker.storage import checksums
 from worker.storage.database import Database
-from worker.storage.image_files import Images
+from worker.storage.image_files import Discarded, Images
 from worker.storage.peers import image_lock
 from worker.storage.rows import batches
 from worker.storage.tables import MAPS, VIEWS
@@ -38,8 +38,8 @@ class ImageStore(Protocol):
         """The bytes of an image, verified; raises Damaged, StorageFailed."""
         ...
 
-    def discard(self, digests: Iterable[str]) -> int:
-        """Remove images that no view needs, after their rows were deleted; returns how many."""
+    def discard(self, digests: Iterable[str]) -> Discarded:
+        """Remove images that no view needs, after their rows were deleted."""
         ...
 
     def sweep(self) -> int:

@@ -1,21 +1,18 @@
 """Maps: created, counted, given another recipe."""
 
-from collections.abc import Callable
 from datetime import datetime
 
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, NotFound
-from schemas.recipe import MapRecipe, RankingConfig
+from schemas.map_changes import MapChanges
+from schemas.recipe import MapRecipe
 from schemas.records import MapCounts, MapRecord, Position, ViewState
-from worker.storage import clock, switching
-from worker.storage.day_scores import drop_scores
+from worker.storage import clock, forgetting, map_settings, switching
 from worker.storage.image_store import needs_image
-from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
 from worker.storage.rows import (
     COORDINATES,
-    as_json,
     blur_of,
     find_map,
     keep_recipe,
@@ -126,42 +123,22 @@ class Maps(Part):
                 switching.change_over(connection, row.id, kept, recipe.ranking.model_dump_json(), now)
             return map_record(connection, find_map(connection, name)), row is None
 
-    def change_ranking(self, name: str, change: Callable[[MapRecipe], RankingConfig]) -> MapRecord:
-        """Replace a map's ranking by `change` of its recipe, in one transaction; raises NotFound.
+    def change(self, name: str, changes: MapChanges) -> MapRecord:
+        """Change settings of a map, all of them in one transaction; those that take images away remove them then.
 
-        When `change` raises, the map stays as it was.
+        Raises
+        ------
+        NotFound
+        Conflict
+            Words are to be blurred that are to be seen in images of the map's views; images are no longer to be kept,
+            but a job reads them or the map has a shadow; or they are to be kept again, but those of views are gone.
         """
-        with self._database.writing() as connection:
-            row = find_map(connection, name)
-            ranking = change(map_record(connection, row).recipe).model_dump_json()
-            if ranking != row.ranking:
-                switching.set_ranking(connection, row, ranking)
-            # A running recipe switch must not undo the change; a shadow keeps the ranking that it is compared by.
-            if row.next_ranking is not None and row.shadow is None:
-                connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(next_ranking=ranking))
-            return map_record(connection, find_map(connection, name))
-
-    def keep_queries(self, name: str, count: int, *, matched: bool = False) -> MapRecord:
-        """Keep at most `count` queries of a map from now on, and delete the oldest beyond; raises NotFound.
-
-        `matched`: those that matched a view although they look unlike it, or those that matched nothing. The scores of
-        sure matches are kept as long as the former are.
-        """
-        column = "keep_matches" if matched else "keep_queries"
-        with self._database.writing(frees=count == 0) as connection:
-            row = find_map(connection, name)
-            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values({column: count or None}))
-            drop_oldest(connection, row.id, count, matched=matched)
-            if matched and count == 0:
-                drop_scores(connection, row.id)
-            return map_record(connection, find_map(connection, name))
-
-    def set_refuse_poor(self, name: str, wanted: bool) -> MapRecord:
-        """Refuse poor images of a map from now on, or no longer; raises NotFound."""
-        with self._database.writing() as connection:
-            row = find_map(connection, name)
-            connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(refuse_poor=wanted or None))
-            return map_record(connection, find_map(connection, name))
+        with self._database.writing(frees=changes.frees) as connection:
+            forgets = map_settings.change(connection, name, changes)
+            record = map_record(connection, find_map(connection, name))
+        if forgets is not None:
+            forgetting.remove_all(self._database, self._images, forgets)
+        return record
 
     def refuses_poor(self, name: str) -> bool:
         """Whether a map refuses poor images; False where there is no such map."""
@@ -169,30 +146,6 @@ class Maps(Part):
             return self.get(name).refuse_poor
         except NotFound:
             return False
-
-    def set_blur(self, name: str, words: tuple[str, ...]) -> MapRecord:
-        """Cover what these words name in each image of a map before it is stored, from the first view on.
-
-        Raises
-        ------
-        NotFound
-        Conflict
-            The map has views, in whose images not all of it is covered.
-        """
-        with self._database.writing() as connection:
-            row = find_map(connection, name)
-            added = [word for word in words if word not in blur_of(row)]
-            if added and connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == row.id).limit(1)):
-                raise Conflict(
-                    f"the map {name!r} has views whose images were stored with {', '.join(added)} to be seen; blur "
-                    "them in a new map, before its first view, and enrol the images there"
-                )
-            stored = as_json(list(words)) if words else None
-            if stored != row.blur:
-                connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(blur=stored))
-            if added:
-                drop_oldest(connection, row.id, 0, matched=None)  # kept queries show it too
-            return map_record(connection, find_map(connection, name))
 
     def blur(self, name: str) -> tuple[str, ...]:
         """What a map blurs; empty where there is no such map."""

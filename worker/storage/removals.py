@@ -13,10 +13,11 @@ from worker.storage import clock, switching
 from worker.storage.damage import bury
 from worker.storage.database import Database
 from worker.storage.filtering import fitting
-from worker.storage.image_store import ImageStore, needs_image
+from worker.storage.image_files import Discarded
+from worker.storage.image_store import ImageStore
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
-from worker.storage.rows import batches, find_map, find_view
+from worker.storage.rows import find_map, find_view
 from worker.storage.tables import DAY_SCORES, DESCRIPTIONS, JOBS, KEPT_QUERIES, MAPS, VIEWS
 
 PORTION = 200
@@ -47,12 +48,11 @@ class Removals(Part):
         """Remove a view completely; raises NotFound."""
         with self._database.reading() as connection:
             row = find_view(connection, view_id)
-            started = _being_made(connection, row.map_id)
         gone = self._remove(row.map_id, [row.seq])
         if gone.views == 0:  # deleted by another call meanwhile
             with self._database.reading() as connection:
                 find_view(connection, view_id)
-        return self._receipt([gone], gone.revision, started)
+        return self._receipt([gone], gone.revision)
 
     def delete_views(self, name: str, filters: Filters) -> Removal:
         """Remove all views of a map that the filters select at the time of the call; raises NotFound."""
@@ -60,9 +60,8 @@ class Removals(Part):
             row = find_map(connection, name)
             fit = [VIEWS.c.map_id == row.id, *fitting(connection, filters, row.id)]
             seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*fit).order_by(VIEWS.c.seq)))
-            started = _being_made(connection, row.id)
         portions = [self._remove(row.id, seqs[start : start + PORTION]) for start in range(0, len(seqs), PORTION)]
-        return self._receipt(portions, portions[-1].revision if portions else row.revision, started)
+        return self._receipt(portions, portions[-1].revision if portions else row.revision)
 
     def delete_map(self, name: str) -> Removal:
         """Remove a map, its views and their images; raises NotFound."""
@@ -101,27 +100,22 @@ class Removals(Part):
                 break
             portions.append(self._remove(map_id, seqs))
         self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
-        return replace(self._receipt(portions, None, []), queries=queries)
+        return replace(self._receipt(portions, None), queries=queries)
 
-    def _receipt(self, portions: Sequence["_Gone"], revision: int | None, started: Sequence[str]) -> Removal:
+    def _receipt(self, portions: Sequence["_Gone"], revision: int | None) -> Removal:
+        """What the portions deleted, each as it was in its own transaction, and what snapshots have."""
         digests = [digest for portion in portions for digest in portion.digests]
-        files = sum(portion.images for portion in portions)
-        with self._database.reading() as connection:
-            needed = needs_image(connection)
-            there = {
-                digest
-                for some in batches(digests)
-                for digest in connection.scalars(sa.select(VIEWS.c.sha256).where(VIEWS.c.sha256.in_(some), needed))
-            }
+        started = list(dict.fromkeys(one for portion in portions for one in portion.being_made))
+        shared = frozenset[str]().union(*(portion.images.needed for portion in portions))
         return Removal(
             views=sum(portion.views for portion in portions),
-            images=files,
+            images=sum(portion.images.removed for portion in portions),
             revision=revision,
             queries=sum(portion.queries for portion in portions),
             scores=sum(portion.scores for portion in portions),
             descriptions=sum(portion.descriptions for portion in portions),
             searched=sum(portion.searched for portion in portions),
-            images_shared=len(there),
+            images_shared=len(shared),
             snapshots=self._holding(digests, started),
         )
 
@@ -145,7 +139,9 @@ class Removals(Part):
                     switching.drop_rows(connection, shadow, {row.id for row in rows})
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id)) or 0
             digests = [str(row.sha256) for row in rows]
-            return _Gone(len(rows), 0, int(revision), digests, descriptions, searched, queries, scores)
+            # One that is claimed after this transaction reads what this one leaves.
+            making = _being_made(connection, map_id)
+            return _Gone(len(rows), _NONE, int(revision), digests, descriptions, searched, queries, scores, making)
 
         gone = self._database.freeing(remove)
         images = self._images.discard(gone.digests)
@@ -154,17 +150,20 @@ class Removals(Part):
 
 
 class _Gone(NamedTuple):
-    """What one transaction deleted; `images`: files that were removed after it."""
+    """What one transaction deleted; `images`: what became of the files after it."""
 
     views: int
-    images: int
+    images: Discarded
     revision: int
     digests: list[str]
     descriptions: int
     searched: int
     queries: int
     scores: int
+    being_made: list[str]
 
+
+_NONE = Discarded(0, frozenset())
 
 _DESCRIBED = (
     sa.select(DESCRIPTIONS.c.recipe, MAPS.c.recipe.label("searched_by"))

@@ -266,7 +266,7 @@ def _remove_objects(url: str, data: Path, images: str, orphans: list[str], *, re
         return
     database = Database(url)
     place = open_images(database, data, images)
-    removed = place.discard([where.rpartition("/")[2] for where in orphans])
+    removed = place.discard([where.rpartition("/")[2] for where in orphans]).removed
     yield f"{images}: {removed} of {len(orphans)} images that no view needs were removed"
     place.close()
     database.close()

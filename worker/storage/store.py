@@ -16,13 +16,13 @@ from worker.storage.database import Database
 from worker.storage.day_scores import DayScores
 from worker.storage.descriptions import Descriptions
 from worker.storage.enrolment import Enrolment
-from worker.storage.forgetting import ForgettingMaps
 from worker.storage.image_store import ImageStore, open_images
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.keys import Keys
 from worker.storage.leftovers import Leftovers
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
+from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
 from worker.storage.notices import Notices
 from worker.storage.peers import Peers
@@ -87,7 +87,7 @@ class SqlStore:
         self._images = images
         self._peers = Peers(database)
         self.notices = None if dialect.is_file(database.engine) else Notices(database.engine)
-        self.maps = ForgettingMaps(database, images)
+        self.maps = Maps(database, images)
         self.enrolment = Enrolment(database, images)
         self.jobs = self.workers = Workers(database, images)
         self.views = Views(database, images)

@@ -87,23 +87,14 @@ async def put_map(name: MapName, request: Request, curator: Curates) -> Response
     responses=refusals("malformed-body", "not-found", "conflict", "body-too-large", "disk-full"),
 )
 async def patch_map(name: MapName, request: Request, curator: Curates) -> MapFacts:
-    """Change the ranking of a map, what it keeps of images and queries, or whether it refuses poor images."""
+    """Change the ranking of a map, what it keeps of images and queries, or whether it refuses poor images.
+
+    All that is sent is changed, or, when one of it is refused, nothing.
+    """
     changes = await _body(request, PatchMap)
     if changes == PatchMap():
         raise InvalidParameters.of("ranking", f"is missing: some of {', '.join(PatchMap.model_fields)} are needed")
-    if changes.ranking is not None:  # first, as the next: they may be refused
-        facts = await curator.change_ranking(name, changes.ranking)
-    if changes.blur is not None:
-        facts = await curator.blur(name, changes.blur)
-    if changes.keep_images is not None:
-        facts = await curator.keep_images(name, changes.keep_images)
-    if changes.keep_queries is not None:
-        facts = await curator.keep_queries(name, changes.keep_queries)
-    if changes.keep_matches is not None:
-        facts = await curator.keep_matches(name, changes.keep_matches)
-    if changes.refuse_poor is not None:
-        facts = await curator.refuse_poor(name, changes.refuse_poor)
-    return facts
+    return await curator.change_map(name, changes)
 
 
 @router.delete("/maps/{map}", response_model=Deleted, responses=refusals("not-found"))
