@@ -46,6 +46,8 @@ class Comparison:
         Number of views of the map at that time, and of those of other places among them.
     rival, own : int or None, float or None
         The view that scores `level`, by sequence number; score of the best other view of the own place, 0..1.
+    breadth : float or None
+        Over how much of the image `gap` holds (`worker.method.breadth`), at least 0.
     """
 
     seq: int
@@ -56,6 +58,7 @@ class Comparison:
     others: int
     rival: int | None = None
     own: float | None = None
+    breadth: float | None = None
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class MapLevels:
         Of the latest comparison.
     revision : int
         Of the map when they were read.
+    breadth : float or None
+        Mean of `Comparison`'s; None when no comparison has one.
     """
 
     compared: int = 0
@@ -82,3 +87,4 @@ class MapLevels:
     others: float = 0.0
     updated_at: datetime | None = None
     revision: int = 0
+    breadth: float | None = None

@@ -1,6 +1,8 @@
 """Fixtures and settings of all tests."""
 
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,12 @@ os.environ["PYTHONPATH"] = os.pathsep.join((str(ROOT), str(ROOT / "client")))  #
 
 os.environ.setdefault("REVISIT_DECODERS", "0")
 """No processes for the services inside the tests; tests of decoding apart and the services they start have them."""
+
+MEMORY, ROOM = Path("/dev/shm"), 8e9
+if "TMPDIR" not in os.environ and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > ROOM:
+    os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
+"""Where the system has a large file system in memory, files of tests lie there: a disk may be slow, or fuller than the
+services' reserve allows."""
 
 SHARED = os.environ.pop("REVISIT_SHARED", None)
 """Taken out of the environment, where settings refuse a ``REVISIT_`` variable that they do not know."""

@@ -90,3 +90,17 @@ def test_promtool_accepts_the_rules_and_the_configuration() -> None:
     for what, file in (("rules", ALERTS), ("config", ALERTS.with_name("prometheus.yml"))):
         checked = subprocess.run([promtool, "check", what, str(file)], capture_output=True, text=True, check=False)
         assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_systemd_knows_every_line_of_the_unit(tmp_path: Path) -> None:
+    program = shutil.which("systemd-analyze")
+    if program is None:
+        pytest.skip("THE UNIT IS NOT CHECKED: systemd-analyze is not installed")
+    unit = (ROOT / "deploy" / "revisit.service").read_text().replace("/opt/revisit/revisit", "/bin/true")
+    for text, fault in ((unit, ""), (unit.replace("ProtectSystem=", "ProtectSystm="), "Unknown key")):
+        (tmp_path / "revisit.service").write_text(text)
+        checked = subprocess.run(
+            [program, "verify", str(tmp_path / "revisit.service")], capture_output=True, text=True, check=False
+        )
+        said = "".join(line for line in checked.stderr.splitlines() if "revisit.service" in line)
+        assert (checked.returncode, fault in said, bool(said)) == (0, True, bool(fault)), checked.stderr

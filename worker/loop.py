@@ -17,6 +17,8 @@ from schemas.log_context import bound
 from schemas.records import Claim, JobKind, MapClaim
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler, Timed
+from worker.service.comparing import Rest
+from worker.service.decoded import DecodedImages
 from worker.service.trouble import STORAGE_ERRORS, StoringTrouble
 
 log = logging.getLogger("revisit.worker")
@@ -104,9 +106,11 @@ class Loop:
         Does a job of a map; its second argument returns whether to stop.
     compare : function
         Compares a portion of views with the others of their map, and returns whether there was anything to do; its
-        argument says whether images wait to be described.
+        arguments say whether images wait to be described, and how to rest until a job of a map waits.
     decode : function
         Bytes to Image; raises BadImage.
+    decoded : DecodedImages
+        Images that need not be read and decoded again.
     name : str
         Of this worker, written to its claims.
     batch : int
@@ -126,8 +130,9 @@ class Loop:
         scheduler: Scheduler,
         describers: Describers,
         map_jobs: Mapping[JobKind, Callable[[MapClaim, Callable[[], bool]], None]],
-        compare: Callable[[bool], bool] = lambda busy: False,
+        compare: Callable[[bool, Rest], bool] = lambda busy, rest: False,
         decode: Decode,
+        decoded: DecodedImages,
         name: str,
         batch: int,
         trouble: StoringTrouble,
@@ -137,7 +142,7 @@ class Loop:
         self._scheduler = scheduler
         self._describers = describers
         self._map_jobs, self._compare = map_jobs, compare
-        self._decode = decode
+        self._decode, self._decoded = decode, decoded
         self._name = name
         self._batch = batch
         self._trouble = trouble
@@ -197,6 +202,7 @@ class Loop:
                     underway.pop(0)
                 else:
                     self._trouble.ends()  # looking for jobs, which needs the store, went well
+                    self._decoded.clear()
                     self._idle.set()
                     self._awake.wait(self._idle_s)
                     self._awake.clear()
@@ -233,11 +239,11 @@ class Loop:
                     if self._pruning.prune():
                         continue
                     pruned = time.monotonic()
-                compared = self._compare(not self._idle.is_set())
+                compared = self._compare(not self._idle.is_set(), self._map_awake.wait)
                 self._map_trouble.ends()
                 if not compared:
                     self._map_awake.wait(max(self._idle_s, MAP_WORK_EVERY_S))
-                    self._map_awake.clear()
+                self._map_awake.clear()
             except STORAGE_ERRORS as error:
                 self._stopping.wait(self._map_trouble.begins(error))
             except Exception:
@@ -252,7 +258,9 @@ class Loop:
         for claim in self._jobs.claim(self._name, count):
             with _of(claim):
                 try:
-                    image = self._decode(self._views.image(claim.view.id))
+                    image = self._decoded.take(claim.view.image.sha256)
+                    if image is None:
+                        image = self._decode(self._views.image(claim.view.id))
                     describer = self._describers.of(claim.recipe)
                     future = self._scheduler.submit(
                         image, describer.describe, urgent=False, parallel=describer.keypoints

@@ -27,17 +27,20 @@ from worker.search.flat_index import FlatIndex
 from worker.search.ports import Catalogue, Selecting
 from worker.service.ageing import AgeingPlaces
 from worker.service.attendance import Attendance, this_process
+from worker.service.bell import Bell
 from worker.service.blurring import Blurring, BlurringEnrolment
 from worker.service.calibrating import CalibrationService
 from worker.service.calibrations import calibration_of, shipped_calibration
 from worker.service.changes import ChangeService
 from worker.service.comparing import MapComparer
 from worker.service.day_scores import ScoreKeeper
+from worker.service.decoded import DecodedImages
 from worker.service.drives import Drives
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
 from worker.service.health import HealthService
-from worker.service.importing import Importer, ImportService
+from worker.service.import_receiving import ImportService
+from worker.service.importing import Importer
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.keeping import QueryKeeper
@@ -105,6 +108,8 @@ class Runtime:
         Waits for a view to be described.
     attendance : Attendance
         Knows which workers are alive.
+    bell : Bell
+        Wakes the loop, and those of other processes.
     services : Services
     default_recipe : MapRecipe
         Recipe of a map that its first enrolment creates.
@@ -129,6 +134,7 @@ class Runtime:
     loop: Loop | None
     settlements: Settlements
     attendance: Attendance
+    bell: Bell
     services: Services
     default_recipe: MapRecipe
     calibration: Callable[[MapRecipe], Calibration]
@@ -145,6 +151,7 @@ class Runtime:
         self.scheduler.start()
         if self.loop is not None:
             self.loop.start()
+        self.bell.start(waits=self.serving)
 
     def decode(self, data: bytes) -> Image:
         """Bytes to Image; raises BadImage."""
@@ -156,6 +163,7 @@ class Runtime:
         if self.loop is not None:
             self.loop.stop()
         self.attendance.stop()
+        self.bell.stop()
         self.scheduler.stop()
         self.decoder.close()
         self.services.query.scores.stop()
@@ -210,10 +218,11 @@ def build(
             maps=store.maps, views=store.views, vocabularies=store.vocabularies, jobs=store.jobs,
             describers=describers, scheduler=scheduler, decode=decoder.decode_patiently,
         )  # fmt: skip
+        settlements = Settlements(store.views, lambda: scheduler.away is not None)
+        bell = Bell(store.notices, settlements.notify)
         snapshots = SnapshotService(
-            files=store.snapshots, restorer=store.restoring, jobs=store.jobs,
-            wake=lambda: _nothing() if loop is None else loop.wake_all(),
-        )  # fmt: skip
+            files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=bell.ring_all
+        )
         comparer = MapComparer(
             comparisons=store.comparisons, descriptions=store.descriptions, catalogue=catalogue, product=product
         )
@@ -223,45 +232,37 @@ def build(
             make_index=FlatIndex.of, comparer=comparer, describers=describers, scheduler=scheduler,
             decode=decoder.decode_patiently, calibration=calibration_of, shipped=shipped_calibration, product=product,
         )  # fmt: skip
-        settlements = Settlements(store.views, lambda: scheduler.away is not None)
         blurring = Blurring(encoder, scheduler, codec.Limits.of(settings).max_bytes)
-        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover)
+        decoded = DecodedImages() if settings.inline_worker or not serving else DecodedImages(0)
+        enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover, decoded)
         me = this_process("serve" if serving else "worker")
         loop: Loop | None = None
         if settings.inline_worker or not serving:
             importer = Importer(
                 uploads=store.uploads, jobs=store.jobs, enrolment=enrolment, settlements=settlements,
                 decode=decoder.decode_patiently, taken=decoder.taken, look_for_problem=quality.problem_of,
-                limits=Limits.of(settings), wake=lambda: loop.wake() if loop is not None else None,
+                limits=Limits.of(settings), wake=bell.ring,
             )  # fmt: skip
             loop = Loop(
                 jobs=store.jobs, views=store.views, pruning=store.pruning, scheduler=scheduler, describers=describers,
                 map_jobs={
                     "vocabulary": trainer.run, "snapshot": snapshots.run, "import": importer.run, "shadow": shadows.run,
                 },
-                compare=idle_work(store.indexing, comparer if settings.compare else None),
-                decode=decoder.decode_patiently, name=me.name, batch=batch,
+                compare=idle_work(store.leftovers, store.indexing, comparer if settings.compare else None),
+                decode=decoder.decode_patiently, decoded=decoded, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
             )  # fmt: skip
         attendance = Attendance.of(store, me, loop, settings.lease_s)
         if loop is not None:
-            loop.on_finish(settlements.notify)
+            bell.hang(loop)
         default_recipe = make_recipe(encoder, Wanted(), preset=settings.preset)
         return Runtime(
-            settings=settings,
-            encoder=encoder,
-            store=store,
-            decoder=decoder,
-            scheduler=scheduler,
-            describers=describers,
-            catalogue=catalogue,
-            comparer=comparer,
-            loop=loop,
-            settlements=settlements,
-            attendance=attendance,
+            settings=settings, encoder=encoder, store=store, decoder=decoder, scheduler=scheduler,
+            describers=describers, catalogue=catalogue, comparer=comparer, loop=loop, settlements=settlements,
+            attendance=attendance, bell=bell,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, selecting, decoder, product, settlements,
-                default_recipe, loop, attendance, snapshots, shadows, blurring, enrolment,
+                default_recipe, bell, attendance, snapshots, shadows, blurring, enrolment,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -286,7 +287,7 @@ def _services(
     product: Product,
     settlements: Settlements,
     default_recipe: MapRecipe,
-    loop: Loop | None,
+    bell: Bell,
     attendance: Attendance,
     snapshots: SnapshotService,
     shadows: ShadowService,
@@ -321,7 +322,7 @@ def _services(
         default_recipe=default_recipe,
         limit=settings.queue,
         pace_s=lambda: scheduler.pace_s,
-        wake=_nothing if loop is None else loop.wake,
+        wake=bell.ring,
         workers=lambda: attendance.alive,
         resembles=Resemblances(store.maps, store.descriptions, searcher).of,
     )
@@ -342,6 +343,10 @@ def _services(
     calibration = CalibrationService(
         maps=store.maps, views=store.views, listings=store.listings, descriptions=store.descriptions,
         comparisons=store.comparisons, catalogue=catalogue, shipped=shipped_calibration, product=product,
+    )  # fmt: skip
+    imports = ImportService(
+        uploads=store.uploads, jobs=store.jobs, limits=Limits.of(settings), default_recipe=default_recipe,
+        refuses_poor=store.maps.refuses_poor, wake=bell.ring_all,
     )  # fmt: skip
     return Services(
         enroll=enroll,
@@ -376,24 +381,17 @@ def _services(
             catalogue=catalogue,
             preset=settings.preset,
             blurring=blurring,
-            wake=_nothing if loop is None else loop.wake_all,
+            wake=bell.ring_all,
         ),
         jobs=JobService(store.jobs, store.uploads),
         keys=KeyService(store.keys),
         health=health,
         snapshots=snapshots,
         shadows=shadows,
-        imports=ImportService(
-            uploads=store.uploads,
-            jobs=store.jobs,
-            limits=Limits.of(settings),
-            default_recipe=default_recipe,
-            refuses_poor=store.maps.refuses_poor,
-            wake=_nothing if loop is None else loop.wake_all,
-        ),
+        imports=imports,
         calibration=calibration,
-    )
+    )  # fmt: skip
 
 
 def _nothing() -> None:
-    """Does nothing: a worker has no serving lock to release, a service without a loop none to wake."""
+    """Does nothing: a worker has no serving lock to release."""

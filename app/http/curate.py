@@ -22,7 +22,7 @@ from worker.service import steady
 from worker.service.calibrating import CalibrationService, LabelledView, ObservedAnswer
 from worker.service.changes import ChangeService
 from worker.service.health import HealthService
-from worker.service.importing import ImportService
+from worker.service.import_receiving import ImportService
 from worker.service.inbox import InboxService
 from worker.service.jobs import JobService
 from worker.service.maps import MapService

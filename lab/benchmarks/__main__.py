@@ -15,6 +15,8 @@ BENCHMARKS = {
     "ranking": "what each part of the ranking gives, on places with ground truth",
     "geometry": "other local features, other verification, and a learned rule, on the first ten",
     "keys": "what checking keys costs each request",
+    "cost": "memory, disk, cores and money for maps of a size, by the measured figures and your prices",
+    "fleet": "what PostgreSQL costs a query against SQLite, and what a second worker gives",
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
     "importing": "how fast recordings are imported, against the encoder's own rate",
     "refreshing": "what accepting proposals gives, on three walks along one way",

@@ -83,7 +83,8 @@ def fill(
                 ]
                 connection.execute(sa.insert(table), rows)
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(revision=revision))
-        connection.execute(sa.update(CLOCK).values(revision=sa.func.max(CLOCK.c.revision, revision)))
+        ahead = max(int(connection.scalar(sa.select(CLOCK.c.revision)) or 0), revision)
+        connection.execute(sa.update(CLOCK).values(revision=ahead))
     engine.dispose()
 
 

@@ -2,7 +2,8 @@
 
 Processes of their own with the built-in encoder, one thread for each network. Queries go in turns to a service with a
 network in the process and to one that shares, so that whatever else the machine does meets both. Then two services with
-networks of their own, and two that share one, each describe the same images; in turns too.
+networks of their own, and two that share one, each describe the same images; in turns too. At last one client sends
+batches of eight to the shared encoder, as one call and as two that are under way together, in turns.
 """
 
 import argparse
@@ -16,9 +17,12 @@ from pathlib import Path
 
 import cv2
 import httpx
+import numpy as np
 
 from lab.faults.process import Running, client, settings
 from scenes.scene import scene
+from schemas.image import Image
+from worker.encoders.compact.shared import SharedCompactEncoder
 
 JPEG = {"content-type": "image/jpeg"}
 OWN, SHARED = "own", "shared"
@@ -71,6 +75,30 @@ def images_a_second(services: Sequence[httpx.Client], images: Sequence[bytes], i
     return len(services) * len(images) / (time.perf_counter() - began)
 
 
+def batches(url: str, images: Sequence[bytes], repeats: int) -> dict[int, list[float]]:
+    """Milliseconds until all fields of eight images are there, by the number of calls that are under way, in turns."""
+    decoded = [decode(one) for one in images[:8]]
+    with ExitStack() as held:
+        encoders = {}
+        for calls in (1, 2):
+            encoders[calls] = SharedCompactEncoder(url, None, 10.0, in_flight=calls)
+            held.callback(encoders[calls].close)
+        took: dict[int, list[float]] = {calls: [] for calls in encoders}
+        for turn in range(repeats + 2):  # the first two warm both
+            for calls in sorted(encoders, reverse=bool(turn % 2)):
+                began = time.perf_counter()
+                for _ in encoders[calls].encode(decoded):
+                    pass
+                if turn >= 2:
+                    took[calls].append(1000 * (time.perf_counter() - began))
+    return took
+
+
+def decode(data: bytes) -> Image:
+    """A JPEG as an image."""
+    return Image.of(np.ascontiguousarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(prog="revisit benchmark sharing", description=(__doc__ or "").partition("\n\n")[2])
@@ -99,6 +127,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for turn in range(given.rounds):
             for kind, services in ((OWN, own), (SHARED, shared)):
                 rates[kind].append(images_a_second(services, images, f"round-{turn}"))
+        alone, both = (statistics.median(each) for each in batches(url, images, given.repeats).values())
+        print(f"eight images, medians in ms: one call {alone:.1f}, two under way {both:.1f}, ratio {both / alone:.2f}")
         print(f"{'images a second, two services':32}" + ", ".join(
             f"{kind} {statistics.median(each):.1f} ({min(each):.1f} to {max(each):.1f})" for kind, each in rates.items()
         ))  # fmt: skip

@@ -95,6 +95,7 @@ def evidence(result: QueryResult) -> dict[str, float]:
         "others": float(results.ranking.others),
         "wrong_score": decision.levels.level,
         "wrong_gap": decision.levels.gap,
+        "wrong_breadth": decision.levels.breadth or 0.0,
     }
     return {**decision.features, **measured}
 

@@ -145,3 +145,41 @@ def test_a_video_that_is_closed_while_it_is_read_says_so(tmp_path: Path) -> None
     one.close()
     with pytest.raises(ValueError, match="not read any more"):
         [one.read(number) for number in range(1, 40)]
+
+
+def test_what_is_in_a_video_is_looked_up_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, kept = tmp_path / "upload", tmp_path / "listing.json"
+    video(tmp_path / "a.mp4", frames(10), 5, "mp4v")
+    (tmp_path / "a.mp4").rename(path)
+    looked: list[float] = []
+    listing = Video._list
+
+    def counted(self: Video) -> bytes:
+        looked.append(1)
+        return listing(self)
+
+    monkeypatch.setattr(Video, "_list", counted)
+
+    def times(at: Path, every_s: float) -> list[float]:
+        with closing(Video(at, every_s, LIMITS, 20, kept)) as one:
+            assert len(one.read(1)) > 100
+            return one.times_s
+
+    first = times(path, 1.0)
+    moved = path.rename(tmp_path / "elsewhere")
+    assert times(moved, 1.0) == first
+    assert len(looked) == 1
+    assert times(moved, 0.2) != first  # something else was asked
+    assert len(looked) == 2
+    assert times(moved, 1.0) == first
+    assert len(looked) == 3
+    content = bytearray(kept.read_bytes())
+    content[-20] ^= 1
+    for damaged in (bytes(content), b"", b"\n", content[:-5]):
+        kept.write_bytes(damaged)
+        looked.clear()
+        assert times(moved, 1.0) == first
+        assert len(looked) == 1
+    kept.unlink()
+    kept.mkdir()  # cannot be written
+    assert times(moved, 1.0) == first

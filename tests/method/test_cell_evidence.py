@@ -55,6 +55,7 @@ class TestAgreeing:
 
         assert found.weight.sum() == pytest.approx(float(compared.scores[0]) ** 2, abs=1e-6)
         assert found.similarity == pytest.approx(float(compared.scores[0]), abs=1e-6)
+        assert compared.cells[0] == pytest.approx(found.of_query().ravel(), abs=1e-6)
         assert (found.weight > 0).all()
         assert len(set(found.query_cell.tolist())) == len(set(found.candidate_cell.tolist())) == len(found.weight)
 

@@ -25,7 +25,7 @@ def test_a_channel_sliced_from_joined_cells_compares_as_it_would_by_itself() -> 
     ours, theirs = (quantise(dense_cells.join(image, SHARES)) for image in (query, view))
 
     mine = channel_fusion.slice_channel(ours, SHARES, "detail")
-    cut = channel_fusion.single_channel_similarity(ours, theirs[None], SHARES, "detail")
+    cut = channel_fusion.single_channel_agreement(ours, theirs[None], SHARES, "detail").scores
 
     alone = dense_cells.compare(query["detail"], view["detail"][None])
     assert channel_fusion.length(mine) == pytest.approx(np.sqrt(0.65), rel=0.01)
@@ -44,7 +44,7 @@ def test_at_half_size_a_sliced_channel_is_shorter_and_its_similarities_are_those
     mine = channel_fusion.slice_channel(half, SHARES, "detail")
 
     assert channel_fusion.length(mine) < np.sqrt(0.65) - 0.1
-    assert channel_fusion.single_channel_similarity(half, half[None], SHARES, "detail") == pytest.approx(
+    assert channel_fusion.single_channel_agreement(half, half[None], SHARES, "detail").scores == pytest.approx(
         [1.0], abs=0.15
     )
     assert channel_fusion.length(np.zeros((2, 3, 4), np.int8)) == 1

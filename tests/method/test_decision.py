@@ -1,6 +1,7 @@
 """Probabilities of places, one verdict, and the reason for it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,15 +16,20 @@ from worker.method.places import Places
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
 CALIBRATION = Calibration(
-    ("gap", "level"),
-    Logistic(np.array([1.0, 0.0]), np.array([0.25, 0.25]), np.array([1.0, 1.0]), 0.0),
+    ("gap", "level", "breadth"),
+    Logistic(np.array([1.0, 0.0, 0.0]), np.array([0.25, 0.25, 0.5]), np.array([1.0, 1.0, 1.0]), 0.0),
     np.array([0.5, 0.97, 0.99]),
     np.array([0.5, 0.9, 0.95]),
     np.array([0.9, 0.5, 0.3]),
 )
 
 
-def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = None, reranked: int = 100) -> Ranking:
+def ranking(
+    scores: Sequence[float],
+    known: Mapping[int, KnownView] | None = None,
+    reranked: int = 100,
+    cells: Mapping[int, Sequence[float]] | None = None,
+) -> Ranking:
     """Views with the sequence numbers 0, 1, ... and these scores, best first."""
     n = len(scores)
     places = Places({i: (known or {}).get(i, KnownView()) for i in range(n)}, 5.0)
@@ -42,6 +48,7 @@ def ranking(scores: Sequence[float], known: Mapping[int, KnownView] | None = Non
         places,
         min(len(places.group(rivals)), 10),
         rival,
+        {i: np.array(weights, np.float32) for i, weights in (cells or {}).items()},
         (),
         None,
     )
@@ -57,18 +64,29 @@ def decided(
     levels: MapLevels = LEVELS,
     precision: float = 0.97,
     searched: int = 100,
+    cells: Mapping[int, Sequence[float]] | None = None,
 ) -> Decision:
-    return decide(ranking(scores, known), levels, CALIBRATION, precision, searched=searched)
+    return decide(ranking(scores, known, cells=cells), levels, CALIBRATION, precision, searched=searched)
 
 
 def test_features_by_hand() -> None:
     usual = MapLevels(10, 0.3, 0.02)
-    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0}
-    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5))}
+    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0}
+    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0}
+    broad = replace(usual, breadth=2.0)
+    assert features(0.5, 0.3, broad, 6.0)["breadth"] == pytest.approx(np.log(3))
+    some = features(0.5, 0.3, broad, 6.0, least=0.4875)  # of the lead of .2 a sixteenth is left, of its breadth half
+    assert some["gap"] == pytest.approx(np.log1p(0.0125 / 0.04))
+    assert some["breadth"] == pytest.approx(np.log(2))
+    assert features(0.3, 0.5, broad, 6.0)["breadth"] == 0
 
 
 def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:
-    assert (expected_levels(MapLevels()).level, expected_levels(MapLevels()).gap) == (PRIOR.level, PRIOR.gap)
+    new = expected_levels(MapLevels())
+    assert (new.level, new.gap) == (PRIOR.level, PRIOR.gap)
+    assert new.breadth == PRIOR.breadth
+    assert expected_levels(MapLevels(4000, 0.6, 0.06, others=4000)).breadth == PRIOR.breadth  # compared before 0017
+    assert expected_levels(MapLevels(4000, 0.6, 0.06, others=4000, breadth=5.0)).breadth == pytest.approx(5, abs=0.01)
     few, many = (expected_levels(MapLevels(n, 0.6, 0.06, others=n)) for n in (4, 4000))
     assert few.level == pytest.approx((0.8 * 0.6 + 4 * PRIOR.level) / 4.8)  # 4 of the 20 other views that are enough
     assert many.level == pytest.approx(0.6, abs=0.001)
@@ -101,24 +119,36 @@ def test_floors_that_the_map_takes_for_one_stand_out_together() -> None:
     assert decided([0.6, 0.6, 0.55], known).status == "no_match"
 
 
+def test_of_two_leads_as_large_the_broader_one_is_surer() -> None:
+    everywhere, one_spot = ([0.02, 0.02, 0.02, 0.02], [0.08, 0.0, 0.0, 0.0])
+    broad, narrow = (decided([0.3, 0.26], cells={0: lead, 1: [0.0] * 4}) for lead in (everywhere, one_spot))
+    assert broad.confidence > narrow.confidence
+    assert broad.features["gap"] == narrow.features["gap"]
+
+
 def test_another_view_of_the_same_place_is_no_rival() -> None:
     one = decided([0.6, 0.58, 0.2], named("hall", "hall", "cellar"))
     assert one.status == "matched"
     assert [place.views for place in one.places] == [(0, 1), (2,)]
 
 
-@given(
-    st.lists(st.floats(0, 1), min_size=1, max_size=6),
-    st.lists(st.floats(0, 1), min_size=0, max_size=6),
-    st.lists(st.floats(0, 1), min_size=0, max_size=6),
-)
-@example(own=[0.25], others=[1.0], more=[0.0])  # more views of the second place once spoke for the first
+VIEWS = st.tuples(st.floats(0, 1), st.lists(st.integers(0, 9), min_size=3, max_size=3).map(tuple))
+"""A score, and what agrees at each of three cells."""
+
+
+@given(st.lists(VIEWS, min_size=1, max_size=6), st.lists(VIEWS, max_size=6), st.lists(VIEWS, max_size=6))
+@example(own=[(0.25, (0, 0, 0))], others=[(1.0, (0, 0, 0))], more=[(0.0, (0, 0, 0))])  # once spoke for the first place
 def test_more_views_of_a_place_never_lower_its_probability(
-    own: list[float], others: list[float], more: list[float]
+    own: list[tuple[float, tuple[int, ...]]],
+    others: list[tuple[float, tuple[int, ...]]],
+    more: list[tuple[float, tuple[int, ...]]],
 ) -> None:
-    def probability(own: list[float]) -> float:
-        views = sorted([(s, "here") for s in own] + [(s, f"there {i}") for i, s in enumerate(others)], reverse=True)
-        answer = decided([s for s, _ in views], named(*(name for _, name in views)))
+    def probability(own: list[tuple[float, tuple[int, ...]]]) -> float:
+        views = sorted([(s, "here", w) for s, w in own] + [(s, f"there {i}", w) for i, (s, w) in enumerate(others)])[
+            ::-1
+        ]
+        cells = {i: weights for i, (_, _, weights) in enumerate(views)}
+        answer = decided([s for s, _, _ in views], named(*(name for _, name, _ in views)), cells=cells)
         return sum(place.probability for place in answer.places if views[place.views[0]][1] == "here")
 
     assert probability(own + more) >= probability(own) - 1e-9

@@ -76,9 +76,8 @@ def postgres_server() -> str:
 
 @contextmanager
 def data_folder() -> Iterator[Path]:
-    """A data folder; in memory where the system offers that, because each promise of a store waits for a disk."""
-    memory = Path("/dev/shm")
-    with TemporaryDirectory(prefix="revisit-", dir=memory if os.access(memory, os.W_OK) else None) as folder:
+    """A data folder."""
+    with TemporaryDirectory(prefix="revisit-") as folder:
         yield Path(folder)
 
 

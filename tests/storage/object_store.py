@@ -1,9 +1,10 @@
 """An S3-compatible store to try images in: moto's server, over HTTP, and one that refuses everything."""
 
 import logging
+import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import boto3
@@ -15,7 +16,7 @@ PREFIX = "museum/images/"
 
 
 class ObjectStore:
-    """A server with one bucket; what it holds outlives `stop`."""
+    """A server with one bucket, empty at first; what it holds outlives `stop`."""
 
     def __init__(self) -> None:
         logging.getLogger("werkzeug").setLevel(logging.ERROR)
@@ -23,6 +24,7 @@ class ObjectStore:
         self.start()
         self.client = boto3.client("s3", **self.credentials)
         self.client.create_bucket(Bucket=BUCKET)
+        self.empty()  # servers of one process share what they hold
 
     def start(self) -> None:
         """Start it, again after `stop`."""
@@ -57,6 +59,11 @@ class ObjectStore:
         found = self.client.list_objects_v2(Bucket=BUCKET, Prefix=PREFIX).get("Contents", [])
         return sorted(str(each["Key"]).removeprefix(PREFIX) for each in found)
 
+    def unfinished(self) -> list[str]:
+        """Names of the objects whose upload has not ended."""
+        found = self.client.list_multipart_uploads(Bucket=BUCKET).get("Uploads", [])
+        return sorted(str(each["Key"]).removeprefix(PREFIX) for each in found)
+
     def empty(self) -> None:
         """Remove all objects."""
         for name in self.names():
@@ -73,6 +80,41 @@ def aws(url: str) -> dict[str, str]:
         "AWS_SECRET_ACCESS_KEY": "not-secret",
         "AWS_EC2_METADATA_DISABLED": "true",
     }
+
+
+class CuttingProxy:
+    """Stands before a store, and cuts connections where it is told to."""
+
+    def __init__(self, url: str) -> None:
+        self._to = int(url.rpartition(":")[2])
+        self.cuts: list[int] = []  # bytes of answers after which a connection is cut, each once
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._listening.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        """Take no more connections."""
+        self._listening.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                caller, _ = self._listening.accept()
+                server = socket.create_connection(("127.0.0.1", self._to))
+                for pair in ((caller, server, False), (server, caller, True)):
+                    threading.Thread(target=self._carry, args=pair, daemon=True).start()
+
+    def _carry(self, source: socket.socket, target: socket.socket, answers: bool) -> None:
+        carried = 0
+        with source, target, suppress(OSError):
+            while piece := source.recv(65536):
+                target.sendall(piece)
+                carried += len(piece)
+                if answers and self.cuts and carried >= self.cuts[0]:
+                    self.cuts.pop(0)
+                    break
+            for end in (source, target):  # closing alone does not wake who reads from it
+                end.shutdown(socket.SHUT_RDWR)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ ID = RECIPE.description.id
 
 
 def compared(seq: int, among: int, level: float = 0.3, same_spot: tuple[int, ...] = ()) -> Comparison:
-    return Comparison(seq, level, 0.04, same_spot, among, among - 1, rival=seq)
+    return Comparison(seq, level, 0.04, same_spot, among, among - 1, rival=seq, breadth=1.5)
 
 
 def described(store: SqlStore, *names: str) -> list[int]:
@@ -57,12 +57,12 @@ def test_a_large_map_is_sampled_always_by_the_same_views(store: SqlStore) -> Non
 
 def test_a_map_knows_the_means_over_its_compared_views(store: SqlStore) -> None:
     one, two, three = described(store, "gate", "pond", "stairs")
-    assert store.comparisons.levels("campus").compared == 0
+    assert (store.comparisons.levels("campus").compared, store.comparisons.levels("campus").breadth) == (0, None)
     rows = [compared(one, 3, 0.2), compared(two, 3, 0.4), Comparison(three, None, None, (), 3, 0)]
     store.comparisons.keep("campus", ID, rows, NOW)
     levels = store.comparisons.levels("campus")
     assert levels.compared == 2
-    assert [levels.level, levels.gap] == pytest.approx([0.3, 0.04])
+    assert [levels.level, levels.gap, levels.breadth] == pytest.approx([0.3, 0.04, 1.5])
     assert levels.others == pytest.approx(4 / 3)
     assert levels.updated_at == NOW
 
@@ -130,6 +130,18 @@ def test_a_comparison_that_does_not_name_its_rival_is_made_again(store: SqlStore
     store.comparisons.keep("campus", ID, [replace(nameless[0], rival=None), *nameless[1:]], NOW)
     assert due(store) == {one}
     assert store.comparisons.levels("campus").compared == 2
+
+
+def test_a_comparison_that_does_not_know_how_broad_its_lead_is_is_made_again(store: SqlStore) -> None:
+    """Those that an earlier version made; until then the map is taken for one like others."""
+    one, two = described(store, "gate", "pond")
+    store.comparisons.keep("campus", ID, [replace(compared(seq, 2), breadth=None) for seq in (one, two)], NOW)
+    assert due(store) == {one, two}
+    levels = store.comparisons.levels("campus")
+    assert (levels.compared, levels.breadth) == (2, None)
+    store.comparisons.keep("campus", ID, [compared(one, 2)], NOW)
+    assert due(store) == {two}
+    assert store.comparisons.levels("campus").breadth == 1.5
 
 
 def test_a_survey_has_the_newest_views_with_their_comparisons(store: SqlStore) -> None:

@@ -4,6 +4,7 @@ import io
 import time
 import zipfile
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -36,3 +37,13 @@ def ended(client: httpx.Client, job_id: str, within_s: float = 60) -> dict[str, 
             return job
         time.sleep(0.02)
     raise AssertionError(f"the job has not ended: {job}")
+
+
+def is_emptied(folder: Path, within_s: float = 10) -> bool:
+    """Whether nothing is in a folder, or soon is not: an upload is removed after its job has ended."""
+    until = time.monotonic() + within_s
+    while any(folder.iterdir()):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.02)
+    return True

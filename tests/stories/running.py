@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +18,18 @@ LINES = 200
 """Last lines of a service's output that are shown when a test of it fails."""
 
 START_S = 120
+
+rows_of: Callable[[Path], str] | None = None
+"""From a data folder to the URL of its database, unless a story says where rows lie; None: SQLite. See conftest.py."""
+
+
+def _settings(data: Path, environment: dict[str, str]) -> dict[str, str]:
+    """Variables of a process that needs no weights; `environment` goes before them."""
+    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1"}
+    if rows_of is not None and "REVISIT_DATABASE" not in environment:
+        ours["REVISIT_DATABASE"] = rows_of(data)
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
+    return clean | ours | environment
 
 
 class RunningService:
@@ -34,15 +46,15 @@ class RunningService:
     """
 
     command = "serve"
+    within: tuple[str, ...] = ()
+    """What the command is run by, such as ``ip netns exec NAME``."""
 
     def __init__(self, data: Path, ready: bool = True, /, **environment: str) -> None:
         self.data = data
-        settings = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_PORT": "0", "REVISIT_THREADS": "1"}
-        clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "app.cli", self.command],
+            [*self.within, sys.executable, "-m", "app.cli", self.command],
             cwd=ROOT,
-            env=clean | settings | environment,
+            env=_settings(data, {"REVISIT_PORT": "0", **environment}),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -133,14 +145,12 @@ class RunningEncoder(RunningService):
 
 
 @contextmanager
-def worker(data: Path, **environment: str) -> Iterator["subprocess.Popen[str]"]:
-    """`revisit worker` on a data folder, with the encoder that needs no weights."""
-    clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
-    ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1"}
+def worker(data: Path, /, *within: str, **environment: str) -> Iterator["subprocess.Popen[str]"]:
+    """`revisit worker` on a data folder, with the encoder that needs no weights; `within`: what runs the command."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "app.cli", "worker"],
+        [*within, sys.executable, "-m", "app.cli", "worker"],
         cwd=ROOT,
-        env=clean | ours | environment,
+        env=_settings(data, environment),
         stdout=subprocess.PIPE,
         text=True,
     )

@@ -13,7 +13,7 @@ from schemas.imports import ImportOptions
 from schemas.records import Position
 from tests.recorded_bags import START, bag, fix, image, odometry, pose
 from tests.sample_images import drawn, photo
-from tests.stories.importing import ended
+from tests.stories.importing import ended, is_emptied
 from tests.stories.running import RunningService
 from worker.images.apart import bag as reading
 from worker.images.apart import bag_child
@@ -142,7 +142,7 @@ def test_a_damaged_file_costs_no_more_than_itself(client: httpx.Client, service:
         if answer.status_code == 202:
             assert ended(client, answer.json()["id"])["state"] == "done"
     assert client.get("/readyz").status_code == 200
-    assert not any((service.data / "imports").iterdir())
+    assert is_emptied(service.data / "imports")
 
 
 def test_positions_are_not_made_up() -> None:

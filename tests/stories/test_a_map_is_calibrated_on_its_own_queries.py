@@ -49,7 +49,7 @@ def observed(n: int, right: float, gap: float, seed: int = 0, **label: Any) -> l
     rng = np.random.default_rng(seed)
     found = [(float(g), float(level)) for g, level in zip(rng.normal(gap, 0.4, n), -rng.random(n) / 2, strict=True)]
     return [
-        {"features": {"gap": max(g, 0.0), "level": level}, "right": bool(hit), **label}
+        {"features": {"gap": max(g, 0.0), "level": level, "breadth": max(g, 0.0) / 2}, "right": bool(hit), **label}
         for (g, level), hit in zip(found, rng.random(n) < right, strict=True)
     ]
 
@@ -171,7 +171,7 @@ def test_every_mistake_in_the_labels_is_named(client: CheckedClient, site: list[
         )
     )
     assert errors.keys() == {"observed.0.features", "queries.0.view", "queries.1.view", "queries.2.place"}
-    assert "lacks level" in errors["observed.0.features"]
+    assert "lacks level and breadth" in errors["observed.0.features"]
     assert "'plaice 0'" in errors["queries.2.place"]
 
 

@@ -19,7 +19,7 @@ ROOMS = ("mill lane", "station road", "rose garden", "market street")
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory: pytest.TempPathFactory, database: str) -> Path:
     return tmp_path_factory.mktemp("home")
 
 

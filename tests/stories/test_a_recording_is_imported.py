@@ -15,12 +15,12 @@ from PIL import Image as PilImage
 
 from lab.faults.heics import heics
 from tests.sample_images import drawn, encoded, photo
-from tests.stories.importing import ZIP, ended, photos, zipped
+from tests.stories.importing import ZIP, ended, is_emptied, photos, zipped
 from tests.stories.running import RunningService
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
     with RunningService(tmp_path_factory.mktemp("imports"), REVISIT_COMPARE="false", REVISIT_MAX_IMPORT_MB="2") as one:
         yield one
 
@@ -80,7 +80,7 @@ def test_a_recording_with_a_manifest_is_enrolled_and_each_fault_is_told(
     assert (first["metadata"], second["metadata"]) == ({"camera": "front"}, {"camera": "rear"})
     assert second["position"]["heading"] == 270.0
     assert (bare["position"], bare["metadata"]) == (None, {})
-    assert not any((service.data / "imports").iterdir())
+    assert is_emptied(service.data / "imports")
 
 
 def test_the_same_recording_again_adds_nothing(client: httpx.Client) -> None:
@@ -224,7 +224,7 @@ def test_a_deleted_map_takes_its_import_along(client: httpx.Client, service: Run
 
     assert sent(client, "after", photos(1))["state"] == "done"
     assert client.get("/maps/gone").status_code == 404
-    assert not any((service.data / "imports").iterdir())
+    assert is_emptied(service.data / "imports")
 
 
 def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ def test_a_kill_in_the_middle_loses_nothing_and_doubles_nothing(tmp_path: Path) 
             report = job["result"]
             assert (report["enrolled"], report["already_there"], report["errors"]) == (100, 0, [])
             assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 100, "failed": 0}
-            assert not any((data / "imports").iterdir())
+            assert is_emptied(data / "imports")
             return
 
 

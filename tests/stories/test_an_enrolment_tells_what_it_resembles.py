@@ -19,7 +19,7 @@ PLACES = ("mill lane", "station road", "rose garden", "market street", "old harb
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+def client(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[httpx.Client]:
     data = tmp_path_factory.mktemp("resembling")
     with (
         RunningService(data, REVISIT_ENCODER="compact", REVISIT_COMPARE="false") as service,

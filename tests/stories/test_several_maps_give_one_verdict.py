@@ -17,7 +17,7 @@ PATIENCE_S = 120
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def client(tmp_path_factory: pytest.TempPathFactory, database: str) -> Any:
     data = tmp_path_factory.mktemp("house")
     with RunningService(data, REVISIT_ENCODER="compact") as one, httpx.Client(base_url=one.url, timeout=60) as client:
         for floor, spot, image in HOUSE.enrolments():

@@ -191,9 +191,9 @@ def compare_coarse(
         scores = agreement.scores
         if config.detail_only(recipe):
             channels = recipe.parameters.cell_channels()
-            alone = channel_fusion.single_channel_similarity(
+            alone = channel_fusion.single_channel_agreement(
                 ours.coarse, coarse, channels, DETAIL, product, cell_aspect=aspect
-            )
+            ).scores
             evidence.align_scale = channel_fusion.align_scale(scores, alone)
             scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
         evidence.put("dense", evidence.rows, scores)
@@ -215,15 +215,17 @@ def compare_full(
     places = [evidence.place[int(row)] for row in first]
     aspect = evidence.cell_aspect[places]
     agreement = dense_cells.compare(query.cells, cells, product, cell_aspect=aspect)
-    scores = agreement.scores
+    scores, parts = agreement.scores, agreement.cells
     some = config.detail_only(recipe)
     evidence.joined_only.update(first[some:].tolist())
     if some:
         channels = recipe.parameters.cell_channels()
-        alone = channel_fusion.single_channel_similarity(
+        alone = channel_fusion.single_channel_agreement(
             query.cells, cells[:some], channels, DETAIL, product, cell_aspect=aspect[:some]
         )
-        scores = channel_fusion.max_fusion(scores, alone, evidence.align_scale)
+        scores = channel_fusion.max_fusion(scores, alone.scores, evidence.align_scale)
+        parts = channel_fusion.max_fusion_cells(agreement, alone, evidence.align_scale)
+    evidence.cells = dict(zip(first.tolist(), parts, strict=True))
     evidence.put("dense_full", first, scores * dense_cells.scale_penalty(agreement.scales, config.scale_penalty))
     evidence.shifts[places] = agreement.shifts
     evidence.scales = dict(zip(first.tolist(), agreement.scales.tolist(), strict=True))
@@ -270,6 +272,7 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         places=places,
         others=others,
         rival=rival,
+        cells={i: evidence.cells[row] for i, row in enumerate(order.tolist()) if row in evidence.cells},
         first=tuple(_candidate(evidence, score, parts, int(row), usual) for row in order[:top]),
         opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival]), usual),
     )

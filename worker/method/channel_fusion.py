@@ -12,7 +12,7 @@ import numpy as np
 from schemas.description import Floats, Int8s
 from worker.method import dense_cells
 from worker.method.byte_vectors import Product, float_product, scale
-from worker.method.hough import Doubles
+from worker.method.hough import Agreement, Doubles
 
 REFERENCE_QUANTILE = 0.85
 """Quantile over the candidates at which two similarities are aligned: high enough to hold for rare kinds of places, and
@@ -56,7 +56,7 @@ def length(cells: Int8s) -> float:
     return float(np.sqrt(squares.mean())) * scale(cells) or 1.0
 
 
-def single_channel_similarity(
+def single_channel_agreement(
     query: Int8s,
     candidates: Int8s,
     channels: Collection[str],
@@ -64,8 +64,8 @@ def single_channel_similarity(
     product: Product = float_product,
     *,
     cell_aspect: Doubles | None = None,
-) -> Floats:
-    """Similarity of query and candidates by the cells of one channel.
+) -> Agreement:
+    """How well candidates agree with a query by the cells of one channel.
 
     Parameters
     ----------
@@ -79,11 +79,11 @@ def single_channel_similarity(
 
     Returns
     -------
-    float32 of shape (candidates,)
-        0..1, as in `worker.method.hough.Agreement`.
+    Agreement
+        Without scales.
     """
     ours, theirs = (slice_channel(cells, channels, channel) for cells in (query, candidates))
-    return dense_cells.compare(ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False).scores
+    return dense_cells.compare(ours, theirs, product, length(ours), cell_aspect=cell_aspect, measured=False)
 
 
 def align_scale(joined: Floats, alone: Floats, high: float = REFERENCE_QUANTILE) -> float:
@@ -124,3 +124,11 @@ def max_fusion(joined: Floats, alone: Floats, rate: float) -> Floats:
     merged = joined.copy()
     merged[: len(alone)] = np.maximum(joined[: len(alone)], np.minimum(alone * np.float32(rate), 1))
     return merged
+
+
+def max_fusion_cells(joined: Agreement, alone: Agreement, rate: float) -> Floats:
+    """Weights of the query's cells by that comparison which `max_fusion` takes, float32 (n, cells)."""
+    taken, first = joined.cells.copy(), len(alone.scores)
+    larger = alone.scores * np.float32(rate) > joined.scores[:first]
+    taken[:first][larger] = alone.cells[larger] * np.float32(rate**2)
+    return taken

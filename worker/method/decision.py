@@ -1,12 +1,14 @@
 """Decision: from a ranking to probabilities of places, one verdict, and the reason for it.
 
 What a wrong view scores differs from map to map: 0.2 among ten parks, 0.6 in a corridor of equal doors. A score says
-little by itself. Two features say more, and mean the same in every map:
+little by itself. Three features say more, and mean the same in every map:
 
 - ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
   wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
   out (`schemas.comparisons.Comparison`).
 - ``level``: by how much the score falls short of what wrong answers get in this map.
+- ``breadth``: over how much of the image the place leads (`worker.method.breadth`), in the breadths that leads of wrong
+  answers have in this map.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +22,8 @@ from worker.method.calibration import Calibration, Verdict
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS
 
-PRIOR = MapLevels(compared=4, level=0.25, gap=0.03)
+USUAL_BREADTH = 2.0
+PRIOR = MapLevels(compared=4, level=0.25, gap=0.03, breadth=USUAL_BREADTH)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
 
 LOOK_ALIKE = 0.4
@@ -28,6 +31,12 @@ LOOK_ALIKE = 0.4
 
 SOFTENING = 0.02
 """Added to scores in ratios and to the gap of wrong answers, so that small ones do not decide by their noise."""
+
+BREADTH_SOFTENING = 1.0
+"""The same for the breadth of wrong answers."""
+
+NARROWING = 0.25
+"""Power of the share of a lead that a floor leaves, by which the lead gets narrower: cells do not know of the floor."""
 
 GROUPED = 10
 """Views that are grouped into places at least; those further down the ranking never decide."""
@@ -114,10 +123,12 @@ def expected_levels(levels: MapLevels) -> MapLevels:
     """What wrong answers get in a map: its own means, mixed with `PRIOR` while few of its views are compared, or are
     compared with few views of other places."""
     own = own_share(levels)
-    level, gap = (
-        own * mine + (1 - own) * usual for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap))
+    broad = USUAL_BREADTH if levels.breadth is None else levels.breadth
+    level, gap, breadth = (
+        own * mine + (1 - own) * usual
+        for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap), (broad, USUAL_BREADTH))
     )
-    return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at)
+    return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at, breadth=breadth)
 
 
 def own_share(levels: MapLevels) -> float:
@@ -138,7 +149,9 @@ def floor(others: int, levels: MapLevels) -> float:
     return levels.level + max(LOOK_ALIKE - levels.level, 0.0) * missing**2 * (1 - own_share(levels))
 
 
-def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
+def features(
+    score: float, rival: float, levels: MapLevels, breadth: float = 0.0, least: float = 0.0
+) -> dict[str, float]:
     """Features of a place; each grows with the evidence for it.
 
     Parameters
@@ -149,10 +162,17 @@ def features(score: float, rival: float, levels: MapLevels) -> dict[str, float]:
         Of the best view of any other place, 0..1.
     levels : MapLevels
         As `expected_levels` gives them.
+    breadth : float
+        Of the lead over that view, at least 0.
+    least : float
+        Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
     """
+    lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
+    broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
     return {
-        "gap": float(np.log1p(max(score - rival, 0.0) / (levels.gap + SOFTENING))),
+        "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
+        "breadth": float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING))),
     }
 
 
@@ -198,8 +218,7 @@ def decide(
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
     least = floor(ranking.others, usual)
-    best_other = max(least, 0.0 if rival is None else float(ranking.scores[rival]))
-    first = features(scores[0], best_other if measured_alike else scores[0], usual)
+    first = features(scores[0], _score(ranking, rival), usual, ranking.breadth(rival), least if measured_alike else 1.0)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
     for group, p in zip(groups, calibration.probabilities(read), strict=True):
@@ -209,10 +228,12 @@ def decide(
     status = calibration.verdict(confidence, precision)
     if status == "ambiguous" and len(groups) == 1 and rival is None:
         status = "no_match"
-    [unrivalled] = calibration.probabilities([features(scores[0], least, usual)])
+    alone = ranking.breadth(None)
+    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least)])
     outrivalled = rival is not None and unrivalled >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
-        together = features(scores[0], max(least, best_unlike(ranking)), usual)
+        unlike = best_unlike(ranking)
+        together = features(scores[0], _score(ranking, unlike), usual, ranking.breadth(unlike), least)
         if calibration.probabilities([together])[0] >= threshold:
             status = "ambiguous"
     reason = _reason(status, outrivalled, searched)
@@ -221,17 +242,22 @@ def decide(
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), confidences(places), first)
 
 
-def best_unlike(ranking: Ranking) -> float:
-    """Score of the best re-ranked view that the map itself can tell from the first; 0 when there is none.
+def best_unlike(ranking: Ranking) -> int | None:
+    """Index of the best re-ranked view that the map itself can tell from the first; None when there is none.
 
     Places that look alike to the map (floors of one building) may stand out together: the query then shows one of them,
     and is not of an unknown place.
     """
     first = int(ranking.seqs[0])
-    for seq, score in zip(ranking.seqs[: ranking.reranked], ranking.scores, strict=False):
+    for i, seq in enumerate(ranking.seqs[: ranking.reranked]):
         if not ranking.places.alike(first, int(seq)):
-            return float(score)
-    return 0.0
+            return i
+    return None
+
+
+def _score(ranking: Ranking, index: int | None) -> float:
+    """Score of a view of the ranking; 0 for none."""
+    return 0.0 if index is None else float(ranking.scores[index])
 
 
 def blame_image(decision: Decision, problem: str | None) -> Decision:

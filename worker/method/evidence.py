@@ -10,6 +10,7 @@ from schemas.description import Appearance, ContextGraph, Floats
 from schemas.recipe import RankingConfig
 from schemas.records import Candidates, Sequence64
 from worker.method import score_fusion
+from worker.method.breadth import breadth
 from worker.method.context_graph import GraphComparison
 from worker.method.hough import Doubles
 from worker.method.places import Places
@@ -129,6 +130,9 @@ class Ranking:
     rival : int or None
         Index of the best re-ranked view that shows another place than the first; None when there is none. Its
         neighbours count as other places where fewer than `ENOUGH_VIEWS` views show others.
+    cells : mapping of index to float32 of shape (rows * columns,)
+        Share of the largest possible weight that agrees at each cell of the query, of views compared at full
+        resolution.
     first : tuple of RankedCandidate
         The first `top`.
     opposed : RankedCandidate or None
@@ -146,8 +150,28 @@ class Ranking:
     places: Places
     others: int
     rival: int | None
+    cells: Mapping[int, Floats]
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None
+
+    def breadth(self, other: int | None, first: int = 0) -> float:
+        """Over how much of the query a place leads over another view: `worker.method.breadth.breadth`.
+
+        The largest over the views of the place that were compared at full resolution, so that more of them never lower
+        it; 0 where the other view was not compared.
+
+        Parameters
+        ----------
+        other : int or None
+            Index of the other view; None agrees nowhere.
+        first : int
+            Index of a view of the place.
+        """
+        if other is not None and other not in self.cells:
+            return 0.0
+        seqs = self.seqs
+        own = [cells for i, cells in self.cells.items() if self.places.same(int(seqs[first]), int(seqs[i]))]
+        return max((breadth(cells, None if other is None else self.cells[other]) for cells in own), default=0.0)
 
 
 @dataclass(eq=False)
@@ -174,6 +198,8 @@ class Evidence:
         Factor that brings similarities of detail alone to the level of those of all channels.
     scales : dict of candidate to float
         How much larger a candidate shows the place; only of those compared at full resolution.
+    cells : dict of candidate to float32 of shape (rows * columns,)
+        As in `Ranking`, of the same.
     joined_only : set of candidate
         Those compared at full resolution by all channels together only.
     graph : GraphComparison or None
@@ -191,6 +217,7 @@ class Evidence:
     shifts: npt.NDArray[np.intp] | None = None
     align_scale: float = 0.0
     scales: dict[int, float] = field(default_factory=dict)
+    cells: dict[int, Floats] = field(default_factory=dict)
     joined_only: set[int] = field(default_factory=set)
     graph: GraphComparison | None = None
     verified: dict[int, Verified] = field(default_factory=dict)

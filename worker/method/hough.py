@@ -68,12 +68,16 @@ class Agreement:
     scales : float32 of shape (candidates,)
         Size in the candidate relative to the query, 0.5..2: as `zooms`, but estimated continuously from the pairs that
         agree, and shrunk towards 1 where they are few or close together.
+    cells : float32 of shape (candidates, rows * columns)
+        Share of the largest possible weight that agrees at each query cell, at least 0; the root of a candidate's sum
+        is its score.
     """
 
     scores: Floats
     shifts: Indices
     zooms: Floats
     scales: Floats
+    cells: Floats
 
 
 def cell_aspects(query: tuple[float, float], candidates: Sequence[tuple[float, float]]) -> Doubles:
@@ -154,11 +158,14 @@ def agreement(
     ]
     shift = np.stack(moved, axis=1) / np.maximum(score, 1e-9)[:, None]
     scale = _scale(candidate, ours, theirs, weight, candidates) if measured else np.ones(candidates)
+    largest, cells = largest_weight(distinct), shape[0] * shape[1]
+    agreeing = np.bincount(candidate * cells + pairs.query_cell[won.pairs], weight, candidates * cells)
     return Agreement(
-        np.sqrt(np.minimum(score / largest_weight(distinct), 1)).astype(np.float32),
+        np.sqrt(np.minimum(score / largest, 1)).astype(np.float32),
         np.rint(np.where(score[:, None] > 0, shift, 0)).astype(np.intp),
         np.where(score > 0, zoomed, 1).astype(np.float32),
         np.clip(scale, 1 / LARGEST_SCALE, LARGEST_SCALE).astype(np.float32),
+        (agreeing / largest).reshape(candidates, cells).astype(np.float32),
     )
 
 

@@ -84,12 +84,16 @@ def pooled(levels: Sequence[MapLevels]) -> MapLevels:
     if len(levels) == 1 or compared == 0:
         return levels[0]
     shares = [one.compared / compared for one in levels]
+    breadths = [one.breadth for one in levels if one.breadth is not None]
     return MapLevels(
         compared=compared,
         level=sum(share * one.level for share, one in zip(shares, levels, strict=True)),
         gap=sum(share * one.gap for share, one in zip(shares, levels, strict=True)),
         others=sum(one.others for one in levels),
         updated_at=max((one.updated_at for one in levels if one.updated_at is not None), default=None),
+        breadth=sum(share * one for share, one in zip(shares, breadths, strict=True))
+        if len(breadths) == len(levels)
+        else None,
     )
 
 

@@ -21,6 +21,7 @@ from worker.images import filling
 from worker.images.codec import facts
 from worker.method import labels
 from worker.method.covering import covered
+from worker.service.decoded import DecodedImages
 
 ATTEMPTS = 3
 """Times that an image is blurred while what its map blurs changes."""
@@ -192,15 +193,12 @@ class BlurringEnrolment:
     enrolment : Enrolment
     maps : BlurSettings
     cover : Cover
+    decoded : DecodedImages
+        Gets each image that is to be described and was not blurred: what is described is what the stored bytes show.
     """
 
-    def __init__(
-        self,
-        enrolment: Enrolment,
-        maps: BlurSettings,
-        cover: Cover,
-    ) -> None:
-        self._enrolment, self._maps, self._cover = enrolment, maps, cover
+    def __init__(self, enrolment: Enrolment, maps: BlurSettings, cover: Cover, decoded: DecodedImages) -> None:
+        self._enrolment, self._maps, self._cover, self._decoded = enrolment, maps, cover, decoded
 
     def known(self, name: str, sha256: str, attributes: ViewAttributes) -> ViewRecord | None:
         """As `Enrolment.known`, by the digest of what was sent."""
@@ -236,9 +234,12 @@ class BlurringEnrolment:
                 blurred = self._cover(image, words, waits=background)
                 stored, told, found = blurred.data, blurred.image, Covered(words, image.digest)
             try:
-                return self._enrolment.submit(
+                submitted = self._enrolment.submit(
                     name, stored, facts(told), attributes, recipe, now, steady_s, background, found
                 )
+                if submitted.job_id is not None and found is None:
+                    self._decoded.keep(image)
+                return submitted
             except BlurChanged:
                 if attempt == ATTEMPTS:
                     raise

@@ -8,7 +8,9 @@ from worker.description.vocabularies import SHIPPED
 from worker.method.calibration import Calibration
 from worker.service.calibrating import own_calibration
 
-GENERAL_CALIBRATION = "compact-default.calibration.json"
+GENERAL = "compact-default.calibration.json"
+COARSE = "compact-coarse.calibration.json"
+"""For rankings that compare fewer than two views at full resolution, and so do not know how broad a lead is."""
 
 
 def calibration_of(record: MapRecord) -> Calibration:
@@ -21,10 +23,9 @@ def calibration_of(record: MapRecord) -> Calibration:
 
 
 def shipped_calibration(recipe: MapRecipe) -> Calibration:
-    """The calibration shipped for a recipe's encoder and preset, or the general one: its features are relative to what
-    wrong answers get in a map, and so mean nearly the same for all of them."""
-    name = f"{recipe.description.encoder}-{recipe.ranking.preset}.calibration.json"
-    return _calibration(name if (SHIPPED / name).exists() else GENERAL_CALIBRATION)
+    """The calibration shipped for a recipe, whatever its encoder: features are relative to what wrong answers get in a
+    map, and so mean nearly the same for all."""
+    return _calibration(COARSE if recipe.ranking.full_resolution_top_k < 2 else GENERAL)
 
 
 @lru_cache

@@ -32,10 +32,14 @@ FIRST = 32
 """Views of a map that are compared while images wait to be described: enough for the means to settle."""
 
 PORTION = 8
-"""Views compared at a time; after each the thread rests as long as it worked."""
+"""Views compared at a time, whose comparisons are stored together."""
 
 WIDENED = 3
 """How often a search is repeated because too many of its candidates show the view's own place."""
+
+
+Rest = Callable[[float], bool]
+"""Sleeps for a number of seconds; returns whether it was woken, since a job of a map waits."""
 
 
 class ComparisonStore(ComparisonReader, Protocol):
@@ -76,8 +80,6 @@ class MapComparer:
     catalogue : Catalogue
     product : Product
         Multiplies dense cells.
-    rest : function
-        Sleeps for a number of seconds.
     """
 
     def __init__(
@@ -87,19 +89,20 @@ class MapComparer:
         descriptions: Descriptions,
         catalogue: Catalogue,
         product: Product,
-        rest: Callable[[float], object] = time.sleep,
     ) -> None:
         self._comparisons, self._descriptions = comparisons, descriptions
-        self._catalogue, self._product, self._rest = catalogue, product, rest
+        self._catalogue, self._product = catalogue, product
         self._nothing_due: tuple[int, int] | None = None  # sample and revision at which nothing was due
 
-    def step(self, *, busy: bool = False) -> bool:
+    def step(self, *, busy: bool = False, rest: Rest = lambda seconds: False) -> bool:
         """Compare a portion of views; returns whether there was anything to do.
 
         Parameters
         ----------
         busy : bool
             Images wait to be described: compare no more than `FIRST` of each map.
+        rest : function
+            Called with 0 after each view, and after the portion with the time that it took. A job that waits ends both.
         """
         sample, revision = FIRST if busy else SAMPLE, self._comparisons.last_revision()
         if (sample, revision) == self._nothing_due:
@@ -108,26 +111,26 @@ class MapComparer:
         if due is None:
             self._nothing_due = sample, revision
             return False
-        began = time.monotonic()
         try:
             index, record = self._catalogue.index(due.map)
         except NotFound:
             return True  # the map has just been deleted
         if record.description.id != due.recipe:
             return True  # the map has just changed over
-        made = [self._attempt(seq, index, record.description, record.ranking, due.among) for seq in due.seqs]
+        began = time.monotonic()
+        made = []
+        for seq in due.seqs:
+            made.append(self._attempt(seq, index, record.description, record.ranking, due.among))
+            if rest(0):
+                break
         self._comparisons.keep(due.map, due.recipe, [one for one in made if one is not None], datetime.now(UTC))
-        self._rest(time.monotonic() - began)
+        rest(time.monotonic() - began)
         return True
 
     def all(self) -> None:
         """Compare everything that is due, without a rest."""
-        rest, self._rest = self._rest, lambda _: None
-        try:
-            while self.step():
-                pass
-        finally:
-            self._rest = rest
+        while self.step():
+            pass
 
     def compare(self, seqs: Sequence[int], index: SearchableIndex, recipe: MapRecipe, among: int) -> list[Comparison]:
         """Comparisons of some views by a recipe with an index of its own; nothing is stored.
@@ -179,8 +182,9 @@ class MapComparer:
         level = float(others.scores[0]) if len(others.seqs) else None
         rival = others.rival
         gap = None if level is None or rival is None else level - float(others.scores[rival])
+        breadth = None if gap is None else others.breadth(rival)
         taken_for = None if level is None else int(others.seqs[0])
-        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best)
+        return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best, breadth)
 
     def _search(self, index: SearchableIndex, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
         return index.search(query.vectors, max(2, config.searched), Selection(None, np.array(sorted(never))))

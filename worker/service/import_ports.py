@@ -1,6 +1,7 @@
 """Ports of imports to the store; each declares only the methods that they call."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -31,7 +32,7 @@ class Upload(Protocol):
 
 
 class Uploads(Protocol):
-    """Recordings on disk."""
+    """Recordings until they are imported."""
 
     def receive(self, announced: int = 0) -> Upload:
         """Begin to receive a file of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
@@ -41,8 +42,12 @@ class Uploads(Protocol):
         """Keep a received file durably for a job; raises DiskFull, StorageFailed."""
         ...
 
-    def find(self, job_id: str) -> tuple[Path, dict[str, Any]]:
-        """The file of a job and what was asked; raises FileNotFoundError, ValueError."""
+    def opened(self, job_id: str, tell: Callable[[], None]) -> AbstractContextManager[tuple[Path, dict[str, Any]]]:
+        """The file of a job, which can be read during a block, and what was asked.
+
+        Where it has to be fetched, `tell` is called now and then: what it raises ends that. Raises FileNotFoundError,
+        ValueError, Damaged, DiskFull, StorageFailed.
+        """
         ...
 
     def discard(self, job_id: str) -> None:

@@ -1,4 +1,4 @@
-"""Import recordings: receive an upload, then enrol its images as a durable job."""
+"""Import recordings: enrol the images of an upload, as a durable job."""
 
 import hashlib
 import logging
@@ -6,30 +6,21 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Any
-
-from uuid6 import uuid7
+from typing import Any, NamedTuple
 
 from schemas.errors import EncoderAway, LeaseLost, NotFound, PoorImage, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.imports import ImportOptions
-from schemas.recipe import MapRecipe
-from schemas.records import (
-    JobProgress,
-    JobRecord,
-    MapClaim,
-    Submitted,
-    ViewAttributes,
-    ViewRecord,
-)
-from worker.images import panorama
+from schemas.records import MapClaim, Submitted, ViewAttributes, ViewRecord
 from worker.images.apart.stream import Repeated
 from worker.service import steady
 from worker.service.blurring import BlurringEnrolment
 from worker.service.completing import completed, turned, wanted_of_exif
-from worker.service.import_ports import ImportJobs, Upload, Uploads
+from worker.service.decoded import MOST_BYTES
+from worker.service.import_ports import ImportJobs, Uploads
+from worker.service.import_report import Report
 from worker.service.opening import open_recording
 from worker.service.panoramas import Panoramas
 from worker.service.recordings import Item, Limits, Note
@@ -39,7 +30,13 @@ from worker.service.trouble import STORAGE_ERRORS
 log = logging.getLogger("revisit.worker")
 
 AHEAD = 32
-"""Images stored ahead of the encoder."""
+"""Images stored ahead of the encoder, and fewer of large ones: those that do not fit are decoded a second time."""
+
+LEAST_AHEAD = 3
+"""Images stored ahead however large they are: one is encoded, one is claimed, and the next is there in time."""
+
+AHEAD_BYTES = MOST_BYTES // 2
+"""Of the pixels of images stored ahead; enrolments need room for theirs too."""
 
 DECODED_AHEAD = 4
 """Images read and decoded ahead of the store."""
@@ -50,104 +47,8 @@ TOLD_EVERY_S = 0.5
 PAUSE_S = 0.02
 
 
-MOST_NOTES = 1000
-"""Notes that a report lists; the others are counted."""
-
-
-class ImportService:
-    """The use-case: receive a recording, check it, and queue its import.
-
-    Parameters
-    ----------
-    uploads, jobs
-        Parts of the store.
-    limits : Limits
-    default_recipe : MapRecipe
-        Recipe of a map that an import creates.
-    refuses_poor : function
-        Whether a map refuses poor images.
-    wake : function
-        Called when a job was queued.
-    """
-
-    def __init__(
-        self,
-        *,
-        uploads: Uploads,
-        jobs: ImportJobs,
-        limits: Limits,
-        default_recipe: MapRecipe,
-        refuses_poor: Callable[[str], bool],
-        wake: Callable[[], None],
-    ) -> None:
-        self._uploads, self._jobs, self._limits = uploads, jobs, limits
-        self._default_recipe, self._refuses_poor, self._wake = default_recipe, refuses_poor, wake
-
-    def receive(self, announced: int) -> Upload:
-        """Begin to receive a recording of `announced` bytes (0: unknown); raises DiskFull, StorageFailed."""
-        return self._uploads.receive(announced)
-
-    def check(self, upload: Upload, options: ImportOptions) -> int:
-        """Number of images that will be enrolled of a received recording.
-
-        Raises
-        ------
-        BadBody, BodyTooLarge, InvalidParameters
-            Nothing of it can be imported; the text says why.
-        """
-        upload.end()
-        with open_recording(upload.path, self._limits, options) as recording:
-            views = panorama.DIRECTIONS if options.panorama else 1
-            return views * len(recording.items) + recording.failed
-
-    def accept(self, upload: Upload, name: str, options: ImportOptions) -> JobRecord:
-        """Queue the import of a checked recording into a map, which is made when there is none.
-
-        Raises
-        ------
-        DiskFull, StorageFailed
-        """
-        job_id = str(uuid7())
-        if options.refuse_poor is None:
-            options = replace(options, refuse_poor=self._refuses_poor(name))
-        self._uploads.keep(upload, job_id, asdict(options))
-        try:
-            job = self._jobs.queue_import(job_id, name, self._default_recipe, datetime.now(UTC))
-        except BaseException:
-            self._uploads.discard(job_id)
-            raise
-        self._wake()
-        return job
-
-
 class _Stop(Exception):
     """The worker is stopping: the job is put back."""
-
-
-@dataclass
-class _Report:
-    """What came of an import so far; its fields are those of the job's `result`."""
-
-    images: int = 0
-    enrolled: int = 0
-    already_there: int = 0
-    failed: int = 0
-    left_out: int = 0
-    poor: int = 0
-    rows_without_file: int = 0
-    files_without_row: int = 0
-    errors: list[dict[str, str]] = field(default_factory=list)
-    errors_left_off: int = 0
-
-    def add(self, note: Note) -> None:
-        if len(self.errors) < MOST_NOTES:
-            self.errors.append(asdict(note))
-        else:
-            self.errors_left_off += 1
-
-    @property
-    def progress(self) -> JobProgress:
-        return JobProgress(self.enrolled + self.already_there + self.failed, self.images)
 
 
 class Importer:
@@ -197,11 +98,12 @@ class Importer:
             The job was put back, and is to be tried again.
         """
         try:
-            path, wanted = self._uploads.find(claim.job_id)
-            options = ImportOptions(**wanted)
-            with open_recording(path, self._limits, options) as recording:
+            with (
+                self._uploads.opened(claim.job_id, lambda: self._watch(claim, stopping)) as (path, wanted),
+                open_recording(path, self._limits, options := ImportOptions(**wanted)) as recording,
+            ):
                 items = Panoramas(self._decode).split(recording.items) if options.panorama else recording.items
-                report = _Report(len(items) + recording.failed, failed=recording.failed, left_out=recording.left_out)
+                report = Report(len(items) + recording.failed, failed=recording.failed, left_out=recording.left_out)
                 for note in recording.notes:
                     report.rows_without_file += note.problem == "no-file"
                     report.files_without_row += note.problem == "no-row"
@@ -218,7 +120,7 @@ class Importer:
             self._jobs.release_map_job(claim)
             raise
         except FileNotFoundError:
-            self._fail(claim, "damaged", "the uploaded recording is gone from the data folder; send it again")
+            self._fail(claim, "damaged", "the uploaded recording is gone from where it was kept; send it again")
         except OSError as error:
             self._jobs.release_map_job(claim)
             raise StorageFailed(f"the uploaded recording cannot be read: {error.strerror}") from error
@@ -228,6 +130,17 @@ class Importer:
             log.exception("importing into the map %s failed", claim.map)
             self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
         self._uploads.discard(claim.job_id)
+
+    def _watch(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
+        """While a recording is fetched: raises _Stop, LeaseLost."""
+        if stopping():
+            raise _Stop
+        try:
+            state = self._jobs.get(claim.job_id).state
+        except NotFound as error:
+            raise LeaseLost(error.detail) from None
+        if state != "running":
+            raise LeaseLost(f"the job {claim.job_id} is {state}")
 
     def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
         try:
@@ -270,7 +183,7 @@ class Importer:
         except NotFound:
             return None
 
-    def report(self, claim: MapClaim, report: _Report) -> None:
+    def report(self, claim: MapClaim, report: Report) -> None:
         """Tell the store how far a job is; raises LeaseLost."""
         self._jobs.report_import(claim, report.progress, asdict(report))
 
@@ -290,7 +203,7 @@ class _Run:
         importer: Importer,
         claim: MapClaim,
         stopping: Callable[[], bool],
-        report: _Report,
+        report: Report,
         exif: frozenset[str],
         refuse_poor: bool,
     ) -> None:
@@ -298,7 +211,7 @@ class _Run:
         self._exif, self._refuse_poor = exif, refuse_poor
         self._began = importer.began(claim)
         self._seen: set[str] = set()
-        self._describing: deque[tuple[str, str, bool]] = deque()  # file, view, whether this import enrolled it
+        self._describing: deque[_Describing] = deque()
         self._told = 0.0
 
     def all(self, items: list[Item]) -> None:
@@ -308,7 +221,7 @@ class _Run:
             try:
                 for item, reading in self._reading(items, threads):
                     self._import(item, reading)
-                    while len(self._describing) >= AHEAD:
+                    while self._is_ahead():
                         self._await_oldest()
             finally:
                 threads.shutdown(wait=False, cancel_futures=True)
@@ -350,10 +263,15 @@ class _Run:
         # A run after a crash finds views that an earlier run of the same job enrolled.
         own = view.enrolled_at >= self._began and view.id not in self._seen
         self._seen.add(view.id)
-        self._describing.append((item.file, view.id, own))
+        self._describing.append(_Describing(item.file, view.id, own, 3 * view.image.width * view.image.height))
+
+    def _is_ahead(self) -> bool:
+        """Whether enough is stored: the encoder is to catch up first."""
+        count = len(self._describing)
+        return count >= AHEAD or (count >= LEAST_AHEAD and sum(one.size for one in self._describing) > AHEAD_BYTES)
 
     def _await_oldest(self) -> None:
-        file, view_id, own = self._describing[0]
+        file, view_id, own, _ = self._describing[0]
         view = self._importer.settled(view_id, TOLD_EVERY_S)
         self._tell()
         if view is not None and view.state == "pending":
@@ -382,6 +300,15 @@ class _Run:
         if time.monotonic() - self._told >= TOLD_EVERY_S:
             self._importer.report(self._claim, self._report)
             self._told = time.monotonic()
+
+
+class _Describing(NamedTuple):
+    """A view that is being described: whether this import enrolled it, and bytes of its pixels."""
+
+    file: str
+    view_id: str
+    own: bool
+    size: int
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,9 @@ from worker.service.bags import recording_of
 from worker.service.recordings import Item, Limits, Recording, open_archive
 from worker.service.thinning import thin
 
+LISTING = "listing.json"
+"""Beside an upload that has to be read through to know what is in it: what is in it."""
+
 VIDEO_EVERY_S = 1.0
 """Seconds from one frame of a video to the next, unless a caller says otherwise."""
 
@@ -41,7 +44,7 @@ def open_recording(path: Path, limits: Limits, options: ImportOptions) -> Record
 
 
 def _bag(path: Path, limits: Limits, options: ImportOptions) -> Recording:
-    bag = Bag(path, limits.image, options.image_topic, options.pose_topic)
+    bag = Bag(path, limits.image, options.image_topic, options.pose_topic, path.with_name(LISTING))
     recording = recording_of(bag)
     bag.wants(thin(recording, options))
     if len(recording.items) > MOST_FILES:
@@ -59,7 +62,7 @@ def _video(path: Path, limits: Limits, options: ImportOptions) -> Recording:
             "with a trajectory",
         )
     every_s = options.every_s or VIDEO_EVERY_S
-    video = Video(path, every_s, limits.image, limits.frame_s)
+    video = Video(path, every_s, limits.image, limits.frame_s, path.with_name(LISTING))
     if len(video.times_s) > MOST_FILES:
         raise BodyTooLarge(
             f"with a frame every {every_s:g} s the video has {len(video.times_s):,}; at most {MOST_FILES:,} are taken"

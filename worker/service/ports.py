@@ -180,7 +180,7 @@ class JobQueue(Protocol):
 
 
 class UploadRemoval(Protocol):
-    """Recordings on disk."""
+    """Recordings until they are imported."""
 
     def discard(self, job_id: str) -> None:
         """Remove the file of an import that has ended; does nothing when there is none."""

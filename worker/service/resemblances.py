@@ -111,12 +111,17 @@ def _look_alike(view: ViewRecord, found: RankedResults) -> Resemblance | None:
         return None
     rival = apart[0]
     own = max((scored.score for scored in found.views if scored not in apart), default=None)
-    further = [scored.score for scored in apart[1:] if not places.same(rival.seq, scored.seq)]
+    further = [scored for scored in apart[1:] if not places.same(rival.seq, scored.seq)]
     inliers = 0 if rival.verified is None else rival.verified.inliers
     if inliers < SAME_SPOT_INLIERS or rival.score < SAME_SPOT_SCORE:
         wins = own is not None and rival.score >= own
-        next_best, others = max(further, default=0.0), found.maps[0].searched
-        wins = wins or would_match(rival.score, next_best, others, ranking.precision, found.levels, found.calibration)
+        index = {int(seq): i for i, seq in enumerate(found.ranking.seqs)}
+        next_best = max((scored.score for scored in further), default=0.0)
+        breadth = found.ranking.breadth(index[further[0].seq] if further else None, index[rival.seq])
+        others = found.maps[0].searched
+        wins = wins or would_match(
+            rival.score, next_best, breadth, others, ranking.precision, found.levels, found.calibration
+        )
         if not wins:
             return None
     return Resemblance(

@@ -71,7 +71,8 @@ def find_twins(
         wins = compared.own is not None and compared.level >= compared.own
         if not wins:
             next_best = 0.0 if compared.gap is None else compared.level - compared.gap
-            wins = would_match(compared.level, next_best, compared.others, precision, levels, calibration)
+            breadth = compared.breadth or 0.0
+            wins = would_match(compared.level, next_best, breadth, compared.others, precision, levels, calibration)
         if wins:
             found = pair(view, rival)
             found.fooled += 1
@@ -91,7 +92,13 @@ def find_twins(
 
 
 def would_match(
-    level: float, next_best: float, others: int, precision: float, levels: MapLevels, calibration: Calibration
+    level: float,
+    next_best: float,
+    breadth: float,
+    others: int,
+    precision: float,
+    levels: MapLevels,
+    calibration: Calibration,
 ) -> bool:
     """Whether a query would be `matched` with a view that scores `level`, when the next place scores `next_best`.
 
@@ -99,6 +106,8 @@ def would_match(
     ----------
     level, next_best : float
         Scores, 0..1.
+    breadth : float
+        Of the lead.
     others : int
         Views of other places.
     precision : float
@@ -107,7 +116,7 @@ def would_match(
     calibration : Calibration
     """
     usual = expected_levels(levels)
-    read = features(level, max(next_best, floor(others, usual)), usual)
+    read = features(level, next_best, usual, breadth, floor(others, usual))
     return bool(calibration.probabilities([read])[0] >= calibration.threshold(precision))
 
 

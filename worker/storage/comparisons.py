@@ -43,7 +43,8 @@ class Comparisons(Part):
             for row in connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.id)):
                 among = connection.scalar(_ready(row)) or 0
                 named = COMPARISONS.c.level.is_(None) | COMPARISONS.c.rival.is_not(None)  # since migration 0010
-                fresh = (*_of(row), COMPARISONS.c.among * 2 > among, named)
+                broad = COMPARISONS.c.gap.is_(None) | COMPARISONS.c.breadth.is_not(None)  # since migration 0017
+                fresh = (*_of(row), COMPARISONS.c.among * 2 > among, named, broad)
                 done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
                 left = min(count, min(among, sample) - done)
                 if among < 2 or left <= 0:
@@ -80,6 +81,7 @@ class Comparisons(Part):
                     "same_spot": json.dumps([int(seq) for seq in one.same_spot]),
                     "rival": one.rival,
                     "own": one.own,
+                    "breadth": one.breadth,
                 }
                 for one in comparisons
                 if one.seq in left
@@ -99,13 +101,16 @@ class Comparisons(Part):
             level, gap = (
                 sa.case((column.between(0, 1), column)) for column in (COMPARISONS.c.level, COMPARISONS.c.gap)
             )
+            breadth = sa.case((COMPARISONS.c.breadth.between(0, 1000), COMPARISONS.c.breadth))
             made_at = COMPARISONS.c.made_at
-            means = (sa.func.avg(column) for column in (level, gap, COMPARISONS.c.others))
+            means = (sa.func.avg(column) for column in (breadth, level, gap, COMPARISONS.c.others))
             of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == (recipe or row.recipe)
             found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
-            count, latest, *mean = connection.execute(found).one()
+            count, latest, broad, *mean = connection.execute(found).one()
         own_level, own_gap, others = (float(value or 0) for value in mean)
-        return MapLevels(count, own_level, own_gap, others, latest, row.revision)
+        return MapLevels(
+            count, own_level, own_gap, others, latest, row.revision, None if broad is None else float(broad)
+        )
 
     def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:
         """The newest `most` described views of a map with their comparisons, and how many views are described.
@@ -170,7 +175,7 @@ def _surveyed(row: sa.Row[Any]) -> SurveyedView:
     if same_spot is None:
         return SurveyedView(row.id, row.seq, known, None)
     spots = tuple(sorted(same_spot))
-    facts = (getattr(row, f"compared_{name}") for name in ("among", "others", "rival", "own"))
+    facts = (getattr(row, f"compared_{name}") for name in ("among", "others", "rival", "own", "breadth"))
     return SurveyedView(
         row.id, row.seq, known, Comparison(row.seq, row.compared_level, row.compared_gap, spots, *facts)
     )

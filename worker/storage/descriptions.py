@@ -12,7 +12,7 @@ from schemas.description import Appearance, Description, Floats, Int8s, LocalFea
 from schemas.image import extent_of
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Changes, Sequence64
-from worker.storage import checksums, packing
+from worker.storage import checksums, dialect, packing
 from worker.storage.damage import description_fault, vectors_size
 from worker.storage.part import Part
 from worker.storage.rows import batches, find_map, find_recipe, inserting
@@ -179,7 +179,9 @@ def _bodies(table: sa.Table) -> sa.Select[Any]:
     """Selects bodies by views and recipe; cached, since building the statement takes as long as running it."""
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
     recipe: sa.BindParameter[Any] = sa.bindparam("recipe")
-    return sa.select(table.c.seq, table.c.body, table.c.checksum).where(table.c.seq.in_(seqs), table.c.recipe == recipe)
+    bodies = sa.select(table.c.seq, table.c.body, table.c.checksum)
+    mine = table.c.seq.in_(seqs), table.c.recipe == recipe
+    return bodies.where(*mine).execution_options(**{dialect.AS_BYTES: True})
 
 
 @cache

@@ -32,6 +32,9 @@ SERVER_GONE = {
 WRITERS = 0x7265766973697400
 """Key of PostgreSQL's advisory lock that writers take in turn ("revisit" in ASCII)."""
 
+AS_BYTES = "as_bytes"
+"""Execution option of statements that read long bodies: PostgreSQL would send each byte as two digits otherwise."""
+
 SQLITE_FULL = 13
 SQLITE_DAMAGED = (11, 26)  # malformed, not a database
 SQLITE_UNREADABLE = (266, 522, 8202, 8458)  # I/O errors in reading: failed, short, checksum, file system
@@ -76,7 +79,16 @@ def make_engine(url: str) -> sa.Engine:
 def _postgresql(url: sa.URL) -> sa.Engine:
     patience = {name: value for name, value in SERVER_GONE.items() if name not in url.query}
     url = url.set(drivername="postgresql+psycopg")
-    return sa.create_engine(url, max_overflow=-1, pool_pre_ping=True, connect_args=patience)
+    engine = sa.create_engine(url, max_overflow=-1, pool_pre_ping=True, connect_args=patience)
+
+    @sa.event.listens_for(engine, "before_cursor_execute")
+    def choose_format(
+        _: sa.Connection, cursor: Any, statement: str, parameters: Any, context: Any, executemany: bool
+    ) -> None:
+        if context is not None and context.execution_options.get(AS_BYTES):
+            cursor.format = 1  # psycopg.pq.Format.BINARY
+
+    return engine
 
 
 def _sqlite(url: sa.URL) -> sa.Engine:

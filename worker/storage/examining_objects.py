@@ -9,6 +9,8 @@ from worker.storage.examining import REPAIR, Finding
 from worker.storage.examining_images import AGAIN, ORPHAN
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
+from worker.storage.snapshot_places import SNAPSHOTS
+from worker.storage.uploads import IMPORTS
 
 
 def object_findings(address: str, owners: dict[str, str] | None, *, running: bool = False) -> Iterator[Finding]:
@@ -35,7 +37,7 @@ def object_findings(address: str, owners: dict[str, str] | None, *, running: boo
             digest = name.rpartition("/")[2]
             if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
                 placed.append(digest)
-            elif name != PROBE:
+            elif name != PROBE and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
                 yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
 
         def fault(digest: str) -> str | None:

@@ -54,6 +54,9 @@ class Images:
         Reads from the database which digests views still need.
     """
 
+    files = None
+    """Recordings and snapshots have folders of their own."""
+
     def __init__(self, folder: Path, owned: Owned) -> None:
         self._folder = folder
         self._owned = owned

@@ -21,6 +21,7 @@ from schemas.errors import Damaged, RevisitError, SetupError
 from schemas.settings import IMAGES_ADDRESS
 from worker.storage.image_files import DIGEST, LOST, Owned
 from worker.storage.object_errors import MISSING, code_of, told
+from worker.storage.object_files import ObjectFiles
 from worker.storage.peers import ImageLock
 
 log = logging.getLogger("revisit")
@@ -95,6 +96,7 @@ class ImageObjects:
         self._owned, self._locked = owned, locked
         self._client = make_client(CONNECT_S, READ_S, ATTEMPTS)
         self._probing = make_client(PROBE_CONNECT_S, PROBE_READ_S, 1)
+        self.files = ObjectFiles(self._client, self.address, self._bucket, self._prefix)
         self._trouble = False  # whether the last image could not be written
         self._left: set[str] = set()  # images of deleted views that could not be removed yet
         self._closing = threading.Event()

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import sqlalchemy as sa
 
@@ -14,9 +14,17 @@ from worker.storage.peers import image_lock
 from worker.storage.rows import batches
 from worker.storage.tables import MAPS, VIEWS
 
+if TYPE_CHECKING:
+    from worker.storage.object_files import ObjectFiles
+
 
 class ImageStore(Protocol):
     """Enrolled images, named by the SHA-256 of their bytes."""
+
+    @property
+    def files(self) -> "ObjectFiles | None":
+        """Where recordings and snapshots lie too; None: in the data folder."""
+        ...
 
     def kept(self, digest: str, image: bytes) -> AbstractContextManager[None]:
         """Write an image durably, then run a block that commits a row with its digest."""

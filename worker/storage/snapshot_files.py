@@ -20,9 +20,8 @@ import re
 import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from tempfile import TemporaryFile
-from typing import BinaryIO
+from typing import BinaryIO, Literal, Protocol
 
 from pydantic import ValidationError
 
@@ -148,6 +147,14 @@ def _manifest_line(name: str, digest: str, size: int) -> bytes:
     return SnapshotPart(name=name, sha256=digest, size=size).model_dump_json().encode() + b"\n"
 
 
+class Source(Protocol):
+    """A file, wherever it lies: a path, for one."""
+
+    def open(self, mode: Literal["rb"]) -> BinaryIO:
+        """Open it for reading."""
+        ...
+
+
 class SnapshotReader:
     """Reads a snapshot: once to verify it, and then the parts that are wanted.
 
@@ -155,10 +162,10 @@ class SnapshotReader:
 
     Parameters
     ----------
-    path : Path
+    path : Source
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Source) -> None:
         self._path = path
         self._digests = bytearray()  # of the parts in their order, once verified
 

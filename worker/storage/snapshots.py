@@ -1,7 +1,8 @@
-"""Snapshots: files of single maps, made at one revision while the service works, and kept in the data folder."""
+"""Snapshots: files of single maps, made at one revision while the service works, and kept."""
 
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,12 +15,12 @@ from schemas.removal import Holding
 from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
-from worker.storage.image_files import sync_folder
 from worker.storage.image_store import ImageStore, needs_image
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_recipe, log, map_record
 from worker.storage.snapshot_contents import SnapshotContents
-from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotReader, SnapshotWriter
+from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotWriter
+from worker.storage.snapshot_places import WRITING, SnapshotPlace
 from worker.storage.snapshot_rows import comparison_lines, view_lines
 from worker.storage.tables import CELLS, JOBS, VOCABULARIES
 from worker.storage.tables import VIEWS as VIEW_ROWS
@@ -29,8 +30,7 @@ PORTION = 32
 
 COMPARISON_PORTION = 2000
 
-SUFFIX = ".snapshot"
-WRITING, RECEIVING = ".writing-", ".receiving-"
+RECEIVING = ".receiving-"
 
 _ID = re.compile("[0-9a-f-]{36}")
 
@@ -43,13 +43,15 @@ class Snapshots(Part):
     database : Database
     images : ImageStore
     folder : Path
-        Made with the first snapshot.
+        Where those are received that are to be restored; made with the first of them.
+    place : SnapshotPlace
+        Where those are kept that are made.
     """
 
-    def __init__(self, database: Database, images: ImageStore, folder: Path) -> None:
+    def __init__(self, database: Database, images: ImageStore, folder: Path, place: SnapshotPlace) -> None:
         super().__init__(database, images)
-        self._folder = folder
-        self._contents = SnapshotContents(folder, SUFFIX)
+        self._folder, self._place = folder, place
+        self._contents = SnapshotContents(place)
 
     # made
 
@@ -72,17 +74,10 @@ class Snapshots(Part):
         Damaged
             A row or an image that nothing can replace is damaged.
         """
-        unfinished = self._folder / f"{WRITING}{snapshot_id}"
-        with translated("snapshots"):
-            self._folder.mkdir(exist_ok=True)
-            try:
-                with unfinished.open("wb") as file, self._database.reading() as connection:
-                    self._write(connection, file, name, snapshot_id, now, tell)
-                unfinished.rename(self._path(snapshot_id))
-                sync_folder(self._folder)
-            except BaseException:
-                unfinished.unlink(missing_ok=True)
-                raise
+        with translated("snapshots"), self._place.draft(snapshot_id) as draft:
+            with draft.open("wb") as file, self._database.reading() as connection:
+                views = self._write(connection, file, name, snapshot_id, now, tell)
+            self._place.keep(draft, snapshot_id, lambda: tell(views, views))
         return self.get(snapshot_id)
 
     def _write(
@@ -93,7 +88,8 @@ class Snapshots(Part):
         snapshot_id: str,
         now: datetime,
         tell: Callable[[int, int], None],
-    ) -> None:
+    ) -> int:
+        """Write all of it; returns the number of views that there were when this began."""
         row = find_map(connection, name)
         record = map_record(connection, row)
         recipe = find_recipe(connection, row.recipe)
@@ -125,6 +121,7 @@ class Snapshots(Part):
             writer.end(facts.model_copy(update={"views": len(seqs) - len(left_out), **counts}))
         finally:
             writer.close()
+        return len(seqs)
 
     def _write_parts(
         self,
@@ -186,42 +183,36 @@ class Snapshots(Part):
     def all(self) -> list[SnapshotRecord]:
         """All snapshots, newest first; one whose beginning cannot be read is logged and left out."""
         records = []
-        for path in self._folder.glob(f"*{SUFFIX}"):
+        with translated("snapshots"):
+            kept = self._place.ids()
+        for snapshot_id in kept:
             try:
-                records.append(self.get(path.name.removesuffix(SUFFIX)))
+                records.append(self.get(snapshot_id))
             except (BadSnapshot, NotFound) as error:
-                log.error("snapshot %s is left out of the list: %s", path.name, error.detail)
+                log.error("snapshot %s is left out of the list: %s", snapshot_id, error.detail)
         return sorted(records, key=lambda record: (record.facts.created_at, record.facts.id), reverse=True)
 
     def get(self, snapshot_id: str) -> SnapshotRecord:
         """One snapshot; raises NotFound, BadSnapshot."""
-        path = self._path(snapshot_id)
-        try:
-            with translated("snapshots"):
-                return SnapshotRecord(SnapshotReader(path).facts(), path.stat().st_size)
-        except FileNotFoundError:
-            raise NotFound("snapshot", snapshot_id) from None
+        with _found(snapshot_id):
+            return SnapshotRecord(*self._place.facts(snapshot_id))
 
     def holding(self, digests: Collection[str], started: Sequence[str] = ()) -> tuple[Holding, ...]:
         """As `SnapshotContents.holding`."""
         return self._contents.holding(digests, started)
 
     def open(self, snapshot_id: str) -> BinaryIO:
-        """The file of a snapshot, for reading; it can be read to its end even if it is deleted meanwhile."""
-        try:
-            with translated("snapshots"):
-                return self._path(snapshot_id).open("rb")
-        except FileNotFoundError:
-            raise NotFound("snapshot", snapshot_id) from None
+        """The file of a snapshot, for reading; it can be read to its end even if it is deleted meanwhile.
+
+        From an object store, where the connection breaks after that, reading it raises FileNotFoundError.
+        """
+        with _found(snapshot_id):
+            return self._place.open(snapshot_id)
 
     def delete(self, snapshot_id: str) -> None:
         """Remove a snapshot; raises NotFound."""
-        try:
-            with translated("snapshots"):
-                self._path(snapshot_id).unlink()
-                sync_folder(self._folder)
-        except FileNotFoundError:
-            raise NotFound("snapshot", snapshot_id) from None
+        with _found(snapshot_id):
+            self._place.remove(snapshot_id)
 
     def receiving(self, name: str) -> Path:
         """Where a snapshot that is sent to this service is kept until it is restored."""
@@ -245,7 +236,14 @@ class Snapshots(Part):
         if self._database.space is not None:
             self._database.space.admit(size)
 
-    def _path(self, snapshot_id: str) -> Path:
-        if not _ID.fullmatch(snapshot_id):
-            raise NotFound("snapshot", snapshot_id[:64])
-        return self._folder / f"{snapshot_id}{SUFFIX}"
+
+@contextmanager
+def _found(snapshot_id: str) -> Iterator[None]:
+    """Raise NotFound where a block finds that there is no such snapshot, and for what can be no id of one."""
+    if not _ID.fullmatch(snapshot_id):
+        raise NotFound("snapshot", snapshot_id[:64])
+    try:
+        with translated("snapshots"):
+            yield
+    except FileNotFoundError:
+        raise NotFound("snapshot", snapshot_id) from None

@@ -20,17 +20,21 @@ from worker.storage.forgetting import ForgettingMaps
 from worker.storage.image_store import ImageStore, open_images
 from worker.storage.kept_queries import KeptQueries
 from worker.storage.keys import Keys
+from worker.storage.leftovers import Leftovers
 from worker.storage.listings import Listings
 from worker.storage.locks import FolderLock
 from worker.storage.migrating import enter, migrates_by_itself
+from worker.storage.notices import Notices
 from worker.storage.peers import Peers
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
 from worker.storage.restoring import Restoring
+from worker.storage.scratch import Scratch
+from worker.storage.snapshot_places import SNAPSHOTS, SnapshotFolder, SnapshotObjects
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
 from worker.storage.tables import CALLS, CLOCK
-from worker.storage.uploads import Uploads
+from worker.storage.uploads import IMPORTS, SharedUploads, Uploads
 from worker.storage.vector_hnsw import VectorIndexing
 from worker.storage.vector_search import VectorSearch
 from worker.storage.vector_tables import prepare
@@ -56,7 +60,8 @@ class SqlStore:
     database : Database
         Migrated to the tables of this version.
     data : Path
-        Data folder; its folder ``imports`` holds recordings until they are imported, ``snapshots`` those of maps.
+        Data folder; its folder ``imports`` holds recordings until they are imported, ``snapshots`` those of maps,
+        unless images lie in an object store: then these do too.
     share : FolderLock
         Shared lock that keeps migrations out; released by `close`.
     images : ImageStore
@@ -81,6 +86,7 @@ class SqlStore:
         self._share = share
         self._images = images
         self._peers = Peers(database)
+        self.notices = None if dialect.is_file(database.engine) else Notices(database.engine)
         self.maps = ForgettingMaps(database, images)
         self.enrolment = Enrolment(database, images)
         self.jobs = self.workers = Workers(database, images)
@@ -94,10 +100,16 @@ class SqlStore:
         self.calls = Calls(database, images)
         self.keys = Keys(database, images)
         self.pruning = Pruning(database, images)
-        self.snapshots = Snapshots(database, images, data / "snapshots")
+        scratch = Scratch(data / "scratch")
+        scratch.sweep()
+        files = images.files
+        place = SnapshotFolder(data / SNAPSHOTS) if files is None else SnapshotObjects(files, scratch)
+        self.snapshots = Snapshots(database, images, data / SNAPSHOTS, place)
         self.removals = Removals(database, images, self.snapshots.holding)
         self.restoring = Restoring(database, images, self.removals)
-        self.uploads = Uploads(data / "imports", database.space)
+        here = data / IMPORTS, database.space
+        self.uploads = Uploads(*here) if files is None else SharedUploads(*here, files, scratch)
+        self.leftovers = None if files is None else Leftovers(database, files)
         self.vectors = None if index == "faiss" else VectorSearch(database, images)
         self.indexing = VectorIndexing(database, images) if index == "pgvector-hnsw" else None
 

@@ -182,6 +182,7 @@ COMPARISONS = sa.Table(  # of a view with the other views of its map; see schema
     sa.Column("same_spot", sa.Text, nullable=False),  # JSON: sequence numbers
     sa.Column("rival", sa.BigInteger),  # sequence number of the view with the score `level`
     sa.Column("own", sa.Double),
+    sa.Column("breadth", sa.Double),
     sa.Column("made_at", UtcDateTime, nullable=False),
     _seal(),
     sa.ForeignKeyConstraint(

@@ -1,21 +1,36 @@
 """Uploads of recordings: kept on disk from the first byte until their job ends.
 
 ``imports/JOB/upload`` is what was sent, ``imports/JOB/request.json`` what was asked; both are durable before the row of
-the job is. What is being received lies in ``imports/.receiving-...``.
+the job is. What is being received lies in ``imports/.receiving-...``. Who reads an upload may keep what it learned
+beside it: that is removed with it.
+
+Where images lie in an object store, recordings lie there too, under the same names: any worker of the database finds
+them. They are received and checked in the folder of one node first.
 """
 
 import json
+import logging
 import os
 import shutil
 import uuid
-from collections.abc import Collection, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from schemas.errors import Damaged, RevisitError
 from worker.storage.disk_errors import translated
 from worker.storage.image_files import sync_folder
+from worker.storage.scratch import Scratch
 from worker.storage.space import Space
+
+if TYPE_CHECKING:
+    from worker.storage.object_files import ObjectFiles  # loads boto3, which a folder does not need
+
+log = logging.getLogger("revisit")
+
+IMPORTS = "imports"
+"""Of the data folder, and below the prefix of an object store."""
 
 RECEIVING = ".receiving-"
 LOOK_EVERY_BYTES = 8_000_000
@@ -102,13 +117,22 @@ class Uploads:
             sync_folder(self._folder)
             sync_folder(self._folder.parent)
 
-    def find(self, job_id: str) -> tuple[Path, dict[str, Any]]:
-        """The file of a job and what was asked; raises FileNotFoundError, ValueError."""
+    @contextmanager
+    def opened(self, job_id: str, tell: Callable[[], None]) -> Iterator[tuple[Path, dict[str, Any]]]:
+        """The file of a job, which can be read during the block, and what was asked.
+
+        Parameters
+        ----------
+        job_id : str
+        tell : function
+            Called now and then while a file is fetched: what it raises ends that.
+
+        Raises
+        ------
+        FileNotFoundError, ValueError, Damaged, DiskFull, StorageFailed
+        """
         folder = self._folder / job_id
-        request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
-        if not isinstance(request, dict):
-            raise ValueError(f"{folder / 'request.json'} is no JSON object")
-        return folder / "upload", request
+        yield folder / "upload", _request((folder / "request.json").read_bytes(), job_id)
 
     def discard(self, job_id: str) -> None:
         """Remove the file of a job that has ended; does nothing when there is none."""
@@ -120,3 +144,70 @@ class Uploads:
             for folder in self._folder.iterdir():
                 if folder.name not in needed:
                     shutil.rmtree(folder, ignore_errors=True)
+
+
+def _request(body: bytes, job_id: str) -> dict[str, Any]:
+    request = json.loads(body)
+    if not isinstance(request, dict):
+        raise ValueError(f"the request.json of the import {job_id} is no JSON object")
+    return request
+
+
+class SharedUploads(Uploads):
+    """Uploads in an object store, under the folder's names; only what is being received lies in the folder.
+
+    Parameters
+    ----------
+    folder : Path
+    space : Space or None
+    files : ObjectFiles
+    scratch : Scratch
+        Where a recording lies while it is imported.
+    """
+
+    def __init__(self, folder: Path, space: Space | None, files: "ObjectFiles", scratch: Scratch) -> None:
+        super().__init__(folder, space)
+        self._files, self._scratch = files, scratch
+
+    def keep(self, upload: Upload, job_id: str, request: Mapping[str, Any]) -> None:
+        """Keep a received file durably for a job; raises DiskFull, StorageFailed."""
+        try:
+            with translated(IMPORTS):
+                digest = self._files.put(upload.path, _name(job_id))
+            self._files.write(_name(job_id, "request.json"), json.dumps({**request, "sha256": digest}).encode())
+        except BaseException:
+            self.discard(job_id)
+            raise
+
+    @contextmanager
+    def opened(self, job_id: str, tell: Callable[[], None]) -> Iterator[tuple[Path, dict[str, Any]]]:
+        """As for a folder: the file is fetched for the block, if the disk has room for it."""
+        request = _request(self._files.read(_name(job_id, "request.json")), job_id)
+        digest = request.pop("sha256", None)
+
+        def look(count: int) -> None:
+            tell()
+            if self._space is not None:
+                self._space.admit(count)
+
+        if self._space is not None:
+            self._space.admit(self._files.size(_name(job_id)))
+        with self._scratch.made() as own:
+            path = own / "upload"
+            with translated(IMPORTS):
+                if self._files.fetch(_name(job_id), path, look) != digest:
+                    where = f"{self._files.address}/{_name(job_id)}"
+                    raise Damaged(f"the recording {where} does not hold what was sent; send it again")
+            yield path, request
+
+    def discard(self, job_id: str) -> None:
+        """Remove the file of a job that has ended; one that the store keeps for now is swept later."""
+        try:
+            for name in ("request.json", "upload"):
+                self._files.remove(_name(job_id, name))
+        except RevisitError as error:
+            log.warning("the recording of the import %s is not removed yet: %s", job_id, error.detail)
+
+
+def _name(job_id: str, name: str = "upload") -> str:
+    return f"{IMPORTS}/{job_id}/{name}"

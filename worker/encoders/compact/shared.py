@@ -1,12 +1,14 @@
 """The built-in encoder where its network runs elsewhere: fields come from a shared encoder, the rest is here."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import groupby
 
 import numpy as np
 
-from schemas.description import SEMANTIC, PixelField
+from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import EncoderAway, SetupError
 from schemas.image import Image, PreparedImage
 from schemas.inference import model_name, segmenter_name
@@ -16,6 +18,9 @@ from worker.encoders.compact.input_size import network_size, resized
 from worker.encoders.inference_client import InferenceClient, UnknownModel
 
 log = logging.getLogger("revisit.encoder")
+
+FROM_IMAGES = 4
+"""Images of one size that go as several calls; fewer go as one."""
 
 
 class SharedCompactEncoder(CompactEncoder):
@@ -33,6 +38,8 @@ class SharedCompactEncoder(CompactEncoder):
         See `InferenceClient`.
     device, threads
         Of the segmentations where they are made here.
+    in_flight : int
+        Calls that are under way at a time: while one is encoded, the other travels.
 
     Raises
     ------
@@ -41,8 +48,12 @@ class SharedCompactEncoder(CompactEncoder):
         answer is waited for.
     """
 
-    def __init__(self, url: str, key: str | None, patience_s: float, device: str = "cpu", *, threads: int = 1) -> None:
+    def __init__(
+        self, url: str, key: str | None, patience_s: float, device: str = "cpu", *, threads: int = 1, in_flight: int = 2
+    ) -> None:
         super().__init__(device, threads=threads, encodes=False, segments=False)
+        self._sending = ThreadPoolExecutor(in_flight, "revisit-sending")
+        self._in_flight = in_flight
         self._client = InferenceClient(url, model_name(self.name, self.digest), key, patience_s)
         self._here: CompactEncoder | None = None
         try:
@@ -62,6 +73,7 @@ class SharedCompactEncoder(CompactEncoder):
 
     def close(self) -> None:
         """Close the connections."""
+        self._sending.shutdown(cancel_futures=True)
         self._client.close()
 
     def segmenter(self) -> CompactSegmenter | None:
@@ -73,12 +85,46 @@ class SharedCompactEncoder(CompactEncoder):
         return SharedSegmenter(self._client, self.name, self.segmenter_digest, self.members)
 
     def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
-        """One field per image; see `Encoder.encode`. Consecutive images of one size are sent together."""
-        for _, run in groupby(images, key=lambda p: network_size(p.width, p.height)):
-            alike = list(run)
-            layers = self._client.fields(np.stack([resized(image.pixels) for image in alike]), urgent=urgent)
-            for number, image in enumerate(alike):
-                yield PixelField({name: layer[number] for name, layer in layers.items()}, image.extent)
+        """One field per image, in order; see `Encoder.encode`.
+
+        Consecutive images of one size are sent together, many of them as two calls. A call that fails raises in the
+        place of its first image, after the fields of those before it.
+        """
+        under_way: deque[tuple[list[Image], Future[Mapping[str, Floats]]]] = deque()
+        calls = _calls(images, self._in_flight)
+        if len(calls) == 1:  # a query, mostly: without another thread
+            yield from _fields(calls[0], self._send(calls[0], urgent))
+            return
+        try:
+            for alike in calls:
+                under_way.append((alike, self._sending.submit(self._send, alike, urgent)))
+                if len(under_way) == self._in_flight:
+                    first, sent = under_way.popleft()
+                    yield from _fields(first, sent.result())
+            while under_way:
+                first, sent = under_way.popleft()
+                yield from _fields(first, sent.result())
+        finally:
+            for _, sent in under_way:
+                sent.cancel()
+
+    def _send(self, alike: list[Image], urgent: bool) -> Mapping[str, Floats]:
+        return self._client.fields(np.stack([resized(image.pixels) for image in alike]), urgent=urgent)
+
+
+def _calls(images: Sequence[Image], in_flight: int) -> list[list[Image]]:
+    """Images by the calls that they go in, in order: each call has one size."""
+    calls = []
+    for _, run in groupby(images, key=lambda image: network_size(image.width, image.height)):
+        alike = list(run)
+        each = len(alike) if len(alike) < FROM_IMAGES else -(-len(alike) // in_flight)
+        calls += [alike[start : start + each] for start in range(0, len(alike), each)]
+    return calls
+
+
+def _fields(images: list[Image], layers: Mapping[str, Floats]) -> Iterator[PixelField]:
+    for number, image in enumerate(images):
+        yield PixelField({name: layer[number] for name, layer in layers.items()}, image.extent)
 
 
 class SharedSegmenter(CompactSegmenter):

@@ -24,6 +24,8 @@ class Bag(ImageStream):
         Of the size of an image.
     image_topic, pose_topic : str or None
         None: the only one; of several topics with poses, the one of the best type by the order of `bag_child.POSES`.
+    listing : Path or None
+        As `kept` of `ImageStream.listed`.
 
     Attributes
     ----------
@@ -41,16 +43,23 @@ class Bag(ImageStream):
     BadBody
     """
 
-    def __init__(self, path: Path, limits: Limits, image_topic: str | None, pose_topic: str | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        limits: Limits,
+        image_topic: str | None,
+        pose_topic: str | None,
+        listing: Path | None = None,
+    ) -> None:
         if find_spec("mcap_ros2") is None:
             raise BadBody(
                 "malformed-body",
                 "this service reads no MCAP files: whoever runs it can add that by pip install mcap mcap-ros2-support",
             )
         child = "worker.images.apart.bag_child"
-        listing = ImageStream(child, path, "", limits.max_bytes, limits.max_pixels)
+        stream = ImageStream(child, path, "", limits.max_bytes, limits.max_pixels)
         try:
-            known = listing.listed()
+            known = stream.listed(listing)
         except Ended as error:
             raise _refused(str(error)) from None
         images, poses, types = known["images"], known["poses"], known["types"]

@@ -8,6 +8,8 @@ import subprocess
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from worker.images.apart.launching import launched
@@ -49,14 +51,35 @@ class ImageStream:
         self._last = -1  # the number that came last
         self._wanted: frozenset[int] | None = None
 
-    def listed(self) -> dict[str, Any]:
-        """What the process says of the file; raises Ended."""
+    def listed(self, kept: Path | None = None) -> dict[str, Any]:
+        """What the process says of the file, for which all of it may have to be read; raises Ended.
+
+        Parameters
+        ----------
+        kept : Path or None
+            A file where that is kept for the next call with the same arguments, the path apart, which may change. One
+            that is missing, damaged or cannot be written is no error.
+        """
+        wanted = " ".join([self._child, *map(str, self._arguments[1:])]).encode()
+        answer = b""
+        with suppress(OSError, ValueError):
+            seal, found = kept.read_bytes().split(b"\n", 1) if kept is not None else (b"", b"")
+            if seal == _seal(wanted, found):
+                answer = found
+        if not answer:
+            answer = self._list()
+            with suppress(OSError):
+                if kept is not None:
+                    kept.write_bytes(_seal(wanted, answer) + b"\n" + answer)
+        known: dict[str, Any] = json.loads(answer)
+        return known
+
+    def _list(self) -> bytes:
         with launched(self._child, ("list", *self._arguments), stdout=subprocess.PIPE) as process:
             answer, _ = process.communicate()
         if process.returncode:
             raise Ended(_how(process.returncode))
-        known: dict[str, Any] = json.loads(answer)
-        return known
+        return answer
 
     def wants(self, numbers: Iterable[int]) -> None:
         """Say before the first `read` that no other images will be read: these are dropped as they come."""
@@ -114,6 +137,11 @@ class ImageStream:
                 return
         code = self._end()
         self._ended = f"cannot be read: {_how(code)}" if code else "is damaged, or the file breaks off before"
+
+
+def _seal(wanted: bytes, answer: bytes) -> bytes:
+    """A digest of what was asked and what was answered."""
+    return hashlib.sha256(wanted + b"\n" + answer).hexdigest().encode()
 
 
 def _how(code: int) -> str:

@@ -28,6 +28,8 @@ class Video(ImageStream):
         Of the size of a frame.
     deadline_s : float
         Seconds for decoding one frame.
+    listing : Path or None
+        As `kept` of `ImageStream.listed`.
 
     Attributes
     ----------
@@ -39,10 +41,12 @@ class Video(ImageStream):
     BadBody, BodyTooLarge
     """
 
-    def __init__(self, path: Path, every_s: float, limits: Limits, deadline_s: float) -> None:
+    def __init__(
+        self, path: Path, every_s: float, limits: Limits, deadline_s: float, listing: Path | None = None
+    ) -> None:
         super().__init__("worker.images.apart.video_child", path, every_s, limits.max_pixels, deadline_s)
         try:
-            known = self.listed()
+            known = self.listed(listing)
         except Ended as error:
             raise _refused(str(error)) from None
         if known["width"] * known["height"] > limits.max_pixels:

@@ -1,0 +1,131 @@
+"""Processes of one PostgreSQL database tell each other of work and of what is settled, and need not."""
+
+import queue
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from schemas.records import ViewAttributes
+from schemas.settings import read_settings
+from tests.sample_images import photo
+from tests.storage.databases import postgres_schema
+from worker.runtime import Runtime, build
+from worker.service import settlements
+from worker.storage import dialect, notices
+from worker.storage.notices import Notices
+
+SOON_S = 5.0
+"""On a machine with other work; polling is stretched to a minute where it matters."""
+
+
+class Heard:
+    """Notices of one process, and what it heard."""
+
+    def __init__(self, url: str) -> None:
+        self.engine = dialect.make_engine(url)
+        self.notices = Notices(self.engine)
+        self.got: queue.Queue[str] = queue.Queue()
+        self.notices.start(on_work=lambda: self.got.put("work"), on_settled=self.got.put)
+
+    def until_listening(self) -> None:
+        until = time.monotonic() + 20
+        while not self.notices.listening:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+
+    def next(self) -> str:
+        return self.got.get(timeout=SOON_S)
+
+
+@contextmanager
+def hearing(url: str) -> Iterator[Heard]:
+    one = Heard(url)
+    try:
+        one.until_listening()
+        yield one
+    finally:
+        one.notices.stop()
+        one.engine.dispose()
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    with postgres_schema() as made:
+        yield made
+
+
+def test_each_hears_of_work_and_of_views_and_those_of_another_schema_do_not(url: str) -> None:
+    with postgres_schema() as elsewhere, hearing(url) as a, hearing(url) as b, hearing(elsewhere) as other:
+        a.notices.work()
+        assert (a.next(), b.next()) == ("work", "work")
+        for view in ("v1", "v2"):
+            b.notices.settled(view)
+        assert {a.next(), a.next()} == {"v1", "v2"}
+        other.notices.work()
+        assert other.next() == "work"
+        assert b.got.qsize() == 2
+
+
+def test_many_at_once_are_told_in_few_notices(url: str) -> None:
+    views = {f"0195f2a4-7c1e-7b3a-9d52-{number:012}" for number in range(1000)}
+    with hearing(url) as a, hearing(url) as b:
+        for view in sorted(views):
+            a.notices.settled(view)
+        assert {b.next() for _ in views} == views
+
+
+def test_a_connection_that_ends_is_made_anew(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(notices, "AGAIN_S", 0.1)
+    with hearing(url) as a, hearing(url) as b:
+        with a.engine.connect() as connection:
+            ended = connection.execute(
+                sa.text("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE query LIKE 'LISTEN%'")
+            )
+            assert len(list(ended)) >= 2
+            connection.rollback()
+        until = time.monotonic() + 20
+        while b.got.empty():
+            assert time.monotonic() < until
+            a.notices.work()
+            time.sleep(0.1)
+
+
+def started(data: Path, url: str, inline: bool, serving: bool) -> Runtime:
+    runtime = build(
+        read_settings({}, data=data, database=url, encoder="color", inline_worker=inline, compare=False, threads=1),
+        serving=serving,
+    )
+    runtime.start()
+    return runtime
+
+
+def test_an_enrolment_on_a_node_is_described_at_once_by_a_worker_elsewhere(
+    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(settlements, "LOOK_AGAIN_S", 60.0)
+    monkeypatch.setattr("worker.loop.MAP_WORK_EVERY_S", 60.0)
+    node = started(tmp_path, url, False, True)
+    worker = started(tmp_path, url, True, False)
+    assert worker.loop is not None
+    worker.loop._idle_s = 60.0
+    try:
+        for runtime in (node, worker):
+            until = time.monotonic() + 20
+            while runtime.store.notices is None or not runtime.store.notices.listening:
+                assert time.monotonic() < until
+                time.sleep(0.01)
+        time.sleep(1.0)  # the last look of before the polls were stretched is over
+        took = []
+        for number in range(6):
+            began = time.monotonic()
+            enrolled = node.services.enroll.enroll(photo(number), "default", ViewAttributes(), patience_s=30)
+            took.append(time.monotonic() - began)
+            assert enrolled.view.state == "ready"
+    finally:
+        worker.stop()
+        node.stop()
+    assert max(took) < SOON_S
