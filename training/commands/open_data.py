@@ -1,8 +1,9 @@
 """Make a data folder that anybody may train on, from drawn scenes and openly licensed photographs.
 
 ``python -m training.commands.open_data --free FREE --text TEXT --to DIR`` draws scenes with exact labels and scenes in
-several lights, and copies photographs whose licences allow commercial use. Photographs under a share-alike licence (below ``by-sa``) are left out. What it writes has the layout that the training
-commands read as ``--data``; a run that was stopped goes on where it was.
+several lights, and copies photographs whose licences allow commercial use; those under a share-alike licence (below
+``by-sa``) are left out. What it writes has the layout that the training commands read as ``--data``; a run that was
+stopped goes on where it was.
 """
 
 import argparse

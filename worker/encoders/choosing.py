@@ -54,10 +54,10 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
             settings.encoder_url, key, patience_of(settings), settings.device, threads=threads
         )
         return shared, shared.segmenter()
-    if settings.encoder == "compact":
-        from worker.encoders.compact.encoder import CompactEncoder
+    if settings.encoder in ("compact", "compact-open"):
+        from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
 
-        compact = CompactEncoder(settings.device, threads=threads)
+        compact = CompactEncoder(settings.device, WEIGHTS.with_stem(settings.encoder), threads=threads)
         return compact, compact.segmenter()
     from worker.encoders.lseg.encoder import LsegEncoder
 
