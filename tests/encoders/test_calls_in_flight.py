@@ -137,13 +137,13 @@ def test_one_image_on_which_it_fails_does_not_fail_the_others(
 
 
 def test_a_query_goes_before_the_enrolments_that_wait(server: InferenceServer, shared: SharedCompactEncoder) -> None:
-    asked, answered = threading.Event(), threading.Event()
+    queried, answered = threading.Event(), threading.Event()
 
     def holds(handler: Handler, tensors: dict[str, Tensor]) -> None:
         """The first two calls until there is a query, and those after the third until that is answered."""
         number = len(server.received)
         if number != 3:
-            (asked if number < 3 else answered).wait(PATIENCE_S)
+            (queried if number < 3 else answered).wait(PATIENCE_S)
         server.right(handler, tensors)
 
     server.answer = holds
@@ -153,7 +153,7 @@ def test_a_query_goes_before_the_enrolments_that_wait(server: InferenceServer, s
     while len(server.received) < 2:
         time.sleep(0.01)
     query = scheduler.submit(EIGHT[3], field_alone, urgent=True)
-    asked.set()
+    queried.set()
     query.result(30)
     assert not sent[-1].done()
     answered.set()
