@@ -5,7 +5,6 @@ import pytest
 
 from scenes import scene
 from schemas.description import DETAIL, SEMANTIC
-from schemas.errors import SetupError
 from schemas.image import Image
 from schemas.settings import Settings
 from worker.description import vocabularies
@@ -50,8 +49,3 @@ def test_it_tells_a_street_from_a_corridor(encoder: CompactEncoder) -> None:
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_every_preset_has_its_vocabulary(encoder: CompactEncoder, preset: str) -> None:
     assert vocabularies.shipped(encoder.name, preset) is not None
-
-
-def test_it_is_not_shared() -> None:
-    with pytest.raises(SetupError, match="compact-open"):
-        make_encoder(Settings(encoder="compact-open", encoder_url="http://127.0.0.1:1"), 1)

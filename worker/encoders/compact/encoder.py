@@ -19,6 +19,11 @@ from worker.encoders.compact.input_size import network_size, resized
 WEIGHTS = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
 
+def weights_named(encoder: str) -> Path:
+    """File of the weights that ship as an encoder of this name."""
+    return WEIGHTS.with_stem(encoder)
+
+
 class CompactEncoder:
     """Language-aligned embeddings (layer ``semantic``) and appearance (layer ``detail``) at one cell per 8 x 8 pixels.
 
