@@ -184,7 +184,7 @@ class RememberingEncoder:
     def __init__(self, encoder: Encoder) -> None:
         self._encoder = encoder
         self._fields: dict[str, PixelField] = {}
-        self.name, self.digest = encoder.name, encoder.digest
+        self.name, self.digest, self.terms = encoder.name, encoder.digest, encoder.terms
         self.layers, self.known_labels = encoder.layers, encoder.known_labels
 
     def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:

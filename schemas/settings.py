@@ -70,7 +70,9 @@ class Settings(BaseSettings):
     first_key: bool = Field(
         False, description="Make an admin key and print it once where others may reach a service without keys."
     )
-    encoder: Literal["compact", "color", "lseg"] = Field("compact", description="Encoder that describes images.")
+    encoder: Literal["compact", "compact-open", "color", "lseg"] = Field(
+        "compact", description="Encoder that describes images."
+    )
     weights: Path | None = Field(None, description="Weights file of the encoder `lseg`.")
     bpe: Path | None = Field(None, description="CLIP's byte-pair vocabulary, for the encoder `lseg`.")
     lseg_mode: Literal["windows", "single"] = Field("windows", description="How the encoder `lseg` covers an image.")

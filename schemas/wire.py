@@ -367,6 +367,7 @@ class Version(Answer):
     version: str
     encoder: str
     weights: str
+    terms: str = Field("", description="Terms of use of the encoder's weights.")
     preset: str
     schema_version: str
     python: str

@@ -35,6 +35,7 @@ def add(verbs: Verbs) -> None:
         const=True,
         help="allow an address that others can reach, although anybody may then have images encoded",
     )
+    encode.add_argument("--encoder", choices=("compact", "compact-open"), help="network (default: compact)")
     encode.add_argument("--device", help="where the network runs: cpu, cuda, ... (default: cpu)")
     encode.add_argument("--threads", type=int, help="threads of the network (default: one per core)")
     encode.set_defaults(run=run_encode)
@@ -43,7 +44,7 @@ def add(verbs: Verbs) -> None:
 def run_encode(arguments: argparse.Namespace) -> int:
     """Encode until SIGINT or SIGTERM."""
     check_processor()
-    settings = settings_of(arguments, "host", "port", "open", "device", "threads")
+    settings = settings_of(arguments, "host", "port", "open", "encoder", "device", "threads")
     if not (is_loopback(settings.host) or settings.open or settings.encoder_key):
         raise Failure(
             f"{settings.host} can be reached by others, and there is no key: anybody could keep the encoder busy.\n"

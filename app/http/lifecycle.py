@@ -106,6 +106,7 @@ class Lifecycle:
             version=VERSION,
             encoder=runtime.encoder.name,
             weights=runtime.encoder.digest,
+            terms=runtime.encoder.terms,
             preset=runtime.settings.preset,
             schema_version=runtime.schema_version,
             python=platform.python_version(),

@@ -29,7 +29,7 @@ def test_a_key_that_cannot_be_used_is_refused_and_not_shown(
 @pytest.mark.parametrize(
     ("name", "value", "why"),
     [
-        ("REVISIT_ENCODER", "color", "compact alone"),
+        ("REVISIT_ENCODER", "color", "compact or compact-open alone"),
         ("REVISIT_ENCODER_URL", "http://encoder:8100", "leave it out here"),
         ("REVISIT_ENCODER_URL", "encoder:8100", "no address such as"),
     ],

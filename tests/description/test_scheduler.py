@@ -19,6 +19,7 @@ class GatedEncoder:
 
     name = "gated"
     digest = "0" * 64
+    terms = "none"
     layers: Mapping[str, int] = {SEMANTIC: 1}
     known_labels: frozenset[str] | None = None
 

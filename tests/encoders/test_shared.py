@@ -16,7 +16,7 @@ from schemas.inference import JSON_LENGTH, Tensor, packed, unpacked
 from schemas.settings import Settings
 from tests.sample_images import drawn
 from worker.encoders.choosing import batch_of, make_encoder, patience_of
-from worker.encoders.compact.encoder import CompactEncoder
+from worker.encoders.compact.encoder import CompactEncoder, weights_named
 from worker.encoders.compact.ensemble import digest_of
 from worker.encoders.compact.shared import SharedCompactEncoder
 from worker.encoders.inference_client import FailedImage, InferenceClient
@@ -363,8 +363,21 @@ def test_one_that_is_away_at_the_start_is_waited_for(server: InferenceServer) ->
     shared.close()
 
 
-def test_only_the_built_in_encoder_is_shared() -> None:
-    with pytest.raises(SetupError, match="compact alone"):
+def test_weights_by_another_name_are_shared_too(server: InferenceServer) -> None:
+    server.encoder = CompactEncoder(weights=weights_named("compact-open"), prepared=True)
+    shared, segmenter = make_encoder(Settings(encoder="compact-open", encoder_url=server.url), 1)
+    assert isinstance(shared, SharedCompactEncoder)
+    assert segmenter is None
+    image = Image.of(drawn(640, 480))
+    here = CompactEncoder(weights=weights_named("compact-open"))
+    [field], [own] = shared.encode([image]), here.encode([image])
+    assert all((field.layers[name] == own.layers[name]).all() for name in own.layers)
+    assert f"/compact-open-{here.digest[:12]}/" in server.received[-1][0]
+    shared.close()
+
+
+def test_only_the_built_in_encoders_are_shared() -> None:
+    with pytest.raises(SetupError, match="compact or compact-open alone"):
         make_encoder(Settings(encoder="color", encoder_url="http://encoder:8100"), 1)
 
 

@@ -335,6 +335,7 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
             version="0.1.0",
             encoder="color",
             weights="none",
+            terms="none",
             preset="default",
             schema_version="0001",
             python="3.11",

@@ -11,11 +11,11 @@ belong together:
 ``compact.onnx``
     Graph for ONNX Runtime, whose weights are those of the first file; see `training.models.onnx_graphs`.
 ``compact.json``
-    ``weights`` and ``graph``: name and SHA-256 of either file. ``words``: for each label (`word`) the entries of
-    CLIP's file that its vector is the unit mean of (`clip`), whether labelled pixels could show it in training
-    (`trained`), and whether some class stands for it only (`alone`). ``provenance``. The members of the segmentation
-    ensemble, which `training.commands.export_segmentation` adds, are kept if the shallow layers and the basis are
-    those that the members were trained with.
+    ``weights`` and ``graph``: name and SHA-256 of either file. ``terms``: of use, in words. ``words``: for each label
+    (`word`) the entries of CLIP's file that its vector is the unit mean of (`clip`), whether labelled pixels could show
+    it in training (`trained`), and whether some class stands for it only (`alone`). ``provenance``. The members of the
+    segmentation ensemble, which `training.commands.export_segmentation` adds, are kept if the shallow layers and the
+    basis are those that the members were trained with.
 
 The cosine of a cell's embedding z (unit length) with label i is ``text.vectors[i] @ z``. The rows are shorter than 1 by
 the part of CLIP's vector that lies outside the network's 97 dimensions, and must not be scaled to unit length.
@@ -45,10 +45,14 @@ LABELS_TO_SHIP = (
     *("motorcycle", "bicycle", "vehicle", "window", "door", "floor", "ceiling", "other"),
     # The further labels of the authors' list.
     *("ground", "structure", "house", "van", "nature", "human", "bicyclist", "motorcyclist", "object"),
+    # Rooms and country, of the default preset.
+    *("mountain", "cabinet", "chair", "table", "sofa", "bed"),
     # Often wanted.
     *("stairs", "bench", "bridge", "train", "rider"),
 )
 """Labels that ship whether or not a data set names them; every label that one names ships too."""
+
+TERMS = "research and non-commercial use: terms of the data it was trained on, see worker/encoders/weights/README.md"
 
 ORIGIN = {
     "trunk": {
@@ -65,7 +69,7 @@ ORIGIN = {
 }
 
 
-def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compact") -> Path:
+def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compact", terms: str = TERMS) -> Path:
     """Write the three files into a folder, which is made; returns the path of the weights."""
     saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
     state, basis = reduced(saved["average"])
@@ -86,6 +90,7 @@ def export(checkpoint: Path, data_folder: Path, folder: Path, name: str = "compa
         "format": 2,
         "weights": name_and_digest(weights),
         "graph": name_and_digest(write_fields_graph(weights)),
+        "terms": terms,
         "stride": STRIDE,
         "channels": {"words": REDUCED_CHANNELS, "detail": DETAIL_CHANNELS, "clip": CLIP_CHANNELS},
         "provenance": ORIGIN | history(saved),
@@ -141,8 +146,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--to", type=Path, default=Path("worker/encoders/weights"))
+    parser.add_argument("--name", default="compact", help="of the encoder, and so of the files")
+    parser.add_argument("--terms", default=TERMS, help="terms of use, in words")
     options = parser.parse_args(arguments)
-    export(options.checkpoint, options.data, options.to)
+    export(options.checkpoint, options.data, options.to, options.name, options.terms)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from training.data.batches import Batches, stream
 from training.data.lexicon import ClipVectors, Lexicon
 from training.data.mix import Mix
 from training.data.pseudo_labels import write_label_maps
-from training.data.sources import CLIP_FILE, LABELLED, OUTDOOR, find_classes, find_sources, training_images
+from training.data.sources import CLIP_FILE, LABELLED, OUTDOOR, PHOTOS, find_classes, find_sources, training_images
 from training.loop import Run
 from training.losses.channels import ChannelLosses, ChannelPlan
 from training.losses.label_loss import label_loss_of
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     prepare(options)
 
     trunk = read_trunk(options.trunk)
-    images = [path for name in LABELLED for path in training_images(options.data / "segmentation", name)]
+    images = [path for name in (*LABELLED, PHOTOS) for path in training_images(options.data / "segmentation", name)]
     outdoor = [path for name in OUTDOOR for path in training_images(options.data / "segmentation", name)]
     pseudo_labels = options.out / "teacher"
     if not options.resume:

@@ -2,7 +2,8 @@
 
 General vocabularies ship with an encoder, so that the very first enrolled image can be found. Those of ``compact`` are
 trained on images of many places and kinds below DATA (streets, facades, country, rooms, webcams, walks indoors) and on
-none of ``DATA/places``; those of ``color`` on scenes that the project draws itself.
+none of ``DATA/places``; those of ``compact-open`` on what `training.commands.open_data` wrote there; those of ``color``
+on scenes that the project draws itself.
 """
 
 import argparse
@@ -35,14 +36,22 @@ FOLDERS = (
 )
 """Folders below DATA and how many of their images are taken: about as many indoors as outdoors."""
 
+OPEN_FOLDERS = (
+    ("segmentation/free/train", 300),
+    ("unlabelled/free", 150),
+    ("segmentation/drawn/train", 250),
+    ("pairs/aligned", 100),
+)
+"""The same below a folder that `training.commands.open_data` made, for the encoder ``compact-open``."""
+
 DRAWN: tuple[Kind, ...] = ("street", "park", "corridor")
 """Kinds of scenes for the encoder ``color``."""
 
 
-def general_images(data: Path, seed: int) -> Iterator[Image]:
-    """Images of FOLDERS, drawn by a seed; a folder with fewer gives all it has."""
+def general_images(data: Path, seed: int, folders: Sequence[tuple[str, int]] = FOLDERS) -> Iterator[Image]:
+    """Images of some folders, drawn by a seed; a folder with fewer gives all it has."""
     random = np.random.default_rng(seed)
-    for folder, count in FOLDERS:
+    for folder, count in folders:
         every = (data / folder).rglob("*")
         files = sorted(p for p in every if p.suffix.lower() in {".jpg", ".png"} and "labels" not in p.parts)
         for number in sorted(random.permutation(len(files))[:count]):
@@ -79,20 +88,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m training.commands.train_vocabulary", description="Train general vocabularies."
     )
-    parser.add_argument("--encoder", choices=("compact", "color"), required=True)
+    parser.add_argument("--encoder", choices=("compact", "compact-open", "color"), required=True)
     parser.add_argument("--data", type=Path, help="folder of the images; not needed for color")
     parser.add_argument("--preset", choices=tuple(PRESETS), action="append", help="only these; default: all")
     parser.add_argument("--to", type=Path, default=SHIPPED)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
-    if options.encoder == "compact" and options.data is None:
-        parser.error("--encoder compact needs --data")
+    if options.encoder != "color" and options.data is None:
+        parser.error(f"--encoder {options.encoder} needs --data")
+    folders = OPEN_FOLDERS if options.encoder == "compact-open" else FOLDERS
     options.to.mkdir(parents=True, exist_ok=True)
     encoder, _ = make_encoder(Settings(encoder=options.encoder), options.threads)
     for name in options.preset or PRESETS:
         drawn = options.encoder == "color"
-        images = drawn_images(options.seed) if drawn else general_images(options.data, options.seed)
+        images = drawn_images(options.seed) if drawn else general_images(options.data, options.seed, folders)
         learned = train_vocabulary(encoder, carried(name, encoder), images, options.seed)
         path = options.to / f"{encoder.name}-{name}.vocabulary.safetensors"
         path.write_bytes(learned.tensors)

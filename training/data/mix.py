@@ -8,14 +8,17 @@ from training.data.viewpoint import ZOOM
 PSEUDO_LABELLED = "trunk pseudo-labels"
 """Name of the data set whose label maps are those of the pretrained trunk."""
 
-# How often each source is drawn, relative to the others.
-LABELLED_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12}
+# How often each source is drawn, relative to the others that a data folder has: `drawn` and `free` are those of
+# `training.commands.open_data`, and in no folder beside the other sets.
+LABELLED_SHARES = {"camvid": 0.30, "labelmefacade": 0.26, "nyuv2": 0.32, "ade_outdoor": 0.12, "drawn": 0.3}
 SEGMENTATION_SHARES = {"camvid": 0.40, "labelmefacade": 0.30, "nyuv2": 0.24, "ade_outdoor": 0.06}
 STRONG_SHARES = {
     "camvid": 0.22,
     "labelmefacade": 0.22,
     "nyuv2": 0.20,
     "ade_outdoor": 0.08,
+    "drawn": 0.15,
+    "free": 0.30,
     PSEUDO_LABELLED: 0.16,
     "indoor": 0.25,
     "aligned": 0.37,
@@ -25,6 +28,8 @@ MILD_SHARES = {
     "labelmefacade": 0.22,
     "nyuv2": 0.20,
     "ade_outdoor": 0.08,
+    "drawn": 0.10,
+    "free": 0.45,
     PSEUDO_LABELLED: 0.04,
     "indoor": 0.28,
     "aligned": 0.12,

@@ -14,8 +14,13 @@ from training.data.lexicon import CITYSCAPES_LABELS, Lexicon, read_classes
 from training.data.mix import PSEUDO_LABELLED
 from training.data.pseudo_labels import SOFT_LABEL_GRID, Floats16, label_map_name
 
-LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor")
-OUTDOOR = ("camvid", "labelmefacade", "ade_outdoor")
+LABELLED = ("camvid", "labelmefacade", "nyuv2", "ade_outdoor", "drawn")
+PHOTOS = "free"
+"""A set of photographs outdoors without labels of their own."""
+
+OUTDOOR = ("camvid", "labelmefacade", "ade_outdoor", PHOTOS)
+"""What the pretrained trunk, which knows streets, may label."""
+
 CLIP_FILE = Path("text") / "words_ViT-B-16.npz"
 
 _SHORT_SIDE = 360
@@ -74,6 +79,8 @@ def find_sources(data: Path, pseudo_labels: Path | None, splits: Sequence[str] =
             for image in images_of(data / "segmentation", data_set, split)
         ]
         found[data_set] = _evenly(data_set, [[shot] for shot in shots])
+    photos = images_of(data / "segmentation", PHOTOS, "train")
+    found[PHOTOS] = _evenly(PHOTOS, [[Shot(image)] for image in photos])
     if pseudo_labels is not None:
         pseudo = [
             Shot(image, pseudo_labels / label_map_name(image), PSEUDO_LABELLED)

@@ -22,6 +22,11 @@ class Encoder(Protocol):
         ...
 
     @property
+    def terms(self) -> str:
+        """Terms of use of the weights, in words."""
+        ...
+
+    @property
     def layers(self) -> Mapping[str, int]:
         """Number of channels by layer of its fields; ``semantic`` is always among them."""
         ...

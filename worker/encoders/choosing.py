@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from worker.encoders.compact.ensemble import CompactSegmenter
 
 
+SHAREABLE = ("compact", "compact-open")
+"""Encoders that are the compact network, with weights of that name; nodes may share one."""
+
 TOGETHER = 8
 """Images encoded together on a GPU, or sent together to a shared encoder, unless the settings say otherwise."""
 
@@ -34,10 +37,10 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
     SetupError
         Its files or libraries do not do, or a shared encoder has other weights.
     """
-    if settings.encoder_url is not None and settings.encoder != "compact":
+    if settings.encoder_url is not None and settings.encoder not in SHAREABLE:
         raise SetupError(
-            f"REVISIT_ENCODER={settings.encoder}, but a shared encoder (REVISIT_ENCODER_URL) has compact alone; "
-            "leave one of the two out"
+            f"REVISIT_ENCODER={settings.encoder}, but a shared encoder (REVISIT_ENCODER_URL) has "
+            f"{' or '.join(SHAREABLE)} alone; leave one of the two out"
         )
     if settings.encoder == "color":
         from worker.encoders.color import ColorEncoder
@@ -47,17 +50,19 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
         keep_freed_memory()
         configure_torch(threads, settings.device)
     if settings.encoder_url is not None:
+        from worker.encoders.compact.encoder import weights_named
         from worker.encoders.compact.shared import SharedCompactEncoder
 
         key = None if settings.encoder_key is None else settings.encoder_key.get_secret_value()
+        weights = weights_named(settings.encoder)
         shared = SharedCompactEncoder(
-            settings.encoder_url, key, patience_of(settings), settings.device, threads=threads
+            settings.encoder_url, key, patience_of(settings), settings.device, weights, threads=threads
         )
         return shared, shared.segmenter()
-    if settings.encoder == "compact":
-        from worker.encoders.compact.encoder import CompactEncoder
+    if settings.encoder in SHAREABLE:
+        from worker.encoders.compact.encoder import CompactEncoder, weights_named
 
-        compact = CompactEncoder(settings.device, threads=threads)
+        compact = CompactEncoder(settings.device, weights_named(settings.encoder), threads=threads)
         return compact, compact.segmenter()
     from worker.encoders.lseg.encoder import LsegEncoder
 
@@ -72,15 +77,15 @@ def make_encoder(settings: Settings, threads: int) -> "tuple[Encoder, Segmenter 
 
 
 def make_encoder_to_share(settings: Settings, threads: int) -> "tuple[CompactEncoder, CompactSegmenter | None]":
-    """The encoder compact and its segmenter for images that nodes prepared; raises SetupError as `make_encoder`."""
+    """An encoder and its segmenter, if any, for images that nodes prepared; raises SetupError as `make_encoder`."""
     if settings.encoder_url is not None:
         raise SetupError("REVISIT_ENCODER_URL is set: this process is such an encoder itself; leave it out here")
-    if settings.encoder != "compact":
-        raise SetupError(f"REVISIT_ENCODER={settings.encoder}, but nodes share the encoder compact alone")
+    if settings.encoder not in SHAREABLE:
+        raise SetupError(f"REVISIT_ENCODER={settings.encoder}, but nodes share {' or '.join(SHAREABLE)} alone")
     if settings.device != "cpu":
         keep_freed_memory()
         configure_torch(threads, settings.device)
-    from worker.encoders.compact.encoder import CompactEncoder
+    from worker.encoders.compact.encoder import CompactEncoder, weights_named
 
-    compact = CompactEncoder(settings.device, threads=threads, prepared=True)
+    compact = CompactEncoder(settings.device, weights_named(settings.encoder), threads=threads, prepared=True)
     return compact, compact.segmenter()

@@ -44,6 +44,7 @@ class ColorEncoder:
     """
 
     name = "color"
+    terms = "none but those of the code (Apache-2.0): it has no weights"
 
     def __init__(self) -> None:
         self.digest = hashlib.sha256(repr((sorted(COLORS.items()), CELL, LONGEST)).encode()).hexdigest()

@@ -203,7 +203,7 @@ class _Observed:
 
     def __init__(self, encoder: Encoder, observe: Callable[[int], None]) -> None:
         self._encoder, self._observe = encoder, observe
-        self.name, self.digest = encoder.name, encoder.digest
+        self.name, self.digest, self.terms = encoder.name, encoder.digest, encoder.terms
         self.layers, self.known_labels = encoder.layers, encoder.known_labels
 
     def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:

@@ -15,7 +15,7 @@ from schemas.records import Meaning
 class RowsOfLabels:
     """The grey level of the one pixel row says what share of the cells is the first label; the rest is the last."""
 
-    name, digest = "rows", "0"
+    name, digest, terms = "rows", "0", "none"
     layers: Mapping[str, int] = {SEMANTIC: 3}
     known_labels: frozenset[str] | None = None
 

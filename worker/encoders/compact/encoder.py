@@ -1,4 +1,4 @@
-"""The built-in encoder: the compact network and the labels it knows."""
+"""The built-in encoders: the compact network and the labels it knows, with one of the weights that ship."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +19,11 @@ from worker.encoders.compact.input_size import network_size, resized
 WEIGHTS = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
 
+def weights_named(encoder: str) -> Path:
+    """File of the weights that ship as an encoder of this name."""
+    return WEIGHTS.with_stem(encoder)
+
+
 class CompactEncoder:
     """Language-aligned embeddings (layer ``semantic``) and appearance (layer ``detail``) at one cell per 8 x 8 pixels.
 
@@ -27,8 +32,9 @@ class CompactEncoder:
     device : str
         ``cpu``: ONNX Runtime; ``cuda``, ...: torch.
     weights : Path
-        Safetensors file. Beside it lies a JSON file of the same name with its SHA-256, its labels, and the names of the
-        other files: graphs for ONNX Runtime, and the members of the segmentation ensemble.
+        Safetensors file, whose name is the encoder's. Beside it lies a JSON file of the same name with its SHA-256, its
+        labels, the terms of its use, and the names of the other files: graphs for ONNX Runtime, and the members of the
+        segmentation ensemble, if it has one.
     threads : int
         Threads of ONNX Runtime; those of torch are set for the whole process.
     encodes, segments : bool
@@ -43,8 +49,6 @@ class CompactEncoder:
     SetupError
         A file is missing or does not have the SHA-256 of the JSON file, or ONNX Runtime cannot be used.
     """
-
-    name = "compact"
 
     def __init__(
         self,
@@ -64,7 +68,9 @@ class CompactEncoder:
         known = [facts[member] for member in takewhile(facts.__contains__, ENSEMBLE)]
         members = known if segments else []
         fine = [verified(described, member["weights"]) for member in members]
+        self.name = weights.stem
         self.digest: str = facts["weights"]["sha256"]
+        self.terms: str = facts["terms"]
         self.members = len(known)
         """Of the segmentation ensemble, loaded or not."""
         self.segmenter_digest = digest_of([self.digest, *(member["weights"]["sha256"] for member in known)])
@@ -125,7 +131,7 @@ class CompactEncoder:
             known = ", ".join(sorted(self._labels))
             raise InvalidParameters(
                 [
-                    ParameterError("labels", f"{label!r} is not known to the encoder compact; known: {known}")
+                    ParameterError("labels", f"{label!r} is not known to the encoder {self.name}; known: {known}")
                     for label in unknown
                 ]
             )

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from schemas.description import SEMANTIC, Floats, PixelField
 from schemas.errors import EncoderAway, SetupError
 from schemas.image import Image, PreparedImage
 from schemas.inference import model_name, segmenter_name
-from worker.encoders.compact.encoder import CompactEncoder
+from worker.encoders.compact.encoder import WEIGHTS, CompactEncoder
 from worker.encoders.compact.ensemble import CompactSegmenter, prepared
 from worker.encoders.compact.input_size import network_size, resized
 from worker.encoders.inference_client import InferenceClient, UnknownModel
@@ -38,6 +39,8 @@ class SharedCompactEncoder(CompactEncoder):
         See `InferenceClient`.
     device, threads
         Of the segmentations where they are made here.
+    weights : Path
+        Those that the server has to have; see `CompactEncoder`.
     in_flight : int
         Calls that are under way at a time: while one is encoded, the other travels.
 
@@ -49,9 +52,17 @@ class SharedCompactEncoder(CompactEncoder):
     """
 
     def __init__(
-        self, url: str, key: str | None, patience_s: float, device: str = "cpu", *, threads: int = 1, in_flight: int = 2
+        self,
+        url: str,
+        key: str | None,
+        patience_s: float,
+        device: str = "cpu",
+        weights: Path = WEIGHTS,
+        *,
+        threads: int = 1,
+        in_flight: int = 2,
     ) -> None:
-        super().__init__(device, threads=threads, encodes=False, segments=False)
+        super().__init__(device, weights, threads=threads, encodes=False, segments=False)
         self._sending = ThreadPoolExecutor(in_flight, "revisit-sending")
         self._in_flight = in_flight
         self._client = InferenceClient(url, model_name(self.name, self.digest), key, patience_s)
@@ -64,7 +75,7 @@ class SharedCompactEncoder(CompactEncoder):
                     url,
                     extra={"event": "segmentations_here"},
                 )
-                self._here = CompactEncoder(device, threads=threads, encodes=False)
+                self._here = CompactEncoder(device, weights, threads=threads, encodes=False)
         except UnknownModel as error:
             self._client.close()
             raise SetupError(error.detail) from None

@@ -125,6 +125,11 @@ class LsegEncoder:
         return hashlib.sha256(f"{self._digest}:{self._mode}".encode()).hexdigest()
 
     @property
+    def terms(self) -> str:
+        """As the authors of the checkpoint state them."""
+        return "those of the checkpoint that REVISIT_WEIGHTS names: see docs/lseg.md"
+
+    @property
     def layers(self) -> Mapping[str, int]:
         """The language-aligned layer alone."""
         return {SEMANTIC: self._network.config.channels}
