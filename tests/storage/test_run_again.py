@@ -12,6 +12,7 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import StorageFailed
+from schemas.map_changes import MapChanges
 from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import PostgresServer, postgres_schema
 from tests.storage.material import describe_all, enroll
@@ -177,7 +178,7 @@ def test_a_serialisation_failure_is_run_again(store: SqlStore, elsewhere_connect
     """Transactions here read what is committed, so that the server finds no such failure by itself."""
     enroll(store, "gate")
     raising(elsewhere_connected, "BEFORE UPDATE", "maps", "40001", call=1)
-    assert store.maps.set_refuse_poor("campus", True).refuse_poor
+    assert store.maps.change("campus", MapChanges(refuse_poor=True)).refuse_poor
 
 
 def test_one_that_comes_at_the_commit_is_run_again(store: SqlStore, elsewhere_connected: sa.Connection) -> None:
@@ -194,7 +195,7 @@ def test_one_that_comes_at_the_commit_is_run_again(store: SqlStore, elsewhere_co
         "CREATE CONSTRAINT TRIGGER at_commit AFTER UPDATE ON maps DEFERRABLE INITIALLY DEFERRED "
         "FOR EACH ROW EXECUTE FUNCTION tell()",
     )
-    assert store.maps.set_refuse_poor("campus", True).refuse_poor
+    assert store.maps.change("campus", MapChanges(refuse_poor=True)).refuse_poor
 
 
 def test_a_commit_that_broke_off_is_not_run_again(store: SqlStore, elsewhere_connected: sa.Connection) -> None:
@@ -260,7 +261,7 @@ def test_a_method_is_run_so_often_and_no_more(
     )
     run(elsewhere_connected, "CREATE TRIGGER never BEFORE UPDATE ON maps FOR EACH ROW EXECUTE FUNCTION never()")
     with pytest.raises(StorageFailed, match="others changed the same rows") as failed:
-        store.maps.set_refuse_poor("campus", True)
+        store.maps.change("campus", MapChanges(refuse_poor=True))
     assert type(failed.value) is StorageFailed
     assert run(elsewhere_connected, "SELECT last_value FROM changes").scalar() == 3
     assert not store.maps.get("campus").refuse_poor
