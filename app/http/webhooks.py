@@ -161,7 +161,8 @@ class Webhooks:
             headers["webhook-signature"] = signature(self._secret, one.id, sent_at, one.body)
         timeout = TIMEOUT_S if self._ends_at is None else max(0.1, self._ends_at - time.monotonic())
         try:
-            answer = client.post(self._url, content=one.body, headers=headers, timeout=timeout)
+            with client.stream("POST", self._url, content=one.body, headers=headers, timeout=timeout) as answer:
+                pass  # what follows the status is not read: it may never end
         except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:  # UnicodeError: a host that cannot be named
             return _Failure(f"{type(error).__name__} after attempt {one.attempts}")
         if answer.is_success:

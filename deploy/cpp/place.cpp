@@ -65,16 +65,18 @@ json post(const std::string& path, const std::string& image, const Fields& field
   const json answer = json::parse(body, nullptr, false);
   long status = 0;
   curl_easy_getinfo(call.get(), CURLINFO_RESPONSE_CODE, &status);
-  if (answer.is_discarded()) throw std::runtime_error(url + " did not answer JSON");
+  if (!answer.is_object()) throw std::runtime_error(url + " did not answer a JSON object: is it a revisit service?");
   // Errors are problem+json (RFC 9457): `detail` says what was wrong, `type` is for programs.
-  if (status >= 400) throw std::runtime_error(answer.value("detail", body));
+  if (status >= 400) throw std::runtime_error(answer.contains("detail") && answer["detail"].is_string()
+                                                       ? answer["detail"].get<std::string>()
+                                                       : body);
   return answer;
 }
 
 int enroll(const std::string& place, const std::vector<std::string>& images) {
   for (const std::string& image : images) {
     const json answer = post("/enroll", image, {{"map", setting("REVISIT_MAP", "default")}, {"place", place}});
-    std::cout << image << ": " << (answer["created"].get<bool>() ? "enrolled" : "already there") << "\n";
+    std::cout << image << ": " << (answer.at("created").get<bool>() ? "enrolled" : "already there") << "\n";
   }
   return 0;
 }
@@ -82,13 +84,14 @@ int enroll(const std::string& place, const std::vector<std::string>& images) {
 int query(const std::string& image) {
   const json answer = post("/query", image, {{"map", setting("REVISIT_MAP", "default")}});
   // `matched` is right at least 97 times of 100; act on nothing else.
-  if (answer["status"] != "matched") {
-    std::cout << answer["status"].get<std::string>() << ": " << answer["reason"]["remedy"].get<std::string>() << "\n";
+  if (answer.at("status") != "matched") {
+    std::cout << answer.at("status").get<std::string>() << ": " << answer.at("reason").at("remedy").get<std::string>()
+              << "\n";
     return 1;
   }
-  const json& first = answer["places"][0];
-  std::cout << (first["place"].is_null() ? "a place without a name" : first["place"].get<std::string>()) << " ("
-            << answer["confidence"].get<double>() << ")\n";
+  const json& place = answer.at("places").at(0).at("place");
+  std::cout << (place.is_null() ? "a place without a name" : place.get<std::string>()) << " ("
+            << answer.at("confidence").get<double>() << ")\n";
   return 0;
 }
 
@@ -105,6 +108,8 @@ int main(int argc, char** argv) {
   int code = 3;
   try {
     code = enrolling ? enroll(words[1], {words.begin() + 2, words.end()}) : query(words[1]);
+  } catch (const json::exception& error) {  // of `at` and `get`: a field that every answer of revisit has is not there
+    std::cerr << "place: this is no answer of a revisit service (" << error.what() << ")\n";
   } catch (const std::exception& error) {
     std::cerr << "place: " << error.what() << "\n";
   }

@@ -17,6 +17,7 @@ BENCHMARKS = {
     "keys": "what checking keys costs each request",
     "cost": "memory, disk, cores and money for maps of a size, by the measured figures and your prices",
     "fleet": "what PostgreSQL costs a query against SQLite, and what a second worker gives",
+    "vectors": "searches in memory against searches in PostgreSQL: times, recall, building",
     "sharing": "what a shared encoder costs a query, and how much several services describe with one",
     "importing": "how fast recordings are imported, against the encoder's own rate",
     "living": "what filters, drives, recipe switches, snapshots and health cost in a large map",

@@ -1,6 +1,6 @@
 """What a search costs in memory and in PostgreSQL by pgvector, exactly and by HNSW, and what HNSW misses.
 
-    python -m lab.benchmarks.vectors --database postgresql://user@host/empty [--views 1000 10000 100000] [--queries 40]
+    ./revisit benchmark vectors --database postgresql://user@host/empty [--views 1000 10000 100000] [--queries 40]
 
 The database is one for this alone: maps are made in it and deleted again. Vectors are drawn: two channels of 128
 dimensions that vary in `INNER` directions and a little in all others, of unit length, as histograms do. The three are
@@ -10,7 +10,7 @@ queried in turn with the same vectors, so that they share whatever else the mach
 import argparse
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from functools import partial
@@ -52,13 +52,13 @@ RECIPE = MapRecipe(
 )
 
 
-def main() -> None:
+def main(given: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description="Time searches in memory and in PostgreSQL.")
     parser.add_argument("--database", required=True, help="SQLAlchemy URL of an empty PostgreSQL database")
     parser.add_argument("--views", type=int, nargs="+", default=[1000, 10_000, 100_000])
     parser.add_argument("--queries", type=int, default=40)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(given)
     with TemporaryDirectory() as folder:
         stores = {kind: open_store(arguments.database, Path(folder) / kind, index=kind) for kind in KINDS}
         for store in stores.values():

@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from fastapi.testclient import TestClient
 
 from app.http.keys import FAILURES, KeyGate
 from app.http.rate_limits import RateLimit
@@ -141,6 +142,17 @@ def test_a_key_for_another_map_sees_nothing_of_this_one(locked: Locked, method: 
     else:
         assert response.status_code == 200
     assert locked.view in locked.runtime.recogniser.kept
+
+
+def test_an_address_of_compreface_without_a_map_needs_a_key_for_the_default_one(locked: Locked) -> None:
+    path = "/compat/compreface/api/v1/recognition/subjects"
+    told = {
+        name: TestClient(locked.client.app).get(path, headers={"x-api-key": locked.keys.make(name, "read", name)})
+        for name in ("default", "belfry")
+    }
+    assert (told["default"].status_code, set(told["default"].json())) == (200, {"subjects"})
+    assert (told["belfry"].status_code, code(told["belfry"])) == (403, "forbidden")
+    assert told["belfry"].json()["message"] == told["belfry"].json()["detail"]
 
 
 @pytest.mark.parametrize("path", ["/views", "/places", "/jobs"])

@@ -30,6 +30,9 @@ MESSAGES = {
     "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header, diagnostic_msgs/DiagnosticStatus[] status",
     "rcl_interfaces/ParameterDescriptor": "string name, uint8 type, string description, "
     "string additional_constraints, bool read_only, bool dynamic_typing",
+    "autoware_common_msgs/ResponseStatus": "bool success, uint16 code, string message",
+    "vision_msgs/ObjectHypothesis": "string class_id, float64 score",
+    "vision_msgs/Classification": "std_msgs/Header header, vision_msgs/ObjectHypothesis[] results",
     "rtabmap_msgs/LandmarkDetection": "std_msgs/Header header, string landmark_frame_id, int32 id, float32 size, "
     "geometry_msgs/PoseWithCovariance pose",
 }
@@ -38,9 +41,13 @@ MESSAGES = {
 SERVICES = {
     "std_srvs/Trigger": ("", "bool success, string message"),
     "nav2_msgs/SetInitialPose": ("geometry_msgs/PoseWithCovarianceStamped pose", ""),
+    "autoware_localization_msgs/InitializeLocalization": (
+        "geometry_msgs/PoseWithCovarianceStamped[] pose_with_covariance, uint8 method",
+        "autoware_common_msgs/ResponseStatus status",
+    ),
 }
 
-RANGES = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1), "uint8": (0, 255)}
+RANGES = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1), "uint16": (0, 2**16 - 1), "uint8": (0, 255)}
 DEFAULTS: dict[str, Any] = {"string": "", "bool": False, "byte": b"\0", "float32": 0.0, "float64": 0.0} | dict.fromkeys(
     RANGES, 0
 )

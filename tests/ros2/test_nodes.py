@@ -288,6 +288,47 @@ def test_nav2_is_called_and_waited_for_by_nobody(graph: Graph, service: Service,
     assert [request.pose.header.stamp.sec - STAMP for request in called] == [1, 3, 4]
 
 
+def test_autoware_gets_the_pose_as_a_guess_until_it_takes_it(
+    graph: Graph, service: Service, start: Callable[..., Any]
+) -> None:
+    node = start("localize", hand_over="autoware", rate=1e6)
+    mount(graph)
+    send(graph, photo())
+    graph.until(lambda: graph.published["/localize/pose"])
+    assert "pose_initializer" in node.localizer.report().message
+    called: list[Any] = []
+
+    def take(request: Any, response: Any) -> Any:
+        called.append(request)
+        moves = len(called) == 1
+        response.status.success, response.status.code = not moves, int(moves)
+        response.status.message = "The vehicle is not stopped." if moves else ""
+        return response
+
+    node.create_service(made["autoware_localization_msgs/InitializeLocalization"], "localization/initialize", take)
+    for second in (1, 2, 3):
+        send(graph, photo(), second=second)
+        graph.until(lambda: len(graph.published["/localize/pose"]) == second + 1 and node._handed is None)  # noqa: B023
+    assert [request.pose_with_covariance[0].header.stamp.sec - STAMP for request in called] == [1, 2]
+    assert [(len(request.pose_with_covariance), request.method) for request in called] == [(1, 0), (1, 0)]
+    assert any("not stopped" in line for level, line in graph.lines if level == "warning")
+
+
+def test_places_are_classes_with_their_probabilities(graph: Graph, service: Service, start: Callable[..., Any]) -> None:
+    start("localize", classification="true", rate=1e6)
+    send(graph, photo())
+    graph.until(lambda: graph.published["/localize/classification"])
+    (seen,) = graph.published["/localize/classification"]
+    assert (seen.header.frame_id, seen.header.stamp.sec) == ("camera", STAMP)
+    told = {place["place"]: place["probability"] for place in QUERY_ANSWER["places"] if place["place"] is not None}
+    assert told
+    assert {one.class_id: one.score for one in seen.results} == told
+    service.matched = matched("ambiguous")
+    send(graph, photo(), second=1)
+    graph.until(lambda: len(service.bodies) == 2)
+    assert len(graph.published["/localize/classification"]) == 1
+
+
 def test_a_place_is_a_landmark_where_the_camera_is(graph: Graph, service: Service, start: Callable[..., Any]) -> None:
     start("localize", landmarks="true")
     send(graph, photo())
@@ -304,6 +345,12 @@ def test_a_place_is_a_landmark_where_the_camera_is(graph: Graph, service: Servic
     [
         ("nav2_msgs.srv", {"hand_over": "service"}, "apt install ros-$ROS_DISTRO-nav2-msgs"),
         ("rtabmap_msgs.msg", {"landmarks": True}, "apt install ros-$ROS_DISTRO-rtabmap-msgs"),
+        ("vision_msgs.msg", {"classification": True}, "apt install ros-$ROS_DISTRO-vision-msgs"),
+        (
+            "autoware_localization_msgs.srv",
+            {"hand_over": "autoware"},
+            "apt install ros-$ROS_DISTRO-autoware-localization-msgs",
+        ),
     ],
 )
 def test_a_missing_package_is_named_at_the_start(

@@ -20,7 +20,7 @@ PAGE = (ROOT / "docs" / "ros2.md").read_text()
 MODULES = sorted((PACKAGE / "revisit_ros").glob("*.py"))
 LAUNCHES = sorted((PACKAGE / "launch").iterdir())
 OF_ROS = {"messages", "node", "localize_node", "enroll_node"}
-OPTIONAL = {"nav2_msgs", "rtabmap_msgs"}
+OPTIONAL = {"autoware_localization_msgs", "nav2_msgs", "rtabmap_msgs", "vision_msgs"}
 NODES: dict[str | None, tuple[Parameter, ...]] = {"localize": LOCALIZE, "enroll": ENROLL}
 
 

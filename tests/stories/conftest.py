@@ -15,6 +15,7 @@ ON_BOTH = (
     "test_a_recording_is_imported",
     "test_a_stop_answers_every_caller",
     "test_an_app_is_told_what_queries_found",
+    "test_an_app_that_speaks_compreface",
     "test_an_enrolment_tells_what_it_resembles",
     "test_nobody_waits_without_end",
     "test_several_maps_give_one_verdict",

@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -161,6 +161,35 @@ def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
     for headers, body in app.messages:
         bodies[headers["webhook-id"]].add(body)
     assert [len(of) for of in bodies.values()] == [1, 1]  # the same message each time
+
+
+def test_an_answer_that_never_ends_holds_nothing_up() -> None:
+    ended = threading.Event()
+
+    class Endless(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            self.rfile.read(int(self.headers["content-length"]))
+            self.send_response(200)
+            self.end_headers()
+            with suppress(OSError):
+                while not ended.wait(0.01):
+                    self.wfile.write(b"more and " * 100)
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Endless) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            with telling(f"http://127.0.0.1:{server.server_port}/") as (webhooks, outcomes):
+                for number in range(3):
+                    webhooks.tell(answer(f"q{number}"))
+                assert settled(outcomes, 3) == ["delivered"] * 3
+        finally:
+            ended.set()
+            server.shutdown()
+            thread.join()
 
 
 @pytest.mark.parametrize(

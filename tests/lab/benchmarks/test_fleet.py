@@ -19,3 +19,6 @@ def test_two_workers_and_two_databases_are_compared(capsys: pytest.CaptureFixtur
     assert len(ratios) == 4
     assert all(0.1 < ratio < 10 for ratio in ratios)
     assert "postgresql: 60 views in" in printed
+    checked = re.findall(r"revision, (\w+): median ([\d.]+) ms", printed)
+    assert [kind for kind, _ in checked] == ["sqlite", "postgresql"]
+    assert all(0 < float(ms) < 1000 for _, ms in checked)

@@ -13,7 +13,13 @@ from revisit_ros.frames import FORWARD
 from revisit_ros.images import Shot
 from revisit_ros.landmarks import Landmarks
 from revisit_ros.localizer import Answered, Localizer
-from revisit_ros.messages import landmark_message, place_message, pose_message, transform_message
+from revisit_ros.messages import (
+    classification_message,
+    landmark_message,
+    place_message,
+    pose_message,
+    transform_message,
+)
 from revisit_ros.node import TELL_S, RevisitNode, message_type, run
 from revisit_ros.pacing import HandOver
 from revisit_ros.pose import UNKNOWN, NoPose, Pose, guess_of, pose_of
@@ -21,6 +27,17 @@ from revisit_ros.settings import LOCALIZE
 
 TRIGGER = "visual_localization/trigger_localization"
 TICK_S = 0.1
+
+SERVICES = {
+    "service": ("nav2_msgs", "SetInitialPose", "set_initial_pose", "Nav2's amcl"),
+    "autoware": (
+        "autoware_localization_msgs",
+        "InitializeLocalization",
+        "localization/initialize",
+        "Autoware's pose_initializer",
+    ),
+}
+"""Values of hand_over that call a service: its package, type and name, and what offers it."""
 
 LATE_S = 1.0
 """Seconds after an answer that odometry's transform at the image's stamp is waited for."""
@@ -39,12 +56,18 @@ class LocalizeNode(RevisitNode):
         self._landmark: Any = None
         if values["hand_over"] == "topic":
             self._initial_pose = self.create_publisher(PoseWithCovarianceStamped, "initialpose", 10)
-        elif values["hand_over"] == "service":
-            self._service_type = message_type("nav2_msgs", "srv", "SetInitialPose", "hand_over:=service")
-            self._initial_pose_client = self.create_client(self._service_type, "set_initial_pose")
+        elif values["hand_over"] in SERVICES:
+            package, kind, self._taker, self._start = SERVICES[values["hand_over"]]
+            self._service_type = message_type(package, "srv", kind, f"hand_over:={values['hand_over']}")
+            self._initial_pose_client = self.create_client(self._service_type, self._taker)
         if values["landmarks"]:
             self._landmark_type = message_type("rtabmap_msgs", "msg", "LandmarkDetection", "landmarks:=true")
             self._landmark = self.create_publisher(self._landmark_type, "landmark_detection", 10)
+        self._classification: Any = None
+        if values["classification"]:
+            kinds = ("Classification", "ObjectHypothesis")
+            self._kinds = [message_type("vision_msgs", "msg", kind, "classification:=true") for kind in kinds]
+            self._classification = self.create_publisher(self._kinds[0], "~/classification", 10)
         self._landmarks = Landmarks(values["landmark_radius"])
         self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
         self._place = self.create_publisher(String, "~/place", 10)
@@ -121,6 +144,9 @@ class LocalizeNode(RevisitNode):
         pose = pose_of(found.answer, mount, FORWARD[values["camera_forward"]], base_wanted=bool(base))
         if found.answer.places and found.answer.places[0].place is not None:
             self._place.publish(place_message(found.answer.places[0].place))
+        if self._classification is not None and found.answer.places:
+            kind, hypothesis = self._kinds
+            self._classification.publish(classification_message(kind, hypothesis, found.answer, shot))
         if self._landmark is not None and (landmark := self._landmarks.seen(found.answer)) is not None:
             self._landmark.publish(landmark_message(self._landmark_type, landmark, shot))
         if isinstance(pose, NoPose):
@@ -182,9 +208,12 @@ class LocalizeNode(RevisitNode):
             self._hand_over.handed()
         elif self._initial_pose_client is not None and self._handed is None:
             if not self._initial_pose_client.service_is_ready():
-                return "nobody offers set_initial_pose; the next pose is handed over again (start Nav2's amcl)"
+                return f"nobody offers {self._taker}; the next pose is handed over again (start {self._start})"
             request = self._service_type.Request()
-            request.pose = message
+            if self.values["hand_over"] == "autoware":
+                request.pose_with_covariance = [message]  # the method stays AUTO: a place is a guess to start from
+            else:
+                request.pose = message
             future = self._initial_pose_client.call_async(request)
             self._handed = future, self.clock()
             future.add_done_callback(self._handed_over)
@@ -194,8 +223,11 @@ class LocalizeNode(RevisitNode):
         if self._handed is None or self._handed[0] is not future:
             return
         self._handed = None
+        status = None if future.cancelled() or future.exception() else getattr(future.result(), "status", None)
         if future.cancelled() or future.exception() is not None:
-            self.get_logger().warning(f"set_initial_pose failed: {future.exception()}")
+            self.get_logger().warning(f"{self._taker} failed: {future.exception()}")
+        elif status is not None and not status.success:  # Autoware's, while the vehicle moves for example
+            self.get_logger().warning(f"{self._taker} refused the pose ({status.code}): {status.message}")
         else:
             self._hand_over.handed()
 

@@ -6,6 +6,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose as PoseMessage
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from revisit_client.wire import QueryAnswer
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header, String
 
@@ -78,6 +79,21 @@ def _level(pose: Pose) -> PoseMessage:
 def place_message(place: str) -> String:
     """A name of a place."""
     return String(data=place)
+
+
+def classification_message(kind: type[Any], hypothesis: type[Any], answer: QueryAnswer, shot: Shot) -> Any:
+    """`vision_msgs/Classification`: the places of an answer that have names, each with its probability.
+
+    Parameters
+    ----------
+    kind, hypothesis : type
+        The classes of the message and of its results, which not every robot has.
+    """
+    message = kind()
+    message.header = _header(shot, shot.frame)
+    named = [place for place in answer.places if place.place is not None]
+    message.results = [hypothesis(class_id=place.place, score=float(place.probability)) for place in named]
+    return message
 
 
 def landmark_message(kind: type[Any], landmark: Landmark, shot: Shot) -> Any:

@@ -110,10 +110,12 @@ LOCALIZE = (
     Parameter(
         "hand_over",
         "off",
-        "who gets the first pose, and the first after a trigger: `topic` initialpose, `service` set_initial_pose",
-        ("off", "topic", "service"),
+        "who gets the first pose, and the first after a trigger: `topic` initialpose, `service` set_initial_pose, "
+        "`autoware` localization/initialize",
+        ("off", "topic", "service", "autoware"),
     ),
     Parameter("hand_over_every", False, "whether every pose is handed over"),
+    Parameter("classification", False, "whether places are published as `vision_msgs/Classification`"),
     Parameter("publish_tf", False, "whether the transform from `map_frame` to `odom_frame` is published"),
     Parameter("odom_frame", "odom", "odometry's frame, in which TF has to place `base_frame`"),
     Parameter(
