@@ -92,8 +92,7 @@ def _make(name: str, needs: Needs, seed: int, features: RootSift) -> Baseline:
     if name == "anyloc":
         if needs.dinov2 is None:
             raise InvalidParameters.of("baselines", "anyloc needs an ONNX file of DINOv2 ViT-S/14: --dinov2 FILE")
-        from lab.baselines.anyloc import AnyLoc
-        from lab.baselines.dinov2 import BLOCK
+        from lab.baselines.anyloc import BLOCK, AnyLoc
 
         return AnyLoc(needs.dinov2, BLOCK if needs.dinov2_block is None else needs.dinov2_block, seed=seed)
     if name == "colmap":
