@@ -187,7 +187,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--netvlad", type=Path, help="published weights for the baseline netvlad")
     parser.add_argument("--dinov2", type=Path, help="ONNX file of DINOv2 ViT-S/14 for the baseline anyloc")
-    parser.add_argument("--dinov2-block", type=int, help="block whose tokens anyloc reads, of 0..11 (default: 9)")
+    parser.add_argument("--dinov2-block", type=int, help="block whose tokens anyloc reads, of 0..11 (default: 10)")
     parser.add_argument("--aliked-lightglue", type=Path, metavar="FOLDER", help="weights that --rerank needs")
     parser.add_argument(
         "--rerank",

@@ -25,7 +25,7 @@ ALIKED, LIGHTGLUE = "aliked-n16.pth", "aliked_lightglue.pth"
 KEYPOINTS = 512
 """Keypoints of an image, at most."""
 
-LONGER_SIDE = 640
+LONGER_SIDE = 480
 """Pixels to which the longer side is scaled, up or down."""
 
 REMEMBERED = 1024

@@ -17,7 +17,11 @@ from schemas.errors import InvalidParameters
 from schemas.image import Image
 from worker.description.ports import Encoder
 
-NAMES = ("random", "tiny", "hog", "orb", "labels", "netvlad", "rootsift", "anyloc", "colmap", "seqslam")
+NAMES = (
+    *("random", "tiny", "hog", "orb", "labels", "netvlad"),
+    *("rootsift", "anyloc", "colmap", "seqslam", "seqslam-plain"),
+)
+
 PLAIN = ("random", "tiny", "hog", "orb")
 """Those that need nothing but the images, and no time."""
 
@@ -73,6 +77,8 @@ def _make(name: str, needs: Needs, seed: int, features: RootSift) -> Baseline:
         return RootSiftVlad(features, seed=seed)
     if name == "seqslam":
         return SeqSlam()
+    if name == "seqslam-plain":
+        return SeqSlam(local_contrast=False)
     if name == "labels":
         if needs.encoder is None or needs.decode is None:
             raise InvalidParameters.of("baselines", "labels needs the encoder of a service in this process")
@@ -86,8 +92,7 @@ def _make(name: str, needs: Needs, seed: int, features: RootSift) -> Baseline:
     if name == "anyloc":
         if needs.dinov2 is None:
             raise InvalidParameters.of("baselines", "anyloc needs an ONNX file of DINOv2 ViT-S/14: --dinov2 FILE")
-        from lab.baselines.anyloc import AnyLoc
-        from lab.baselines.dinov2 import BLOCK
+        from lab.baselines.anyloc import BLOCK, AnyLoc
 
         return AnyLoc(needs.dinov2, BLOCK if needs.dinov2_block is None else needs.dinov2_block, seed=seed)
     if name == "colmap":

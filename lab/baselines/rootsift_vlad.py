@@ -1,26 +1,30 @@
 """The classical pipeline: RootSIFT, VLAD, and a fundamental matrix for the first answers.
 
-RootSIFT: Arandjelovic and Zisserman 2012. Keypoints are found on equalised luminance with a low threshold of contrast,
-as the service's own are (`worker.description.local_features`), so that dark rooms have some too.
+RootSIFT: Arandjelovic and Zisserman 2012. Keypoints are found on the grey image as it is, with a low threshold of
+contrast so that dark rooms have some too. On luminance that was equalised, as the service does it for its own
+(`worker.description.local_features`), the rival is weaker.
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from lab.baselines.baseline import Tick, euclidean, rgb
+from lab.baselines.baseline import Tick, euclidean, grey
 from lab.baselines.two_views import Keypoints, inliers
 from lab.baselines.vlad import learn_words, vlad
 from schemas.description import Floats
-from worker.description.local_features import root_descriptors
 
 KEYPOINTS = 1000
 """Keypoints of an image, at most."""
 
 LONGER_SIDE = 640
 """Pixels to which the longer side is scaled, up or down."""
+
+CONTRAST = 0.01
+"""SIFT's threshold of contrast; OpenCV's default is 0.04."""
 
 WORDS = 64
 
@@ -77,7 +81,20 @@ class RootSiftVlad:
 
 
 def _keypoints(path: Path) -> Keypoints:
-    return Keypoints(*root_descriptors(rgb(path), KEYPOINTS, LONGER_SIDE))
+    """The strongest keypoints of an image, ties by row, then column."""
+    image = grey(path)
+    scale = LONGER_SIDE / max(image.shape)
+    size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    scaled = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    sift = cv2.SIFT_create(nfeatures=KEYPOINTS, contrastThreshold=CONTRAST)
+    found, descriptors = sift.detectAndCompute(scaled, None)
+    if descriptors is None:
+        return Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
+    spots = np.array([(*key.pt, key.response, key.size, key.angle) for key in found], np.float32)
+    order = np.lexsort((spots[:, 4], spots[:, 3], spots[:, 0], spots[:, 1], -spots[:, 2]))[:KEYPOINTS]
+    chosen = descriptors[order]
+    root = np.sqrt(chosen / np.maximum(chosen.sum(axis=1, keepdims=True), 1e-6))
+    return Keypoints(np.asarray(spots[order, :2] / LONGER_SIDE, np.float32), np.asarray(root, np.float32))
 
 
 def _vectors(images: Sequence[Floats], words: Floats) -> Floats:

@@ -22,7 +22,11 @@ LENGTH = 10
 """Images of a sequence: the query and those before it."""
 
 WINDOW = 10
-"""Database images among which a difference is told from its surroundings, and within which no rival is sought."""
+"""Database images among which a difference is told from its surroundings, and within which no rival is sought.
+
+As published. Where images follow each other so closely that ten of them show one place, local contrast takes away what
+tells the place; without it SeqSLAM is better on such walks.
+"""
 
 SPEEDS = np.linspace(0.8, 1.2, 5)
 """Database images that go by for each query image."""
@@ -54,17 +58,23 @@ class SeqSlam:
     ----------
     length : int
         Images of a sequence.
+    local_contrast : bool
+        Whether differences are told from those around them, as published.
     """
 
-    name = "seqslam"
+    def __init__(self, length: int = LENGTH, *, local_contrast: bool = True) -> None:
+        self.length, self.local_contrast = length, local_contrast
 
-    def __init__(self, length: int = LENGTH) -> None:
-        self.length = length
+    @property
+    def name(self) -> str:
+        """As it stands in tables."""
+        return "seqslam" if self.local_contrast else "seqslam without local contrast"
 
     def rank(self, database: Sequence[Path], queries: Sequence[Path], tick: Tick) -> Floats:
         """Distances, float32 (queries, database), of 0 and more; both in the order of their path."""
         known, queried = described(database, thumbnail, tick), described(queries, thumbnail, tick)
-        return sequence_scores(enhanced(city_block(known, queried)), self.length)
+        differences = city_block(known, queried)
+        return sequence_scores(enhanced(differences) if self.local_contrast else differences, self.length)
 
 
 def thumbnail(path: Path) -> Floats:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from lab.baselines.seqslam import SeqSlam
 from lab.datasets.dataset import Dataset
 from lab.datasets.protocols import halves, whole
 from lab.drives import Claims, best_threshold, main, sequences
@@ -38,14 +39,14 @@ def as_dataset(root: Path, count: int = 48) -> Dataset:
 def test_the_order_is_what_seqslam_knows(tmp_path: Path) -> None:
     trial = whole(as_dataset(street(tmp_path)))
     jumble = np.random.default_rng(0).permutation(48).tolist()
-    ordered, jumbled = sequences(trial, range(48)), sequences(trial, jumble)
+    ordered, jumbled = sequences(trial, range(48), SeqSlam()), sequences(trial, jumble, SeqSlam())
     assert ordered.right[10:].mean() > 0.9
     assert jumbled.right.mean() < 0.5
 
 
 def test_places_of_the_other_half_are_never_right(tmp_path: Path) -> None:
     first, _ = halves(as_dataset(street(tmp_path)), stretches=2, guard=1)
-    claims = sequences(first, range(len(first.queries)))
+    claims = sequences(first, range(len(first.queries)), SeqSlam())
     unknown = np.array([query.kind != "known" for query in first.queries])
     assert unknown.any()
     assert not claims.right[unknown].any()
@@ -54,7 +55,7 @@ def test_places_of_the_other_half_are_never_right(tmp_path: Path) -> None:
 def test_names_of_places_count_too(tmp_path: Path) -> None:
     dataset = as_dataset(street(tmp_path))
     one_place = Dataset(**{**dataset.__dict__, "places": ("street",) * 48})
-    assert sequences(whole(one_place), range(48)).right.all()
+    assert sequences(whole(one_place), range(48), SeqSlam()).right.all()
 
 
 def claims(*rows: tuple[float, bool]) -> Claims:
@@ -74,9 +75,10 @@ def test_thresholds_by_hand() -> None:
 def test_the_command_prints_a_row_for_each_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["pairs", "--root", str(street(tmp_path)), "--no-service"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("| SeqSLAM | SeqSLAM, shuffled |")
-    assert [line.split(" |")[0].rpartition(", ")[2] for line in lines[2:-1]] == ["everything"] + 2 * [
-        "half of the places"
-    ]
+    assert lines[0].endswith("| SeqSLAM | without local contrast | shuffled |")
+    assert {line.count("|") for line in lines[:-2]} == {8}
+    maps = [line.split(" |")[0].rpartition(", ")[2] for line in lines[2:-2]]
+    assert maps == ["everything", "half of the places", "half of the places"]
     assert "matched right, share" in lines[2]
-    assert lines[-1].startswith("SeqSLAM, all maps: ")
+    assert lines[-2].startswith("seqslam, all maps: ")
+    assert lines[-1].startswith("seqslam without local contrast, all maps: ")

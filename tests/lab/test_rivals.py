@@ -1,6 +1,8 @@
 """The command line of rivals: protocols, what orders answers anew, and what is refused before a long run."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +10,15 @@ import pytest
 
 from lab.baselines.random_order import RandomOrder
 from lab.datasets.dataset import Dataset
+from lab.datasets.tutorial import diagonal
 from lab.evaluate import main, run
+from lab.evaluation.contender import Contender
+from lab.evaluation.html import as_html
+from lab.evaluation.querying import Retriever
 from lab.evaluation.reranking import Reranking
+from lab.evaluation.tables import as_json, as_text
 from tests.lab.datasets.drawn import image
-from tests.lab.fakes import walk
+from tests.lab.fakes import FakeRetriever, walk
 
 
 class ByNumber:
@@ -86,6 +93,25 @@ def test_the_tutorials_protocol_on_the_command_line(pairs: Path, capsys: pytest.
     assert "(vpr-tutorial)" in told
     assert "right: the frame of the same number; 8 before and after it are ignored" in told
     assert "tiny image  1.000" in told
+
+
+def test_a_report_of_the_tutorials_protocol_says_nothing_of_confidence(tmp_path: Path) -> None:
+    whole = walk(tmp_path, 40)
+    dataset = diagonal(replace(whole, queries=whole.queries[:30], positives=whole.positives[:30]))
+
+    @contextmanager
+    def fake(_: Dataset) -> Iterator[Retriever]:
+        yield FakeRetriever(lambda a, b: 1 - abs(a - b) / 100)
+
+    outcome = run(dataset, [Contender(fake)], [], rerankings=[Reranking(ByNumber(), "fake", 5)], examples=0)
+
+    [service, _, verified] = outcome.evaluation.methods
+    assert (service.known_place, service.calibrated) == (None, None)
+    assert service.recall[0].value == verified.recall[0].value == 1
+    assert "calibration" not in as_text(outcome.evaluation)
+    page = as_html([outcome.evaluation], {}, "tutorial")
+    assert "8 before and after it are ignored" in page
+    assert '"confidence"' not in as_json([outcome.evaluation])
 
 
 def test_a_set_is_exported_by_names_and_evaluated_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

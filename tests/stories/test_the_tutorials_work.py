@@ -154,11 +154,12 @@ def test_a_researcher_measures_a_method_of_their_own(tmp_path: Path) -> None:
 
     runs = {
         name: json.loads((tmp_path / "runs" / name / "evaluation.json").read_text())[0]["methods"]
-        for name in ("evaluation", "mine", "perfect")
+        for name in ("evaluation", "mine", "perfect", "rivals")
     }
     names = {name: [method["method"] for method in methods] for name, methods in runs.items()}
     assert names["mine"] == ["random", "colour histogram"]
     assert names["perfect"] == ["ground truth"]
+    assert names["rivals"] == ["rootsift vlad", "rootsift vlad, verified", "seqslam"]
     assert names["evaluation"] == ["default", "default, histograms alone", "tiny image", "hog"]
     assert runs["perfect"][0]["recall"][0]["value"] == 1
     assert (tmp_path / "runs" / "evaluation" / "report.html").stat().st_size > 10_000

@@ -60,7 +60,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def image(path: Path, seed: int) -> Path:
-    pixels = np.random.default_rng(seed).integers(0, 255, (640, 640, 3), dtype=np.uint8)
+    pixels = np.random.default_rng(seed).integers(0, 255, (480, 480, 3), dtype=np.uint8)
     assert cv2.imwrite(str(path), pixels)
     return path
 
@@ -81,8 +81,8 @@ def test_positions_are_fractions_of_the_longer_side(folder: Path) -> None:
     features = verifier.describe(image(folder / "one.png", 1))
     source, target = verifier.matches(features, features)
     assert source.dtype == np.float32
-    assert source[0].tolist() == target[0].tolist() == pytest.approx([8 / 640, 8 / 640])
-    assert features.size.tolist() == [[640, 640]]
+    assert source[0].tolist() == target[0].tolist() == pytest.approx([8 / 480, 8 / 480])
+    assert features.size.tolist() == [[480, 480]]
 
 
 def test_layers_of_the_authors_file_find_their_place(folder: Path) -> None:

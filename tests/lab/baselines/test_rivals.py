@@ -11,6 +11,7 @@ import pytest
 from lab.baselines.anyloc import AnyLoc
 from lab.baselines.baseline import Baseline
 from lab.baselines.colmap_tree import ColmapTree, as_bytes
+from lab.baselines.dinov2 import BLOCK as TEACHERS
 from lab.baselines.known import Needs, rivals
 from lab.baselines.rootsift_vlad import FIRST, RootSift, RootSiftVlad
 from lab.evaluation.querying import ranked_by
@@ -85,7 +86,7 @@ def test_anyloc_compares_tokens_wherever_they_are(tmp_path: Path) -> None:
             files.append(tmp_path / f"{name}{number}.png")
             blocks = np.kron(colours[order], np.ones((14, 14, 1))).astype(np.uint8)
             assert cv2.imwrite(str(files[-1]), blocks)
-    anyloc = AnyLoc(write_teacher(tmp_path / "teacher.onnx"), words=8)
+    anyloc = AnyLoc(write_teacher(tmp_path / "teacher.onnx"), block=TEACHERS, words=8)
     assert finds(anyloc, database, queries) == [0, 1, 2, 3]
 
 

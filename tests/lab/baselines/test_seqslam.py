@@ -37,6 +37,28 @@ def test_a_sequence_is_known_again_where_single_images_are_not(tmp_path: Path) -
     assert np.array_equal(sequences, SeqSlam().rank(database, queries, lambda: None))
 
 
+def test_local_contrast_hides_a_place_that_lasts_for_many_images(tmp_path: Path) -> None:
+    """A walk so slow that fifteen images show one place: told from its surroundings, it is like them."""
+    own = np.random.default_rng(1)
+    places = np.random.default_rng(0).normal(size=(4, 32, 64))
+    database: list[Path] = []
+    queries: list[Path] = []
+    for i in range(60):
+        for name, images in (("d", database), ("q", queries)):
+            frame = places[i // 15] + own.normal(size=(32, 64))
+            images.append(tmp_path / f"{name}{i:02}.png")
+            assert cv2.imwrite(str(images[-1]), np.clip(frame * 30 + 128, 0, 255).astype(np.uint8))
+
+    def rightly(seqslam: SeqSlam) -> float:
+        found = seqslam.rank(database, queries, lambda: None).argmin(axis=1)
+        return float(np.mean(found // 15 == np.arange(60) // 15))
+
+    published, plain = SeqSlam(), SeqSlam(local_contrast=False)
+    assert rightly(plain) > 0.95
+    assert rightly(published) < rightly(plain)
+    assert plain.name != published.name
+
+
 def test_an_answer_depends_on_what_came_before_alone(tmp_path: Path) -> None:
     """It is asked as the drive goes on: no image of the future takes part in an order."""
     database, queries = walk(tmp_path / "d", 30, 2, seed=1), walk(tmp_path / "q", 30, 2, seed=2)
