@@ -167,11 +167,11 @@ def switch(bench: Bench) -> list[Row]:
     during: list[float] = []
     over = threading.Event()
 
-    def ask() -> None:
+    def keep_querying() -> None:
         while not over.is_set():
             during.append(bench.query())
 
-    asking = threading.Thread(target=ask)
+    asking = threading.Thread(target=keep_querying)
     asking.start()
     time.sleep(median(before) / 1000)
     took = _ms(lambda: runtime.services.maps.switch_recipe(MAP, wanted))
@@ -264,15 +264,15 @@ def opened(
     runtime = build(settings.model_copy(update={"compare": False}))
     runtime.start()
     try:
-        pictures = drawn(images)
-        for picture in pictures:
-            runtime.services.enroll.enroll(picture, MAP, ViewAttributes(), patience_s=PATIENCE_S)
+        photos = drawn(images)
+        for photo in photos:
+            runtime.services.enroll.enroll(photo, MAP, ViewAttributes(), patience_s=PATIENCE_S)
         recipe = runtime.store.maps.get(MAP).description
         describer, searcher = runtime.describers.of(recipe), runtime.services.searcher
-        descriptions = [searcher.describe(runtime.decode(picture), describer).value for picture in pictures]
+        descriptions = [searcher.describe(runtime.decode(photo), describer).value for photo in photos]
         keep = None if image_bytes is None else Images(settings.data / "pictures", set).add
         fill(settings.database_url, MAP, recipe, descriptions, views - images, views, keep, image_bytes or IMAGE_BYTES)
-        bench = Bench(runtime, pictures[0], descriptions, views, repeats)
+        bench = Bench(runtime, photos[0], descriptions, views, repeats)
         bench.query()
         yield bench
     finally:
