@@ -1,15 +1,24 @@
 """Records of a map's health: which views are compared for it, what is read of them, and what is found."""
 
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Literal
 
 from schemas.ageing import ScoreFall
 from schemas.comparisons import Comparison, KnownView
 from schemas.records import Position
 
-Code = Literal["twins", "ageing", "duplicates", "missing-directions", "single-view", "gap"]
+Code = Literal["twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"]
 
-CODES: tuple[Code, ...] = ("twins", "ageing", "duplicates", "missing-directions", "single-view", "gap")
+CODES: tuple[Code, ...] = (
+    "twins",
+    "ageing",
+    "never-matched",
+    "duplicates",
+    "missing-directions",
+    "single-view",
+    "gap",
+)
 """Kinds of findings, those that make answers wrong first."""
 
 
@@ -30,6 +39,7 @@ class SurveyedView:
     id: str
     seq: int
     known: KnownView
+    enrolled_at: datetime
     comparison: Comparison | None
 
 
@@ -41,7 +51,8 @@ class HealthFinding:
     ----------
     code : str
         ``twins``: two places that the map takes for each other; ``ageing``: a place whose scores fall over time, or all
-        of the map, then without `places`; ``duplicates``: views that add nothing to one another;
+        of the map, then without `places`; ``never-matched``: a place that no query was matched with while others were;
+        ``duplicates``: views that add nothing to one another;
         ``missing-directions``, ``single-view``: a place seen too narrowly; ``gap``: a stretch without views.
     detail, remedy : str
         What was found, and what to do.

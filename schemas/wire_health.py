@@ -7,7 +7,7 @@ from pydantic import Field
 
 from .wire_views import Answer, Position
 
-HealthCode = Literal["twins", "ageing", "duplicates", "missing-directions", "single-view", "gap"]
+HealthCode = Literal["twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"]
 
 
 class ScoreFall(Answer):
@@ -25,6 +25,7 @@ class HealthFinding(Answer):
 
     code: HealthCode = Field(
         description="twins: places that the map takes for each other; ageing: a place whose scores fall over time; "
+        "never-matched: a place that no query was matched with while others were; "
         "duplicates: views that add nothing to one another; missing-directions, single-view: a place seen from one "
         "side, or once; gap: a stretch without views."
     )

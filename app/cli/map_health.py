@@ -15,7 +15,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("map", nargs="?", default="default")
     parser.add_argument(
         "--code",
-        choices=("twins", "ageing", "duplicates", "missing-directions", "single-view", "gap"),
+        choices=("twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"),
         help="findings of this kind alone",
     )
     parser.add_argument("--limit", type=int, metavar="N", help="at most so many of each kind (default: 20)")

@@ -163,7 +163,15 @@ MAP_HEALTH: dict[str, Any] = {
     "views": 1730,
     "examined": 1730,
     "compared": 1730,
-    "counts": {"twins": 0, "ageing": 0, "duplicates": 0, "missing-directions": 1, "single-view": 0, "gap": 0},
+    "counts": {
+        "twins": 0,
+        "ageing": 0,
+        "never-matched": 0,
+        "duplicates": 0,
+        "missing-directions": 1,
+        "single-view": 0,
+        "gap": 0,
+    },
     "findings": [
         {
             "code": "missing-directions",

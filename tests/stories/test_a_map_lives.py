@@ -88,7 +88,7 @@ class Life:
         assert job["state"] == "done", job
         return job
 
-    def answer_to(self, name: str, quality: int = 85, **params: Any) -> dict[str, Any]:
+    def query(self, name: str, quality: int = 85, **params: Any) -> dict[str, Any]:
         """The answer to a photo of a place."""
         given = {"map": "town", **params}
         answer = self.client.post("/query", params=given, content=photo(name, quality), headers=JPEG)
@@ -111,7 +111,7 @@ class Life:
         self.settled()
         found = {}
         for name in (*map(stop, range(STOPS)), "dock", "moon"):
-            told = self.answer_to(name)
+            told = self.query(name)
             for ephemeral in ("timing_ms", "query", "revision"):
                 del told[ephemeral]
             found[name] = told
@@ -153,19 +153,19 @@ def ask_with_each_filter(life: Life) -> None:
         "where": (json.dumps({"$and": [upstairs, {"x": {"$lt": 45}}, {"$not": {"place": stop(1)}}]}), 1),
     }
     for name, (value, count) in searched.items():
-        told = life.answer_to(stop(3), 85, **{name: value})
+        told = life.query(stop(3), 85, **{name: value})
         assert told["searched"] == count, name
         listed = life.client.get("/views", params={"map": "town", "limit": 500, name: value}).json()["views"]
         assert len(listed) == count, name
         if name != "after":
             assert first(told) == stop(3), name
-    assert life.answer_to(stop(3), place="nowhere")["reason"]["code"] == "empty"
+    assert life.query(stop(3), place="nowhere")["reason"]["code"] == "empty"
     both = life.client.post("/query", params={"maps": "town,town2"}, content=photo(stop(3)), headers=JPEG)
     assert both.status_code == 404
 
 
 def drive_along(life: Life) -> None:
-    driven = [life.answer_to(stop(n), drive="robot") for n in range(6)]
+    driven = [life.query(stop(n), drive="robot") for n in range(6)]
     assert [told["drive"]["images"] for told in driven] == list(range(1, 7))
     assert [told["matches"][0]["view"]["place"] for told in driven] == [stop(n) for n in range(6)]
     for told in driven:
@@ -177,7 +177,7 @@ def drive_along(life: Life) -> None:
 def meet_an_unknown_place(life: Life) -> None:
     assert life.client.patch("/maps/town", json={"keep_queries": 50, "keep_matches": 50}).status_code == 200
     for quality in (92, 80, 70):
-        assert life.answer_to("dock", quality)["status"] == "no_match"
+        assert life.query("dock", quality)["status"] == "no_match"
 
 
 def name_it_once(life: Life) -> None:
@@ -189,7 +189,7 @@ def name_it_once(life: Life) -> None:
 
 def it_is_known_from_then_on(life: Life) -> None:
     assert life.settled()["views"]["ready"] == VIEWS + 3
-    assert first(life.answer_to("dock")) == "dock"
+    assert first(life.query("dock")) == "dock"
     assert life.client.get("/maps/town/unknown").json()["places"] == []
 
 
@@ -205,7 +205,7 @@ def delete_what_is_wrong(life: Life) -> None:
 def it_stays_deleted_and_its_health_is_told(life: Life) -> None:
     assert life.settled()["views"]["ready"] == VIEWS + 1
     for gone in (14, 15):
-        assert first(life.answer_to(stop(gone))) is None
+        assert first(life.query(stop(gone))) is None
     health = life.client.get("/maps/town/health").json()
     assert (health["views"], health["examined"]) == (VIEWS + 1, VIEWS + 1)
     assert health["counts"]["single-view"] == VIEWS - 2
@@ -230,7 +230,7 @@ def it_is_described_by_its_own_words(life: Life) -> None:
 def switch_while_asking(life: Life) -> None:
     life.begins("/maps/town/recipe", json={"labels": LABELS, "dynamic": []})
     for number in range(6):  # whether it has changed over or not
-        told = life.answer_to(stop(number))
+        told = life.query(stop(number))
         assert told["matches"][0]["view"]["place"] == stop(number)
         if told["recipe"] == life.recipe:
             assert told["searched"] == VIEWS + 1
@@ -241,7 +241,7 @@ def it_has_changed_over(life: Life) -> None:
     facts = life.settled()
     assert facts["recipe"]["id"] != life.recipe
     assert [label["label"] for label in facts["labels"]] == LABELS
-    assert life.answer_to(stop(2))["recipe"] == facts["recipe"]["id"]
+    assert life.query(stop(2))["recipe"] == facts["recipe"]["id"]
 
 
 def roll_back(life: Life) -> None:

@@ -118,7 +118,7 @@ def test_the_list_is_as_long_as_wanted_and_says_what_it_leaves_out(site: Site) -
         site.enroll(seed, place=f"place {seed}")
     health = site.health(limit=2)
     assert len(health["findings"]) == 2
-    none = dict.fromkeys(("twins", "ageing", "duplicates", "missing-directions", "gap"), 0)
+    none = dict.fromkeys(("twins", "ageing", "never-matched", "duplicates", "missing-directions", "gap"), 0)
     assert health["counts"] == {**none, "single-view": 5}
     assert site.health(code="gap")["counts"] == {"gap": 0}
     assert site.health() == site.health()

@@ -183,3 +183,24 @@ def test_scores_that_wait_are_written_at_a_stop(tmp_path: Path) -> None:
         assert len(again.store.day_scores.of("town")) == 1
     finally:
         again.stop()
+
+
+def test_a_place_that_no_query_is_matched_with_is_told_until_one_is(town: Town) -> None:
+    *busy, quiet = PLACES
+    for name in busy:
+        town.matched(name, STEADY[-9:])
+    assert town.health(code="never-matched")["findings"] == []  # 24 days: perhaps nobody came there
+    for name in busy:
+        town.matched(name, STEADY)
+    image = photo(scene("new gate").seen_from())
+    assert town.client.post("/enroll?map=town&place=new gate", content=image, headers=JPEG).status_code == 201
+
+    [found] = town.health(code="never-matched")["findings"]  # and not the place that is new
+
+    assert (found["places"], found["count"], found["position"]["x"]) == ([quiet], 2, 500)
+    assert f"none of the {len(STEADY)} days" in found["detail"]
+    assert town.health()["counts"]["never-matched"] == 1
+    town.at_night(quiet, 0.5)
+    assert town.health(code="never-matched")["findings"] == []
+    town.keep(0)
+    assert town.health()["counts"]["never-matched"] == 0

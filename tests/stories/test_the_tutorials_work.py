@@ -81,7 +81,10 @@ def test_a_walk_that_comes_back_is_pulled_together(tmp_path: Path) -> None:
     with RunningService(tmp_path / "data", REVISIT_ENCODER="compact") as service:
         told = ran(tmp_path, service, "close.py").splitlines()
         (tmp_path / "relaxed.csv").write_text(ran(tmp_path, service, "relax.py"))
+        [line] = re.findall(r"`\./revisit (loops [^`]+)`", (TUTORIALS / "loop-closure.md").read_text())
+        said = ran(tmp_path, service, "-m", "app.cli", *line.split()).splitlines()
 
+    assert said[-1] == f"{len(told)} loops among {SPOTS + AGAIN} images"
     closed = [tuple(map(int, re.findall(r"\d+", line)[:2])) for line in told]
     assert len(closed) >= AGAIN - 1
     assert all(keyframe - earlier == SPOTS for keyframe, earlier in closed)

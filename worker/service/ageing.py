@@ -1,4 +1,4 @@
-"""Places whose scores fall over time, and the kept queries that would refresh them."""
+"""Places whose scores fall over time, and the kept queries that would refresh them; and places that are not matched."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from schemas.ageing import MatchedView, ScoreFall
-from schemas.health import HealthFinding
+from schemas.health import HealthFinding, SurveyedView
 from schemas.inbox import Proposal, Proposals
 from schemas.records import Filters, MapRecord
 from worker.method.ageing import Trend, fell_together, trend, usual_fall
@@ -17,6 +17,7 @@ from worker.method.estimate import is_known
 from worker.service.ports import Views
 from worker.service.spots import by_place, coordinates, known_position, label, names_of
 from worker.service.twins import SHOWN
+from worker.service.unmatched import MatchDays, unmatched
 
 KEPT = 8
 """Maps whose trends are kept until a view is matched on another day."""
@@ -43,7 +44,8 @@ class _Place:
 
 
 class AgeingPlaces:
-    """Finds places that age. Their trends are kept until another day of a view is, the proposals are read each time.
+    """Finds places that age, and those that are never matched. What days say is kept until there is another day of a
+    view; the proposals are read each time.
 
     Parameters
     ----------
@@ -59,26 +61,32 @@ class AgeingPlaces:
         self, scores: Scores, views: Views, proposals: Callable[[str], Proposals], write: Callable[[], None]
     ) -> None:
         self._scores, self._views, self._proposals, self._write = scores, views, proposals, write
-        self._kept: dict[str, tuple[tuple[datetime, int, tuple[int, int]], list[_Place]]] = {}
+        self._kept: dict[str, tuple[tuple[datetime, int, tuple[int, int]], tuple[list[_Place], MatchDays]]] = {}
         self._lock = threading.Lock()
 
-    def of(self, record: MapRecord) -> list[HealthFinding]:
-        """Findings of a map, in any order; none where it keeps no matches. Raises NotFound."""
+    def of(self, record: MapRecord, groups: Sequence[Sequence[SurveyedView]]) -> list[HealthFinding]:
+        """Findings of a map, in any order; none where it keeps no matches. Raises NotFound.
+
+        `groups`: its views by place.
+        """
         if record.keep_matches == 0:
             return []
         self._write()
-        places = self._places(record)
+        places, matched = self._places(record)
+        return [*self._ageing(record.name, places), *unmatched(groups, matched)]
+
+    def _ageing(self, name: str, places: Sequence[_Place]) -> list[HealthFinding]:
         trends = [one.trend for one in places]
         usual = usual_fall(trends)
         ageing = [one for one in places if one.trend.is_ageing(usual)]
         together = fell_together(trends)
         if not ageing and not together:
             return []
-        proposals = self._proposals(record.name).proposals
-        found = [_place(record.name, one, proposals) for one in ageing]
-        return [_all(record.name, places, usual), *found] if together else found
+        proposals = self._proposals(name).proposals
+        found = [_place(name, one, proposals) for one in ageing]
+        return [_all(name, places, usual), *found] if together else found
 
-    def _places(self, record: MapRecord) -> list[_Place]:
+    def _places(self, record: MapRecord) -> tuple[list[_Place], MatchDays]:
         with self._lock:
             state = record.created_at, record.revision, self._scores.state(record.name)
             kept = self._kept.pop(record.name, None)
@@ -89,10 +97,15 @@ class AgeingPlaces:
                 del self._kept[next(iter(self._kept))]
             return kept[1]
 
-    def _examine(self, record: MapRecord) -> list[_Place]:
+    def _examine(self, record: MapRecord) -> tuple[list[_Place], MatchDays]:
         within = record.ranking.same_place_m
-        places = _trends(self._scores.of(record.name), within)
-        return [one for one in places if not (one.trend.is_ageing() and self._is_refreshed(record.name, one, within))]
+        scores = self._scores.of(record.name)
+        places = [
+            one
+            for one in _trends(scores, within)
+            if not (one.trend.is_ageing() and self._is_refreshed(record.name, one, within))
+        ]
+        return places, MatchDays.of(scores)
 
     def _is_refreshed(self, name: str, place: _Place, within: float) -> bool:
         """Whether a view of the place was enrolled since its newest days began: what these say is of before."""

@@ -71,10 +71,10 @@ class Descriptions(Protocol):
 
 
 class Ageing(Protocol):
-    """Places whose scores fall."""
+    """Places whose scores fall, and those that are never matched."""
 
-    def of(self, record: MapRecord) -> list[HealthFinding]:
-        """Findings of a map, in any order; raises NotFound."""
+    def of(self, record: MapRecord, groups: Sequence[Sequence[SurveyedView]]) -> list[HealthFinding]:
+        """Findings of a map whose views by place are `groups`, in any order; raises NotFound."""
         ...
 
 
@@ -102,7 +102,7 @@ class HealthService:
     ) -> None:
         self._maps, self._comparisons, self._descriptions = maps, comparisons, descriptions
         self._calibration, self._ageing = calibration, ageing
-        self._kept: dict[str, tuple[tuple[datetime, int], HealthReport]] = {}
+        self._kept: dict[str, tuple[tuple[datetime, int], HealthReport, list[list[SurveyedView]]]] = {}
         self._lock = threading.Lock()
 
     def of(self, name: str) -> HealthReport:
@@ -113,24 +113,25 @@ class HealthService:
             state = record.created_at, record.revision
             kept = self._kept.pop(name, None)
             if kept is None or kept[0] != state:
-                kept = state, self._examine(record)
+                kept = state, *self._examine(record)
             self._kept[name] = kept
             while len(self._kept) > KEPT:
                 del self._kept[next(iter(self._kept))]
-            return replace(kept[1], findings=_ordered([*kept[1].findings, *self._ageing.of(record)]))
+            return replace(kept[1], findings=_ordered([*kept[1].findings, *self._ageing.of(record, kept[2])]))
 
-    def _examine(self, record: MapRecord) -> HealthReport:
+    def _examine(self, record: MapRecord) -> tuple[HealthReport, list[list[SurveyedView]]]:
         views, described = self._comparisons.survey(record.name, EXAMINED)
         levels, ranking = self._comparisons.levels(record.name), record.ranking
+        groups = by_place(views, ranking.same_place_m)
         found = [
             *find_twins(
                 views, ranking.same_place_m, ranking.precision, levels, self._calibration(record), label
             ),
             *self._duplicates(views, record.description.id),
-            *_narrow(views, ranking.same_place_m),
+            *_narrow(views, groups, ranking.same_place_m),
         ]  # fmt: skip
         compared = sum(view.comparison is not None for view in views)
-        return HealthReport(record.name, record.revision, described, len(views), compared, tuple(found))
+        return HealthReport(record.name, record.revision, described, len(views), compared, tuple(found)), groups
 
     def _duplicates(self, views: Sequence[SurveyedView], recipe: str) -> Iterator[HealthFinding]:
         vectors = self._descriptions.vectors([view.seq for view in views], recipe)
@@ -173,11 +174,13 @@ def _duplicate(views: Sequence[SurveyedView]) -> HealthFinding:
     )
 
 
-def _narrow(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[HealthFinding]:
+def _narrow(
+    views: Sequence[SurveyedView], groups: Sequence[Sequence[SurveyedView]], same_place_m: float
+) -> Iterator[HealthFinding]:
     """Places seen from one side or once only, and stretches without views."""
     for geographic in (False, True):
         yield from _gaps(in_frame(views, geographic), same_place_m)
-    for group in by_place(views, same_place_m):
+    for group in groups:
         yield from _directions(group)
         if len(group) == 1:
             [view] = group

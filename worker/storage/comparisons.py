@@ -173,11 +173,15 @@ def _surveyed(row: sa.Row[Any]) -> SurveyedView:
     attributes, same_spot = attributes_of(row), _whole_same_spot(row)
     known = KnownView(attributes.place, attributes.position, same_spot or NOTHING)
     if same_spot is None:
-        return SurveyedView(row.id, row.seq, known, None)
+        return SurveyedView(row.id, row.seq, known, row.enrolled_at, None)
     spots = tuple(sorted(same_spot))
     facts = (getattr(row, f"compared_{name}") for name in ("among", "others", "rival", "own", "breadth"))
     return SurveyedView(
-        row.id, row.seq, known, Comparison(row.seq, row.compared_level, row.compared_gap, spots, *facts)
+        row.id,
+        row.seq,
+        known,
+        row.enrolled_at,
+        Comparison(row.seq, row.compared_level, row.compared_gap, spots, *facts),
     )
 
 

@@ -112,7 +112,8 @@ def _descriptions(
     connection: sa.Connection, seqs: Sequence[int], recipe: DescriptionRecipe
 ) -> dict[int, dict[str, bytes]]:
     """Fields of whole descriptions, as JSON, by the sequence number of their view."""
-    by = DESCRIPTIONS.c.seq.in_(seqs), DESCRIPTIONS.c.recipe == recipe.id
+    of = recipe.id  # a hash of all of it, made anew each time it is read
+    by = DESCRIPTIONS.c.seq.in_(seqs), DESCRIPTIONS.c.recipe == of
     whole: dict[int, dict[str, bytes]] = {}
     for row in connection.execute(sa.select(DESCRIPTIONS).where(*by)):
         if checksums.is_whole(DESCRIPTIONS, row, row.checksum):
@@ -124,8 +125,8 @@ def _descriptions(
                 "keypoints": _NONE,
             }
     for name, table in PARTS.items():
-        for part in connection.execute(sa.select(table).where(table.c.seq.in_(seqs), table.c.recipe == recipe.id)):
-            if checksums.of_body(part.seq, recipe.id, part.body) != part.checksum:
+        for part in connection.execute(sa.select(table).where(table.c.seq.in_(seqs), table.c.recipe == of)):
+            if checksums.of_body(part.seq, of, part.body) != part.checksum:
                 whole.pop(part.seq, None)
             elif part.seq in whole:
                 whole[part.seq][name] = _text(part.body)

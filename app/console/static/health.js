@@ -19,6 +19,7 @@ const SIDES = ["north", "east", "south", "west"];
 const KINDS = [
   ["twins", "Twins", "Places that the map takes for each other.", true],
   ["ageing", "Ageing places", "Places whose scores fall from month to month.", true],
+  ["never-matched", "Never matched", "Places that no query was matched with while others were.", false],
   ["duplicates", "Duplicates", "Views that add nothing to one another.", true],
   ["missing-directions", "Missing directions", "Places that are not seen towards every side.", false],
   ["gap", "Coverage", "Stretches without views, between parts of the map that lie apart.", false],
