@@ -11,9 +11,7 @@ import pytest
 from tests.ros2.fake_rclpy import Graph
 from tests.ros2.fake_tf2 import Matrix, as_matrix, as_message
 from tests.ros2.interfaces import message
-from tests.ros2.test_nodes import STAMP, Service, matched, mount, send
-from tests.ros2.test_nodes import service as service  # fixtures
-from tests.ros2.test_nodes import start as start
+from tests.ros2.serving import STAMP, Service, matched, mount, send
 from tests.sample_images import photo
 
 

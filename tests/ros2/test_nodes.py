@@ -1,101 +1,18 @@
 """The layer of rclpy: topics, types, stamps, parameters, hand-overs; what it computes is tested elsewhere."""
 
-import importlib
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 
 from app.http.examples import QUERY_ANSWER
-from tests.answers import enrolled, view
 from tests.ros2.fake_rclpy import BEST_EFFORT, Graph
-from tests.ros2.fake_tf2 import as_message
-from tests.ros2.interfaces import made, message
+from tests.ros2.interfaces import message
+from tests.ros2.serving import STAMP, Service, matched, mount, send, trigger, walk
 from tests.sample_images import photo
-
-STAMP = 1_800_000_000
-OPTICAL = np.array([[0.0, 0, 1, 0.3], [-1, 0, 0, 0], [0, -1, 0, 1.2], [0, 0, 0, 1]])
-"""An optical frame 0.3 m ahead of the base and 1.2 m above it, which looks ahead."""
-
-
-class Service:
-    """In place of the service: answers of `answer`, and what was sent."""
-
-    def __init__(self) -> None:
-        self.bodies: list[bytes] = []
-        self.matched: dict[str, Any] = matched()
-
-    def __call__(self, request: httpx.Request) -> httpx.Response:
-        self.bodies.append(request.read())
-        return httpx.Response(200, json=self.matched if request.url.path == "/query" else enrolled())
-
-
-def matched(status: str = "matched", radius: float | None = 4.0, **where: float) -> dict[str, Any]:
-    """An answer; the camera looks north unless said otherwise."""
-    given = where or {"x": 10.0, "y": 5.0, "z": 1.2, "heading": 0.0}
-    first = QUERY_ANSWER["matches"][0] | {"view": view(position=given)}
-    estimate: dict[str, Any] = {
-        "position": {k: v for k, v in given.items() if k != "heading"},
-        "radius_m": radius,
-        "views": [],
-    }
-    return {**QUERY_ANSWER, "status": status, "matches": [first], "estimate": estimate}
-
-
-@pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch) -> Service:
-    import revisit_client
-
-    service = Service()
-
-    class Here(revisit_client.Revisit):
-        def __init__(self, url: str | None, **options: Any) -> None:
-            super().__init__(url, transport=httpx.MockTransport(service), **options)
-
-    monkeypatch.setattr("revisit_client.Revisit", Here)
-    return service
-
-
-@pytest.fixture
-def start(graph: Graph) -> Iterator[Callable[..., Any]]:
-    """Start a node with parameters."""
-    running: list[Any] = []
-
-    def started(name: str, **parameters: Any) -> Any:
-        graph.parameters[name] = {"silence": 600} | parameters  # a busy machine is slow, not silent
-        module = importlib.import_module(f"revisit_ros.{name}_node")
-        running.append((module.LocalizeNode if name == "localize" else module.EnrollNode)())
-        return running[-1]
-
-    yield started
-    for node in running:
-        node.close()
-
-
-def send(graph: Graph, data: bytes, topic: str = "/image/compressed", second: int = 0, frame: str = "camera") -> None:
-    """A compressed image, as drivers publish it."""
-    image = message("sensor_msgs/CompressedImage", format="jpeg", data=data)
-    image.header.frame_id = frame
-    image.header.stamp.sec, image.header.stamp.nanosec = STAMP + second, 250_000_000
-    graph.publish(topic, type(image), image, BEST_EFFORT)
-
-
-def mount(graph: Graph) -> None:
-    """The camera on the robot, as robot_state_publisher tells it."""
-    told = message("tf2_msgs/TFMessage", transforms=[as_message(OPTICAL, "base_link", "camera")])
-    graph.publish("/tf_static", type(told), told, "reliable")
-
-
-def walk(graph: Graph, x: float, second: int) -> None:
-    """Where odometry has the robot at a second: at x, facing east."""
-    base = np.eye(4)
-    base[0, 3] = x
-    told = message("tf2_msgs/TFMessage", transforms=[as_message(base, "map", "base_link", (STAMP + second) * 10**9)])
-    graph.publish("/tf", type(told), told, "reliable")
 
 
 def test_a_pose_has_the_stamp_of_its_image_and_the_covariance_of_its_radius(
@@ -179,13 +96,6 @@ def test_a_map_in_degrees_gives_no_pose_and_says_why(graph: Graph, service: Serv
     assert graph.published["/localize/pose"] == []
 
 
-def trigger(graph: Graph) -> Any:
-    kind = made["std_srvs/Trigger"]
-    future = graph.call("/visual_localization/trigger_localization", kind.Request())
-    graph.until(future.result)
-    return future.result()
-
-
 def test_the_trigger_asks_once(graph: Graph, service: Service, start: Callable[..., Any]) -> None:
     start("localize", rate=0)
     send(graph, photo(1))
@@ -227,91 +137,6 @@ def test_a_hint_that_is_none_is_told_and_not_used(
     graph.until(lambda: graph.published["/localize/pose"])
     assert b'name="near"' not in service.bodies[0]
     assert told in node.localizer.report().message
-
-
-def test_the_first_pose_becomes_the_initial_pose_once_somebody_listens(
-    graph: Graph, service: Service, start: Callable[..., Any]
-) -> None:
-    node = start("localize", hand_over="topic", rate=1e6)
-    mount(graph)
-    send(graph, photo())
-    graph.until(lambda: graph.published["/localize/pose"])
-    assert "nobody listens" in node.localizer.report().message
-    heard: list[Any] = []
-    node.create_subscription(made["geometry_msgs/PoseWithCovarianceStamped"], "initialpose", heard.append, 10)
-    for second in range(1, 4):
-        send(graph, photo(), second=second)
-        graph.until(lambda: len(graph.published["/localize/pose"]) > second)  # noqa: B023
-    assert [pose.header.stamp.sec for pose in heard] == [STAMP + 1]
-    trigger(graph)
-    send(graph, photo(), second=4)
-    graph.until(lambda: len(heard) == 2)
-
-
-def test_a_pose_of_unknown_radius_is_not_handed_over(graph: Graph, service: Service, start: Callable[..., Any]) -> None:
-    node = start("localize", hand_over="topic")
-    node.create_subscription(made["geometry_msgs/PoseWithCovarianceStamped"], "initialpose", lambda pose: None, 10)
-    service.matched = matched(radius=None)
-    send(graph, photo())
-    graph.until(lambda: graph.published["/localize/pose"])
-    assert graph.published["/initialpose"] == []
-
-
-def test_nav2_is_called_and_waited_for_by_nobody(graph: Graph, service: Service, start: Callable[..., Any]) -> None:
-    node = start("localize", hand_over="service", rate=1e6)
-    kind = made["nav2_msgs/SetInitialPose"]
-    send(graph, photo())
-    graph.until(lambda: graph.published["/localize/pose"])
-    assert "amcl" in node.localizer.report().message
-    hanging = graph.hanging["/set_initial_pose"] = []
-    send(graph, photo(), second=1)
-    graph.until(lambda: hanging)
-    send(graph, photo(), second=2)  # the first call hangs: no second one
-    graph.until(lambda: len(graph.published["/localize/pose"]) == 3)
-    assert len(hanging) == 1
-    trigger(graph)
-    send(graph, photo(), second=3)  # but what a trigger wished for is handed over
-    graph.until(lambda: len(hanging) == 2)
-    node.values["timeout"] = 0.0
-    graph.until(lambda: node._handed is None)  # given up
-    node.values["timeout"] = 10.0
-    called: list[Any] = graph.hanging.pop("/set_initial_pose")
-
-    def take(request: Any, response: Any) -> Any:
-        called.append(request)
-        return response
-
-    node.create_service(kind, "set_initial_pose", take)
-    for second in (4, 5):
-        send(graph, photo(), second=second)
-        graph.until(lambda: len(graph.published["/localize/pose"]) == second + 1 and node._handed is None)  # noqa: B023
-    assert [request.pose.header.stamp.sec - STAMP for request in called] == [1, 3, 4]
-
-
-def test_autoware_gets_the_pose_as_a_guess_until_it_takes_it(
-    graph: Graph, service: Service, start: Callable[..., Any]
-) -> None:
-    node = start("localize", hand_over="autoware", rate=1e6)
-    mount(graph)
-    send(graph, photo())
-    graph.until(lambda: graph.published["/localize/pose"])
-    assert "pose_initializer" in node.localizer.report().message
-    called: list[Any] = []
-
-    def take(request: Any, response: Any) -> Any:
-        called.append(request)
-        moves = len(called) == 1
-        response.status.success, response.status.code = not moves, int(moves)
-        response.status.message = "The vehicle is not stopped." if moves else ""
-        return response
-
-    node.create_service(made["autoware_localization_msgs/InitializeLocalization"], "localization/initialize", take)
-    for second in (1, 2, 3):
-        send(graph, photo(), second=second)
-        graph.until(lambda: len(graph.published["/localize/pose"]) == second + 1 and node._handed is None)  # noqa: B023
-    assert [request.pose_with_covariance[0].header.stamp.sec - STAMP for request in called] == [1, 2]
-    assert [(len(request.pose_with_covariance), request.method) for request in called] == [(1, 0), (1, 0)]
-    assert any("not stopped" in line for level, line in graph.lines if level == "warning")
 
 
 def test_places_are_classes_with_their_probabilities(graph: Graph, service: Service, start: Callable[..., Any]) -> None:
