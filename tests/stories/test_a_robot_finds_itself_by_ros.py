@@ -14,7 +14,7 @@ from revisit_client import Revisit
 from scenes import scene
 from tests.ros2.conftest import graph as graph  # a fixture
 from tests.ros2.fake_rclpy import Graph
-from tests.ros2.test_nodes import STAMP, mount, send, trigger, walk
+from tests.ros2.serving import STAMP, mount, send, trigger, walk
 from tests.stories.photos import photo
 from tests.stories.running import RunningService
 from tests.stories.test_keys_are_made_and_revoked_while_it_runs import keys
