@@ -1,4 +1,5 @@
-"""Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order and shuffled.
+"""Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order, shuffled, and with
+stops.
 
 ``python -m lab.drives pairs --root DIR``. Maps are made in the order of the path: of everything, and of every other
 stretch.
@@ -26,7 +27,8 @@ from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 
 FOREVER_S = 86400.0
-ORDERS = ("in order", "shuffled")
+GOING, STANDING = (3, 9), (2, 7)
+"""Images from one stop to the next, and queries with the image of a stop, at least and below."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,17 @@ def drive(
     return single_counts, driven_counts
 
 
+def stop_and_go(count: int, random: np.random.Generator) -> list[int]:
+    """Indices of `count` images in order, some of them several times in a row: the camera stands there."""
+    order: list[int] = []
+    going = int(random.integers(*GOING))
+    for index in range(count):
+        going -= 1
+        order += [index] * (1 if going else int(random.integers(*STANDING)))
+        going = going or int(random.integers(*GOING))
+    return order
+
+
 def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[int]]:
     """Enrol a trial's images in the order of the path; the database images that each view stands for."""
     dataset, images = trial.dataset, defaultdict(set)
@@ -93,15 +106,20 @@ def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[
 
 
 def measure(dataset: Dataset, service: ServiceRetriever, trial: Trial, seed: int) -> str:
-    """A row of the table: one map, its queries in order and shuffled."""
+    """A row of the table: one map, its queries in order, shuffled, and with stops."""
     images = enrolled_in_order(trial, service)
     service.runtime.comparer.all()
     count = len(trial.queries)
     shuffled = np.random.default_rng(seed).permutation(count).tolist()
+    orders = {
+        "in-order": range(count),
+        "shuffled": shuffled,
+        "stop-and-go": stop_and_go(count, np.random.default_rng(seed)),
+    }
     cells = []
-    for name, order in zip(ORDERS, (range(count), shuffled), strict=True):
-        single, together = drive(trial, service, images, order, name.replace(" ", "-"))
-        cells += [str(single), str(together)] if name == ORDERS[0] else [str(together)]
+    for name, order in orders.items():
+        single, together = drive(trial, service, images, order, name)
+        cells += [str(together)] if name == "shuffled" else [str(single), str(together)]
     return f"| {dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
 
 
@@ -116,7 +134,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
         with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
             recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
-            print("| walk | single images | as a drive | the same, shuffled |\n|---|---|---|---|")
+            heads = "single images", "as a drive", "the same, shuffled", "with stops: single images", "as a drive"
+            print(f"| walk | {' | '.join(heads)} |\n|---|---|---|---|---|---|")
             for dataset in map(with_attributes, chosen):
                 for trial in [whole(dataset), *halves(dataset)]:
                     with map_of_its_own(runtime, recipe, "default", dataset) as service:
