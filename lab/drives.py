@@ -1,4 +1,5 @@
-"""Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order and shuffled.
+"""Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order, shuffled, and with
+stops.
 
 ``python -m lab.drives pairs --root DIR``. Maps are made in the order of the path: of everything, and of every other
 stretch. SeqSLAM stands beside them, which knows nothing but the order; with ``--no-service`` it stands alone.
@@ -29,10 +30,15 @@ from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 
 FOREVER_S = 86400.0
+<<<<<<< HEAD
 ORDERS = ("in order", "shuffled")
 HEADING = "| walk | single images | as a drive | shuffled | SeqSLAM | without local contrast | shuffled |"
 PRECISION = 0.97
 """Of claims, that SeqSLAM's threshold is chosen for when it may know the answers."""
+=======
+GOING, STANDING = (3, 9), (2, 7)
+"""Images from one stop to the next, and queries with the image of a stop, at least and below."""
+>>>>>>> living
 
 
 @dataclass(frozen=True)
@@ -89,6 +95,7 @@ def drive(
     return single_counts, driven_counts
 
 
+<<<<<<< HEAD
 @dataclass(frozen=True, eq=False)
 class Claims:
     """SeqSLAM's answers to the queries of one map.
@@ -137,6 +144,17 @@ def best_threshold(claims: Sequence[Claims], precision: float = PRECISION) -> fl
     last = np.append(np.diff(quotients[order]) > 0, True)
     kept = np.flatnonzero(last & (rightly >= precision * np.arange(1, len(order) + 1)))
     return float(quotients[order][kept[-1]]) if len(kept) else 0.0
+=======
+def stop_and_go(count: int, random: np.random.Generator) -> list[int]:
+    """Indices of `count` images in order, some of them several times in a row: the camera stands there."""
+    order: list[int] = []
+    going = int(random.integers(*GOING))
+    for index in range(count):
+        going -= 1
+        order += [index] * (1 if going else int(random.integers(*STANDING)))
+        going = going or int(random.integers(*GOING))
+    return order
+>>>>>>> living
 
 
 def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[int]]:
@@ -148,8 +166,13 @@ def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[
     return images
 
 
+<<<<<<< HEAD
 def drives(service: ServiceRetriever, trial: Trial, seed: int) -> list[Counts]:
     """Counts of one map, its queries in order and shuffled: single images, as a drive, and as one that is shuffled."""
+=======
+def measure(dataset: Dataset, service: ServiceRetriever, trial: Trial, seed: int) -> str:
+    """A row of the table: one map, its queries in order, shuffled, and with stops."""
+>>>>>>> living
     images = enrolled_in_order(trial, service)
     service.runtime.comparer.all()
     (single, driven), (_, jumbled) = (
@@ -162,6 +185,7 @@ def drives(service: ServiceRetriever, trial: Trial, seed: int) -> list[Counts]:
 def orders(trial: Trial, seed: int) -> tuple[list[int], list[int]]:
     """The queries in order, and shuffled."""
     count = len(trial.queries)
+<<<<<<< HEAD
     return list(range(count)), np.random.default_rng(seed).permutation(count).tolist()
 
 
@@ -169,6 +193,19 @@ def row(trial: Trial, counts: Sequence[Counts | None]) -> str:
     """A row of the table; nothing stands where nothing was measured."""
     cells = ["" if one is None else str(one) for one in counts]
     return f"| {trial.dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
+=======
+    shuffled = np.random.default_rng(seed).permutation(count).tolist()
+    orders = {
+        "in-order": range(count),
+        "shuffled": shuffled,
+        "stop-and-go": stop_and_go(count, np.random.default_rng(seed)),
+    }
+    cells = []
+    for name, order in orders.items():
+        single, together = drive(trial, service, images, order, name)
+        cells += [str(together)] if name == "shuffled" else [str(single), str(together)]
+    return f"| {dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
+>>>>>>> living
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -180,6 +217,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         sets = [one for one in evaluate.read(options.dataset, options) if one.sequential]
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
+<<<<<<< HEAD
         trials = [trial for one in map(with_attributes, chosen) for trial in [whole(one), *halves(one)]]
         with served(options) as measured:
             print(HEADING + "\n" + "|---" * 7 + "|")
@@ -194,6 +232,16 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(row(trial, [*measured(trial), *others]), flush=True)
         for name, some in claims.items():
             print(told(name, some))
+=======
+        with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
+            recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
+            heads = "single images", "as a drive", "the same, shuffled", "with stops: single images", "as a drive"
+            print(f"| walk | {' | '.join(heads)} |\n|---|---|---|---|---|---|")
+            for dataset in map(with_attributes, chosen):
+                for trial in [whole(dataset), *halves(dataset)]:
+                    with map_of_its_own(runtime, recipe, "default", dataset) as service:
+                        print(measure(dataset, service, trial, options.seed), flush=True)
+>>>>>>> living
     except (RevisitError, ValueError) as refusal:
         print(refusal, file=sys.stderr)
         return 2

@@ -69,7 +69,8 @@ class PatchMap(BaseModel):
     )
     refuse_poor: bool | None = Field(
         None,
-        description="Refuse to enrol images that are dark, overexposed, covered or blurred, where a request does not "
+        description="Refuse to enrol images that are dark, overexposed, covered or blurred, and those that show mostly "
+        "things that move where the request waits for the description, where a request does not "
         "say otherwise.",
     )
     keep_images: bool | None = Field(

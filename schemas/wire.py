@@ -196,8 +196,9 @@ class EnrolmentWarning(Answer):
     """Something about an image that was enrolled."""
 
     code: Literal["poor-picture", "duplicate", "look-alike"] = Field(
-        description="poor-picture: it is dark, overexposed, covered or blurred; duplicate: nearly the same image is in "
-        "the map; look-alike: the map takes it for another place. The last two are told of views described in the call."
+        description="poor-picture: it is dark, overexposed, covered or blurred, or shows mostly things that move; "
+        "duplicate: nearly the same image is in the map; look-alike: the map takes it for another place. What moves "
+        "and the last two are told of views described in the call."
     )
     detail: str
     view: str | None = Field(None, description="Id of the view that it is a duplicate of, or looks like.")

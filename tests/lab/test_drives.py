@@ -1,3 +1,4 @@
+<<<<<<< HEAD
 """Drives beside SeqSLAM: what it claims, what is right of it, and the table it stands in."""
 
 from pathlib import Path
@@ -82,3 +83,23 @@ def test_the_command_prints_a_row_for_each_map(tmp_path: Path, capsys: pytest.Ca
     assert "matched right, share" in lines[2]
     assert lines[-2].startswith("seqslam, all maps: ")
     assert lines[-1].startswith("seqslam without local contrast, all maps: ")
+=======
+"""The orders in which a walk is driven."""
+
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from lab.drives import GOING, STANDING, stop_and_go
+
+
+def test_a_drive_with_stops_passes_all_images_in_order_and_stands_at_some() -> None:
+    order = stop_and_go(200, np.random.default_rng(5))
+    assert list(dict.fromkeys(order)) == list(range(200))
+    assert order == sorted(order)
+    lengths = [len(list(same)) for _, same in groupby(order)]
+    stops = [index for index, length in enumerate(lengths) if length > 1]
+    assert all(STANDING[0] <= lengths[index] < STANDING[1] for index in stops)
+    assert all(GOING[0] <= later - earlier < GOING[1] for earlier, later in pairwise(stops))
+    assert len(stops) > 200 / GOING[1]
+>>>>>>> living

@@ -7,9 +7,11 @@ import httpx
 import numpy as np
 import pytest
 
+from schemas.image import Bytes2D
 from tests.sample_images import drawn, encoded
 from tests.stories.importing import ZIP, ended, zipped
 from tests.stories.running import RunningService
+from worker.encoders.color import COLORS
 
 JPEG = {"content-type": "image/jpeg"}
 DARK = encoded((drawn(96, 64, 3) // 16).astype(np.uint8))
@@ -90,3 +92,34 @@ def test_an_import_counts_poor_images_or_leaves_them_out(
     result = ended(client, answer.json()["id"])["result"]
     assert (result["enrolled"], result["failed"], result["poor"]) == counts
     assert [(one["file"], one["problem"]) for one in result["errors"]] == [("1.jpg", "poor-picture")] * counts[1]
+
+
+def crowd(share: float, seed: int) -> bytes:
+    """A street of which cars cover some share, from below, in the colours that the encoder takes for labels."""
+    pixels: Bytes2D = np.full((240, 320, 3), COLORS["building"], np.uint8)
+    pixels[:20] = COLORS["sky"]
+    pixels[240 - round(240 * share) :] = COLORS["car"]
+    noise = np.random.default_rng(seed).integers(-9, 10, pixels.shape)
+    return encoded(np.clip(pixels.astype(int) + noise, 0, 255).astype(np.uint8), "png")
+
+
+def test_an_image_of_hardly_anything_but_cars_is_told_or_refused(client: httpx.Client) -> None:
+    half, crowded = crowd(0.5, 1), crowd(0.9, 2)
+    assert client.post("/enroll?map=fair", content=half, headers=JPEG).json()["warnings"] == []
+    told = client.post("/enroll?map=fair", content=crowded, headers=JPEG).json()
+    assert [one["code"] for one in told["warnings"]] == ["poor-picture"]
+    assert told["warnings"][0]["detail"].endswith("% of the image shows things that move")
+    assert told["view"]["state"] == "ready"
+    answer = client.post("/query?map=fair", content=crowd(0.95, 3), headers=JPEG).json()
+    assert answer["status"] == "matched" or answer["reason"]["code"] == "poor-picture"
+
+    assert client.put("/maps/square", json={}).status_code == 201
+    assert client.patch("/maps/square", json={"refuse_poor": True}).status_code == 200
+    refused = client.post("/enroll?map=square", content=crowded, headers=JPEG)
+    assert (refused.status_code, refused.json()["type"]) == (422, "urn:revisit:problem:poor-picture")
+    assert client.get("/maps/square").json()["views"] == {"pending": 0, "ready": 0, "failed": 0}
+    assert client.get("/views?map=square").json()["views"] == []
+    assert client.post("/enroll?map=square&refuse_poor=false", content=crowded, headers=JPEG).status_code == 201
+    # There already: what was acknowledged stays.
+    assert client.post("/enroll?map=square", content=crowded, headers=JPEG).status_code == 200
+    assert client.get("/maps/square").json()["views"]["ready"] == 1

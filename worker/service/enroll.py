@@ -10,7 +10,7 @@ from schemas.errors import Busy, DiskFull, NotFound, NothingStatic, PoorImage, R
 from schemas.image import Image
 from schemas.recipe import MapRecipe
 from schemas.records import Submitted, ViewAttributes, ViewRecord
-from worker.service import steady
+from worker.service import moving, steady
 from worker.service.blurring import BlurringEnrolment
 from worker.service.completing import completed
 from worker.service.ports import JobQueue, Maps, Removals, Views
@@ -38,6 +38,8 @@ class Accepted:
         Seconds until it is described, by the length of the queue and the measured pace.
     problem : str or None
         What may keep it from being recognised, in words.
+    refuses_poor : bool
+        Whether it is refused when its description shows that it is poor.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -45,6 +47,7 @@ class Accepted:
     began: float
     expected_s: float
     problem: str | None
+    refuses_poor: bool
     timing_ms: dict[str, float]
 
 
@@ -156,7 +159,8 @@ class EnrollService:
         waits : bool
             Whether the caller wants to wait for the description, which is refused when no worker is alive.
         refuse_poor : bool, optional
-            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled; None: as the map says.
+            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled, nor, where the caller
+            waits, one that shows mostly things that move; None: as the map says.
         exif : bool
             Whether the image's EXIF says where and when it was taken, where `attributes` do not.
 
@@ -168,7 +172,8 @@ class EnrollService:
         began = time.perf_counter()
         image = self._decode(data)
         problem = self._look_for_problem(image)
-        if problem is not None and (self._maps.refuses_poor(map_name) if refuse_poor is None else refuse_poor):
+        refuses_poor = self._maps.refuses_poor(map_name) if refuse_poor is None else refuse_poor
+        if problem is not None and refuses_poor:
             raise PoorImage(problem)
         decoded = time.perf_counter()
         waiting = self._queue.count_waiting()
@@ -187,9 +192,8 @@ class EnrollService:
         if submitted.job_id is not None:
             self._wake()
         expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
-        return Accepted(
-            submitted, began, expected_s, problem, {"decode": (decoded - began) * 1000, "store": _since(decoded)}
-        )
+        timing_ms = {"decode": (decoded - began) * 1000, "store": _since(decoded)}
+        return Accepted(submitted, began, expected_s, problem, refuses_poor, timing_ms)
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
         """The outcome of an accepted image.
@@ -204,6 +208,8 @@ class EnrollService:
         ------
         NothingStatic
             The view is kept, `failed`.
+        PoorImage
+            The image shows mostly things that move, and such images are refused; the view is removed.
         DiskFull, StorageFailed
             The description cannot be stored now, and the view that this call created is removed. Where it cannot be
             removed, or was there before, it stays pending and is described later: that is no error.
@@ -222,6 +228,12 @@ class EnrollService:
             if submitted.created:  # a view that an earlier call acknowledged stays
                 self._removals.delete_view(record.id)
             raise RevisitError(detail)
+        problem = accepted.problem
+        if view is not None and submitted.created:
+            moves = self._moves(record)
+            if moves is not None and accepted.refuses_poor and self._undone(submitted):
+                raise PoorImage(moves)
+            problem = problem or moves
         revision = submitted.revision
         resembles: tuple[Resemblance, ...] = ()
         timing_ms = accepted.timing_ms
@@ -238,10 +250,18 @@ class EnrollService:
             created=submitted.created,
             revision=revision,
             job_id=submitted.job_id if record.state == "pending" else None,
-            problem=accepted.problem,
+            problem=problem,
             resembles=resembles,
             timing_ms={**timing_ms, "total": _since(accepted.began)},
         )
+
+    def _moves(self, record: ViewRecord) -> str | None:
+        """What is wrong with an image that shows mostly things that move; None also when its map changed over."""
+        recipe = self._maps.get(record.map).description
+        described = record.description
+        if record.state != "ready" or described is None or described.recipe != recipe.id:
+            return None
+        return moving.problem_of(described.label_shares, described.static_share, recipe)
 
     def _undone(self, submitted: Submitted) -> bool:
         """Whether the view of a call that will be answered with an error is removed."""

@@ -18,6 +18,7 @@ from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide
 from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
+from worker.service import moving
 from worker.service.day_scores import ScoreKeeper
 from worker.service.drives import DRIVEN, Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
@@ -36,9 +37,6 @@ KEPT_SIZE = 1024
 
 UNLIKE = 0.7
 """Score of a match below which the image may add to what its map has: see `worker.service.proposals`."""
-
-MOSTLY_MOVES = 0.2
-"""Share of static cells below which an image shows too little of its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +222,7 @@ class QueryService:
         joined = join(decisions)
         leading, decision = found[joined.leading], joined.decision
         if decision.status != "matched":
-            decision = blame_image(decision, self._problem(image, leading.description))
+            decision = blame_image(decision, self._problem(image, leading))
         result = QueryResult(
             id=str(uuid7()),
             image=image,
@@ -285,7 +283,7 @@ class QueryService:
                 return
             match = first.seq, first.score
             keeping = [(first.view.map, result.leading)]
-            if self._problem(result.image, result.description) is not None:
+            if self._problem(result.image, result.leading) is not None:
                 return  # a poor photo refreshes no place
         try:
             small = self._thumbnail(data, KEPT_SIZE) if keeping else b""
@@ -304,11 +302,11 @@ class QueryService:
         self._explanations.keep(result.id, explained)
         return self._differs(explained) if result.decision.reason.code == "look-alike" else ()
 
-    def _problem(self, image: Image, description: Description) -> str | None:
+    def _problem(self, image: Image, of: SearchOutcome) -> str | None:
         """What may keep the image from being recognised, in words; None when nothing is seen."""
-        if description.static_share < MOSTLY_MOVES:
-            return f"{1 - description.static_share:.0%} of the image shows things that move"
-        return self._look_for_problem(image)
+        described, recipe = of.description, of.results.recipe.description
+        moves = moving.problem_of(described.label_shares, described.static_share, recipe)
+        return moves or self._look_for_problem(image)
 
     def _differs(self, explained: Explained) -> tuple[Region, ...]:
         """Where the first match and its rival differ; nothing when there is no rival or its cells are gone."""
