@@ -30,15 +30,14 @@ from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
 
 FOREVER_S = 86400.0
-<<<<<<< HEAD
-ORDERS = ("in order", "shuffled")
-HEADING = "| walk | single images | as a drive | shuffled | SeqSLAM | without local contrast | shuffled |"
+HEADING = (
+    "| walk | single images | as a drive | shuffled | with stops: single images | as a drive "
+    "| SeqSLAM | without local contrast | shuffled |"
+)
 PRECISION = 0.97
 """Of claims, that SeqSLAM's threshold is chosen for when it may know the answers."""
-=======
 GOING, STANDING = (3, 9), (2, 7)
 """Images from one stop to the next, and queries with the image of a stop, at least and below."""
->>>>>>> living
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,6 @@ def drive(
     return single_counts, driven_counts
 
 
-<<<<<<< HEAD
 @dataclass(frozen=True, eq=False)
 class Claims:
     """SeqSLAM's answers to the queries of one map.
@@ -144,7 +142,8 @@ def best_threshold(claims: Sequence[Claims], precision: float = PRECISION) -> fl
     last = np.append(np.diff(quotients[order]) > 0, True)
     kept = np.flatnonzero(last & (rightly >= precision * np.arange(1, len(order) + 1)))
     return float(quotients[order][kept[-1]]) if len(kept) else 0.0
-=======
+
+
 def stop_and_go(count: int, random: np.random.Generator) -> list[int]:
     """Indices of `count` images in order, some of them several times in a row: the camera stands there."""
     order: list[int] = []
@@ -154,7 +153,6 @@ def stop_and_go(count: int, random: np.random.Generator) -> list[int]:
         order += [index] * (1 if going else int(random.integers(*STANDING)))
         going = going or int(random.integers(*GOING))
     return order
->>>>>>> living
 
 
 def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[int]]:
@@ -166,26 +164,22 @@ def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[
     return images
 
 
-<<<<<<< HEAD
 def drives(service: ServiceRetriever, trial: Trial, seed: int) -> list[Counts]:
-    """Counts of one map, its queries in order and shuffled: single images, as a drive, and as one that is shuffled."""
-=======
-def measure(dataset: Dataset, service: ServiceRetriever, trial: Trial, seed: int) -> str:
-    """A row of the table: one map, its queries in order, shuffled, and with stops."""
->>>>>>> living
+    """Counts of one map: single images and as a drive, as a drive that is shuffled, and both again with stops."""
     images = enrolled_in_order(trial, service)
     service.runtime.comparer.all()
-    (single, driven), (_, jumbled) = (
-        drive(trial, service, images, order, name.replace(" ", "-"))
-        for name, order in zip(ORDERS, orders(trial, seed), strict=True)
+    in_order, jumble = orders(trial, seed)
+    stops = stop_and_go(len(in_order), np.random.default_rng(seed))
+    ways = {"in-order": in_order, "shuffled": jumble, "stop-and-go": stops}
+    (single, driven), (_, jumbled), (standing, stopping) = (
+        drive(trial, service, images, order, name) for name, order in ways.items()
     )
-    return [single, driven, jumbled]
+    return [single, driven, jumbled, standing, stopping]
 
 
 def orders(trial: Trial, seed: int) -> tuple[list[int], list[int]]:
     """The queries in order, and shuffled."""
     count = len(trial.queries)
-<<<<<<< HEAD
     return list(range(count)), np.random.default_rng(seed).permutation(count).tolist()
 
 
@@ -193,19 +187,6 @@ def row(trial: Trial, counts: Sequence[Counts | None]) -> str:
     """A row of the table; nothing stands where nothing was measured."""
     cells = ["" if one is None else str(one) for one in counts]
     return f"| {trial.dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
-=======
-    shuffled = np.random.default_rng(seed).permutation(count).tolist()
-    orders = {
-        "in-order": range(count),
-        "shuffled": shuffled,
-        "stop-and-go": stop_and_go(count, np.random.default_rng(seed)),
-    }
-    cells = []
-    for name, order in orders.items():
-        single, together = drive(trial, service, images, order, name)
-        cells += [str(together)] if name == "shuffled" else [str(single), str(together)]
-    return f"| {dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
->>>>>>> living
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -217,10 +198,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         sets = [one for one in evaluate.read(options.dataset, options) if one.sequential]
         chosen = [one for one in sets if one.name.startswith(tuple(options.sets.split(",")))]
-<<<<<<< HEAD
         trials = [trial for one in map(with_attributes, chosen) for trial in [whole(one), *halves(one)]]
         with served(options) as measured:
-            print(HEADING + "\n" + "|---" * 7 + "|")
+            print(HEADING + "\n" + "|---" * (HEADING.count("|") - 1) + "|")
             published, plain = SeqSlam(), SeqSlam(local_contrast=False)
             claims: dict[str, list[Claims]] = defaultdict(list)
             for trial in trials:
@@ -232,16 +212,6 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(row(trial, [*measured(trial), *others]), flush=True)
         for name, some in claims.items():
             print(told(name, some))
-=======
-        with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
-            recipe = make_recipe(runtime.encoder, Wanted(), preset="default")
-            heads = "single images", "as a drive", "the same, shuffled", "with stops: single images", "as a drive"
-            print(f"| walk | {' | '.join(heads)} |\n|---|---|---|---|---|---|")
-            for dataset in map(with_attributes, chosen):
-                for trial in [whole(dataset), *halves(dataset)]:
-                    with map_of_its_own(runtime, recipe, "default", dataset) as service:
-                        print(measure(dataset, service, trial, options.seed), flush=True)
->>>>>>> living
     except (RevisitError, ValueError) as refusal:
         print(refusal, file=sys.stderr)
         return 2
@@ -252,7 +222,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def served(options: argparse.Namespace) -> Iterator[Callable[[Trial], Sequence[Counts | None]]]:
     """What measures the service on one map, as `drives` does; nothing with ``--no-service``."""
     if options.no_service:
-        yield lambda _: [None, None, None]
+        yield lambda _: [None] * 5
         return
     with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
         recipe = make_recipe(runtime.encoder, Wanted(), preset="default")

@@ -1,6 +1,6 @@
-<<<<<<< HEAD
-"""Drives beside SeqSLAM: what it claims, what is right of it, and the table it stands in."""
+"""Drives beside SeqSLAM: what it claims, what is right of it, the table it stands in, and the orders of a walk."""
 
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import cv2
@@ -10,7 +10,7 @@ import pytest
 from lab.baselines.seqslam import SeqSlam
 from lab.datasets.dataset import Dataset
 from lab.datasets.protocols import halves, whole
-from lab.drives import Claims, best_threshold, main, sequences
+from lab.drives import GOING, STANDING, Claims, best_threshold, main, sequences, stop_and_go
 
 HEAD = "query_folder,query_file,database_folder,database_file"
 
@@ -77,20 +77,12 @@ def test_the_command_prints_a_row_for_each_map(tmp_path: Path, capsys: pytest.Ca
     assert main(["pairs", "--root", str(street(tmp_path)), "--no-service"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("| SeqSLAM | without local contrast | shuffled |")
-    assert {line.count("|") for line in lines[:-2]} == {8}
+    assert {line.count("|") for line in lines[:-2]} == {10}
     maps = [line.split(" |")[0].rpartition(", ")[2] for line in lines[2:-2]]
     assert maps == ["everything", "half of the places", "half of the places"]
     assert "matched right, share" in lines[2]
     assert lines[-2].startswith("seqslam, all maps: ")
     assert lines[-1].startswith("seqslam without local contrast, all maps: ")
-=======
-"""The orders in which a walk is driven."""
-
-from itertools import groupby, pairwise
-
-import numpy as np
-
-from lab.drives import GOING, STANDING, stop_and_go
 
 
 def test_a_drive_with_stops_passes_all_images_in_order_and_stands_at_some() -> None:
@@ -102,4 +94,3 @@ def test_a_drive_with_stops_passes_all_images_in_order_and_stands_at_some() -> N
     assert all(STANDING[0] <= lengths[index] < STANDING[1] for index in stops)
     assert all(GOING[0] <= later - earlier < GOING[1] for earlier, later in pairwise(stops))
     assert len(stops) > 200 / GOING[1]
->>>>>>> living
