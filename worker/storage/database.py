@@ -2,6 +2,7 @@
 
 import logging
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
@@ -19,6 +20,9 @@ T = TypeVar("T")
 log = logging.getLogger("revisit")
 
 TRUNCATE_PATIENCE_MS = 500
+
+PROMPT_S = 1.0
+"""Seconds within which a server that is starting, or that has failed over, refuses a connection: it is tried again."""
 
 
 class Database:
@@ -42,11 +46,28 @@ class Database:
         self.commits = Commits()
         self.trouble: str | None = None  # why the last transaction that wrote could not be stored
 
+    def open(self) -> sa.Connection:
+        """A connection.
+
+        Raises
+        ------
+        StorageFailed
+            The server neither gave nor refused one within `PROMPT_S`: it will be silent for longer.
+        """
+        began = time.monotonic()
+        try:
+            return self.engine.connect()
+        except sa.exc.DBAPIError as error:
+            problem = None if time.monotonic() - began < PROMPT_S else problem_of(error, "database")
+            if problem is None:
+                raise
+            raise problem from error
+
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
         """A transaction whose reads all see the same snapshot; raises StorageFailed or Damaged when its file fails."""
         try:
-            with translated("database", sent=False), self.engine.connect() as connection:
+            with translated("database", sent=False), self.open() as connection:
                 connection = dialect.for_reading(connection)
                 with connection.begin():
                     yield connection
@@ -72,7 +93,7 @@ class Database:
             self.space.require()
         sent = False
         try:
-            with self.engine.connect() as connection:
+            with self.open() as connection:
                 connection = dialect.for_writing(connection)
                 with connection.begin():
                     dialect.begin_writing(connection, in_turn=in_turn)

@@ -54,9 +54,6 @@ _IN_A_MOMENT = {
 _OVER = frozenset({"40001", "40P01"})
 """Codes that say of a transaction, whatever it was doing, that nothing of it is kept."""
 
-_TIMED_OUT = "ConnectionTimeout"
-"""Of `psycopg.errors`: a server that is silent for seconds will be so for more."""
-
 
 def make_engine(url: str) -> sa.Engine:
     """The engine of a database, set up for durable writes and consistent reads.
@@ -287,9 +284,7 @@ def kept_nothing(error: sa.exc.DBAPIError, *, sent: bool) -> bool:
         Whether the server may have been told to commit. Then only its own word counts: a connection that broke says
         nothing of what was done before.
     """
-    if sent:
-        return getattr(error.orig, "sqlstate", None) in _OVER
-    return type(error.orig).__name__ != _TIMED_OUT
+    return not sent or getattr(error.orig, "sqlstate", None) in _OVER
 
 
 def is_file(engine: sa.Engine) -> bool:

@@ -39,7 +39,7 @@ def image_lock(database: Database, data: Path) -> ImageLock:
     @contextmanager
     def by_server(first: str) -> Iterator[None]:
         # Its commit keeps nothing; whether the block committed something is counted by the database.
-        with translated("database", sent=False), database.engine.connect() as connection, connection.begin():
+        with translated("database", sent=False), database.open() as connection, connection.begin():
             lock = f"pg_advisory_xact_lock({SCHEMA}, {int(first, 16)})"
             connection.execute(dialect.bounded(IMAGE_SILENT_S, lock))
             yield
