@@ -123,3 +123,25 @@ def test_an_image_of_hardly_anything_but_cars_is_told_or_refused(client: httpx.C
     # There already: what was acknowledged stays.
     assert client.post("/enroll?map=square", content=crowded, headers=JPEG).status_code == 200
     assert client.get("/maps/square").json()["views"]["ready"] == 1
+
+
+def wall(quality: int) -> bytes:
+    """A wall of coloured tiles, saved more or less well."""
+    tiles = np.random.default_rng(11).integers(0, 256, (12, 16, 3), np.uint8)
+    return encoded(tiles.repeat(20, axis=0).repeat(20, axis=1), quality=quality)
+
+
+def test_an_image_that_adds_nothing_is_told_or_refused(client: httpx.Client) -> None:
+    assert client.put("/maps/wall", json={}).status_code == 201
+    first = client.post("/enroll?map=wall", content=wall(92), headers=JPEG).json()["view"]["id"]
+    assert client.patch("/maps/wall", json={"refuse_poor": True}).status_code == 200
+
+    refused = client.post("/enroll?map=wall", content=wall(70), headers=JPEG)
+
+    assert (refused.status_code, refused.json()["type"]) == (422, "urn:revisit:problem:poor-picture")
+    assert "adds nothing" in refused.json()["detail"]
+    assert first in refused.json()["detail"]
+    assert [view["id"] for view in client.get("/views?map=wall").json()["views"]] == [first]
+    told = client.post("/enroll?map=wall&refuse_poor=false", content=wall(70), headers=JPEG)
+    assert (told.status_code, [one["code"] for one in told.json()["warnings"]]) == (201, ["duplicate"])
+    assert client.post("/enroll?map=wall", content=sharp(5), headers=JPEG).status_code == 201

@@ -160,7 +160,7 @@ class EnrollService:
             Whether the caller wants to wait for the description, which is refused when no worker is alive.
         refuse_poor : bool, optional
             Whether an image that is dark, overexposed, covered or blurred is not to be enrolled, nor, where the caller
-            waits, one that shows mostly things that move; None: as the map says.
+            waits, one that shows mostly things that move or is nearly in the map already; None: as the map says.
         exif : bool
             Whether the image's EXIF says where and when it was taken, where `attributes` do not.
 
@@ -209,7 +209,8 @@ class EnrollService:
         NothingStatic
             The view is kept, `failed`.
         PoorImage
-            The image shows mostly things that move, and such images are refused; the view is removed.
+            The image shows mostly things that move, or adds nothing to the map, and such images are refused; the view
+            is removed.
         DiskFull, StorageFailed
             The description cannot be stored now, and the view that this call created is removed. Where it cannot be
             removed, or was there before, it stays pending and is described later: that is no error.
@@ -240,6 +241,9 @@ class EnrollService:
         if record.state == "ready" and submitted.created:
             comparing = time.perf_counter()
             resembles = self._resembles(record)
+            same = next((one.detail for one in resembles if one.code == "duplicate"), None)
+            if same is not None and accepted.refuses_poor and self._undone(submitted):
+                raise PoorImage(same)
             timing_ms = {**timing_ms, "compare": _since(comparing)}
         if record.state == "ready":
             revision = self._maps.get(record.map).revision
