@@ -298,14 +298,14 @@ def test_a_server_that_is_started_anew_is_waited_for_and_one_that_is_away_is_tol
         assert store.views.get(view.id).attributes.place == "hall"
 
 
-def test_a_server_that_is_silent_is_asked_once(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_is_silent_is_tried_once(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As one behind a cut wire: it takes connections and says nothing, or they are lost on the way."""
-    asked: list[float] = []
+    tries: list[float] = []
     with postgres_schema() as url, closing(open_store(url, data)) as store:
         view = enroll(store, "gate").view
 
         def silent(_: sa.Engine) -> sa.Connection:
-            asked.append(time.monotonic())
+            tries.append(time.monotonic())
             time.sleep(0.3)
             raise sa.exc.OperationalError("", None, psycopg.errors.ConnectionTimeout("timeout expired"))
 
@@ -314,10 +314,10 @@ def test_a_server_that_is_silent_is_asked_once(data: Path, monkeypatch: pytest.M
             patched.setattr(sa.Engine, "connect", silent)
             with pytest.raises(StorageFailed, match="no connection"):
                 store.views.get(view.id)
-            assert len(asked) == 1
+            assert len(tries) == 1
             patched.setattr("worker.storage.database.PROMPT_S", 60)
             patched.setattr(again, "PAUSES_S", (0.0, 0.0))
             with pytest.raises(StorageFailed, match="no connection"):
                 store.views.get(view.id)
-            assert len(asked) == 4
+            assert len(tries) == 4
         assert store.views.get(view.id).id == view.id
