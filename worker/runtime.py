@@ -325,6 +325,7 @@ def _services(
         wake=bell.ring,
         workers=lambda: attendance.alive,
         resembles=Resemblances(store.maps, store.descriptions, searcher).of,
+        describer=searcher.describer,
     )
     renderings = RenderingService(
         maps=store.maps, views=store.views, descriptions=store.descriptions, describers=describers,

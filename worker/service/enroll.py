@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -111,6 +112,8 @@ class EnrollService:
         Returns how many workers are alive.
     resembles : function
         What a described view resembles in its map.
+    describer : function
+        Raises SetupError where the running encoder cannot describe the views of a map, NotFound where there is none.
     """
 
     def __init__(
@@ -131,13 +134,14 @@ class EnrollService:
         wake: Callable[[], None],
         workers: Callable[[], int] = lambda: 1,
         resembles: Callable[[ViewRecord], tuple[Resemblance, ...]] = lambda view: (),
+        describer: Callable[[str], object] = lambda name: None,
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
         self._queue, self._settlements = queue, settlements
         self._decode, self._taken = decode, taken
         self._look_for_problem, self._default_recipe = look_for_problem, default_recipe
         self._limit, self._pace_s, self._wake, self._workers = limit, pace_s, wake, workers
-        self._resembles = resembles
+        self._resembles, self._describer = resembles, describer
 
     def submit(
         self,
@@ -168,8 +172,12 @@ class EnrollService:
         ------
         BadImage, PoorImage, NothingStatic, Busy, Conflict, DiskFull, StorageFailed, Unavailable
             Nothing is stored.
+        SetupError
+            The map was described by another encoder than the running one; nothing is stored.
         """
         began = time.perf_counter()
+        with suppress(NotFound):  # it is made, by the running encoder
+            self._describer(map_name)
         image = self._decode(data)
         problem = self._look_for_problem(image)
         refuses_poor = self._maps.refuses_poor(map_name) if refuse_poor is None else refuse_poor
