@@ -58,7 +58,8 @@ class Database:
         try:
             return self.engine.connect()
         except sa.exc.DBAPIError as error:
-            problem = None if time.monotonic() - began < PROMPT_S else problem_of(error, "database")
+            prompt = dialect.is_file(self.engine) or time.monotonic() - began < PROMPT_S
+            problem = None if prompt else problem_of(error, "database")
             if problem is None:
                 raise
             raise problem from error
