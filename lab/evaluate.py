@@ -196,6 +196,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="METHOD",
         help="order the first answers of a method anew by ALIKED and LightGlue: a preset, or a name as in the tables",
     )
+    parser.add_argument("--aliked-side", type=int, default=640, metavar="PIXELS", help="longer side it sees (640)")
     parser.add_argument("--rerank-first", type=int, default=10, metavar="N", help="so many of them (default: 10)")
     parser.add_argument(
         "--protocol",
@@ -314,7 +315,7 @@ def others_of(options: argparse.Namespace, needs: Needs) -> Rivals:
     # Late: it brings torch, and a package that only this needs.
     from lab.baselines.aliked_lightglue import AlikedLightGlue
 
-    verifier = AlikedLightGlue(options.aliked_lightglue, options.device)
+    verifier = AlikedLightGlue(options.aliked_lightglue, options.device, options.aliked_side)
     again = tuple(Reranking(verifier, name, options.rerank_first) for name in options.rerank)
     return Rivals(everything, (*made.rerankings, *again))
 

@@ -25,8 +25,8 @@ ALIKED, LIGHTGLUE = "aliked-n16.pth", "aliked_lightglue.pth"
 KEYPOINTS = 512
 """Keypoints of an image, at most."""
 
-LONGER_SIDE = 480
-"""Pixels to which the longer side is scaled, up or down."""
+LONGER_SIDE = 640
+"""Pixels to which the longer side is scaled, up or down, unless said otherwise."""
 
 REMEMBERED = 1024
 """Images whose features are kept: 270 KB each."""
@@ -50,6 +50,8 @@ class AlikedLightGlue:
     folder : Path
         Holds `ALIKED` and `LIGHTGLUE`.
     device : str
+    side : int
+        Pixels of the longer side.
 
     Raises
     ------
@@ -59,8 +61,8 @@ class AlikedLightGlue:
 
     name = "aliked + lightglue"
 
-    def __init__(self, folder: Path, device: str = "cpu") -> None:
-        self.device = device
+    def __init__(self, folder: Path, device: str = "cpu", side: int = LONGER_SIDE) -> None:
+        self.device, self.side = device, side
         try:
             networks: Any = importlib.import_module("kornia.feature")
         except ModuleNotFoundError as missing:
@@ -88,7 +90,7 @@ class AlikedLightGlue:
         """Keypoints of an image file; raises BadImage."""
         pixels = rgb(path)
         height, width = pixels.shape[:2]
-        scale = LONGER_SIDE / max(height, width)
+        scale = self.side / max(height, width)
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
         image = torch.from_numpy(np.ascontiguousarray(scaled)).permute(2, 0, 1)[None].to(self.device) / 255
@@ -104,7 +106,7 @@ class AlikedLightGlue:
         with torch.inference_mode():
             [rows] = self._matcher(pair)["matches"]
         source, target = query.keypoints[0][rows[:, 0]], image.keypoints[0][rows[:, 1]]
-        return (source / LONGER_SIDE).cpu().numpy(), (target / LONGER_SIDE).cpu().numpy()
+        return (source / self.side).cpu().numpy(), (target / self.side).cpu().numpy()
 
 
 def _load(network: torch.nn.Module, path: Path) -> None:

@@ -77,7 +77,7 @@ def test_a_pair_is_matched_once_and_counted_by_its_geometry(folder: Path, monkey
 
 
 def test_positions_are_fractions_of_the_longer_side(folder: Path) -> None:
-    verifier = AlikedLightGlue(folder)
+    verifier = AlikedLightGlue(folder, side=480)
     features = verifier.describe(image(folder / "one.png", 1))
     source, target = verifier.matches(features, features)
     assert source.dtype == np.float32
