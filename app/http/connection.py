@@ -22,6 +22,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from app.http.limits import CROWDED, IDLE_S, MOST_HEAD_BYTES, RESERVE, STALLED_S, ConnectionLimits
+from app.http.notes import noting
 from app.http.problems import problem
 
 logger = logging.getLogger("revisit.http")
@@ -50,6 +51,14 @@ class _Connection(h11.Connection):
         return _in_origin_form(event)
 
 
+class _RefusedPath(h11.RemoteProtocolError):
+    """A path that is refused; where it leads decides in which words."""
+
+    def __init__(self, why: str, path: bytes) -> None:
+        super().__init__(why)
+        self.path = path.decode("latin-1")
+
+
 def _in_origin_form(request: h11.Request) -> h11.Request:
     """The request with a path as its target; raises h11.RemoteProtocolError when it cannot be had."""
     target = request.target
@@ -60,7 +69,7 @@ def _in_origin_form(request: h11.Request) -> h11.Request:
         raise h11.RemoteProtocolError("the target of a request needs to begin with /")
     path = unquote_to_bytes(target.partition(b"?")[0])
     if any(byte < 0x20 or byte == 0x7F for byte in path):
-        raise h11.RemoteProtocolError("the path has control characters")
+        raise _RefusedPath("the path has control characters", path)
     if target == request.target:
         return request
     return h11.Request(method=request.method, headers=request.headers, target=target, http_version=request.http_version)
@@ -158,7 +167,7 @@ class BoundedProtocol(H11Protocol):
         if getattr(error, "error_status_hint", 400) == _TOO_LARGE:
             self._answer("headers-too-large", f"request line and headers have more than {MOST_HEAD_BYTES:,} bytes")
         else:
-            self._answer("bad-request", str(error or msg))
+            self._answer("bad-request", str(error or msg), getattr(error, "path", ""))
 
     def _unsupported_upgrade_warning(self) -> None:
         """No warning: a client may ask for another protocol, and is answered in this one."""
@@ -189,13 +198,14 @@ class BoundedProtocol(H11Protocol):
 
     # answers that no route gives
 
-    def _answer(self, code: str, detail: str) -> None:
-        """Send a problem, unless an answer has begun, and close the connection."""
+    def _answer(self, code: str, detail: str, path: str = "") -> None:
+        """Send a problem, unless an answer has begun, and close the connection; `path` is known of some requests."""
         if self.finishing:
             return
         request_id = secrets.token_hex(16)
         begun = self.conn.our_state is not h11.IDLE and self.conn.our_state is not h11.SEND_RESPONSE
         if self.cycle is not None and not self.cycle.response_complete:
+            path = path or str(self.cycle.scope["path"])
             # The route may wait for the rest of the body, which will not come.
             self.cycle.disconnected = True
             self.cycle.message_event.set()
@@ -203,7 +213,8 @@ class BoundedProtocol(H11Protocol):
         if begun:
             self._inner.abort()
             return
-        response = problem(code, detail, request_id, headers={"Connection": "close", "X-Request-Id": request_id})
+        with noting(path):
+            response = problem(code, detail, request_id, headers={"Connection": "close", "X-Request-Id": request_id})
         status = HTTPStatus(response.status_code)
         lines = [b"HTTP/1.1 %d %s" % (status, status.phrase.encode())]
         lines += [name + b": " + value for name, value in (*self.server_state.default_headers, *response.raw_headers)]

@@ -1,6 +1,7 @@
 """One connection on a small application: what takes too long against a real process is tried here with short times."""
 
 import asyncio
+import json
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -91,6 +92,26 @@ def test_a_client_that_reads_slowly_gets_all_of_it(monkeypatch: pytest.MonkeyPat
             await gone(state)
 
     asyncio.run(story())
+
+
+@pytest.mark.parametrize(
+    ("path", "further"),
+    [("/maps/%01", set()), ("/compat/compreface/%01/api", {"message"}), ("/localize/geopose%01", {"ERROR"})],
+)
+def test_what_no_route_sees_is_refused_in_the_words_of_its_protocol_too(path: str, further: set[str]) -> None:
+    """A client of CompreFace shows ``message`` and nothing else."""
+
+    async def story() -> dict[str, str]:
+        async with listening() as (_, port):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+            answer = await asyncio.wait_for(reader.read(), 20)
+            writer.close()
+        return dict(json.loads(answer.partition(b"\r\n\r\n")[2]))
+
+    body = asyncio.run(story())
+    assert body["detail"] == "the path has control characters"
+    assert {name for name in ("message", "ERROR") if body.get(name) == body["detail"]} == further
 
 
 def test_far_beyond_the_bound_connections_are_closed_unread() -> None:

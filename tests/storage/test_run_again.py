@@ -305,14 +305,14 @@ def test_a_server_that_is_silent_is_tried_once(data: Path, monkeypatch: pytest.M
     with postgres_schema() as url, closing(open_store(url, data)) as store:
         view = enroll(store, "gate").view
 
-        def silent(_: sa.Engine) -> sa.Connection:
+        def silent() -> sa.Connection:
             tried.append(time.monotonic())
             time.sleep(0.3)
             raise sa.exc.OperationalError("", None, psycopg.errors.ConnectionTimeout("timeout expired"))
 
         with monkeypatch.context() as patched:
             patched.setattr("worker.storage.database.PROMPT_S", 0.2)
-            patched.setattr(sa.Engine, "connect", silent)
+            patched.setattr(store.views._database.engine, "connect", silent)
             with pytest.raises(StorageFailed, match="no connection"):
                 store.views.get(view.id)
             assert len(tried) == 1

@@ -19,6 +19,7 @@ CLIP_LABELS = (
     *("terrain", "grass", "sky", "person", "cyclist", "car", "truck", "bus", "motorcycle", "bicycle", "window", "door"),
     *("floor", "ceiling", "background", "parking space", "branch", "wood", "plant", "ground", "house", "van"),
     *("motorcyclist", "stairs", "stairway", "bench", "bridge", "train", "rider", "street"),
+    *("mountain", "cabinet", "chair", "table", "sofa", "bed"),
 )
 
 TRUNK_PLACES = {
