@@ -20,7 +20,7 @@ def make_product(settings: Settings) -> Product:
     """The product of int8 vectors: the fastest; float32 without torch, and for `color`, which does not load it."""
     if settings.encoder == "color" or not has_torch():
         return float_product
-    if settings.encoder in ("compact", "compact-open") and settings.device == "cpu":
+    if settings.encoder != "lseg" and settings.device == "cpu":
         configure_torch(1)  # nothing but these products runs in torch then: more threads would only spin
     return fastest_product()
 
