@@ -87,7 +87,8 @@ def test_a_worker_is_killed_in_an_import_and_another_finishes_it(
             first.kill()
             first.wait()
         assert done < IMAGES, "it was over before the kill"
-        assert b.get(f"/jobs/{job_id}").json()["state"] == "running"
+        state = b.get(f"/jobs/{job_id}").json()["state"]
+        assert state in ("running", "waiting")  # until the nodes notice that it is gone
         assert left(tmp_path / "first")  # of which the next worker with this folder rids it
 
         stack.enter_context(worker(tmp_path / "second", **there))

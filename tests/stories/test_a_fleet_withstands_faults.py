@@ -26,8 +26,12 @@ from tests.storage.databases import PostgresServer
 from tests.storage.object_store import ObjectStore
 from tests.stories.fleets import JPEG, Ledger, found, nodes, until
 from tests.stories.running import ROOT, RunningService, worker
+from worker.storage.again import JITTER, PAUSES_S
 
 LEASE_S = "2"
+
+AWAY_S = 2 * sum(PAUSES_S) * (1 + JITTER)
+"""Longer than a transaction is run again: callers must be told."""
 
 
 @pytest.fixture
@@ -106,7 +110,7 @@ def test_two_nodes_write_one_map_while_the_database_restarts(
         while len(ledger.kept) < 10:
             time.sleep(0.02)
         server.stop()
-        time.sleep(1.5)
+        time.sleep(AWAY_S)
         server.start()
         for thread in threads:
             thread.join(180)
