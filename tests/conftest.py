@@ -29,6 +29,9 @@ services' reserve allows."""
 SHARED = os.environ.pop("REVISIT_SHARED", None)
 """Taken out of the environment, where settings refuse a ``REVISIT_`` variable that they do not know."""
 
+LONGEST = ("tests/stories/", "tests/browser/", "tests/encoders/", "tests/lab/", "tests/storage/")
+"""Folders by how long their files take."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of single folders: those that their own conftest declares are unknown when all tests are run."""
@@ -37,6 +40,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="tests/golden: the same to the last bit as when recorded, on the machine that recorded",
     )
+
+
+@pytest.hookimpl(trylast=True)  # after they were shuffled
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that wait for processes first: the last of them would keep one core busy while the others have ended."""
+    items.sort(key=lambda item: next((n for n, part in enumerate(LONGEST) if part in item.nodeid), len(LONGEST)))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -64,10 +64,11 @@ def test_each_hears_of_work_and_of_views_and_those_of_another_schema_do_not(url:
         assert (a.next(), b.next()) == ("work", "work")
         for view in ("v1", "v2"):
             b.notices.settled(view)
-        assert {a.next(), a.next()} == {"v1", "v2"}
+        assert {a.next(), a.next()} == {b.next(), b.next()} == {"v1", "v2"}
         other.notices.work()
         assert other.next() == "work"
-        assert b.got.qsize() == 2
+        b.notices.settled("v3")
+        assert (a.next(), b.next()) == ("v3", "v3")
 
 
 def test_many_at_once_are_told_in_few_notices(url: str) -> None:
