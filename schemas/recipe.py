@@ -7,11 +7,14 @@ map and takes effect at once.
 
 import hashlib
 import json
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from schemas.description import DETAIL
+
+CAME_LATER = {"local_features_side": 320, "local_features_equalised": True}
+"""Description parameters that are younger than stored recipes, with the values that those mean."""
 
 Weight = Annotated[float, Field(ge=0, le=1000)]
 
@@ -28,8 +31,12 @@ class Identified(Frozen):
     @property
     def id(self) -> str:
         """First 16 hex digits of the SHA-256 of the value as canonical JSON (sorted keys, no spaces)."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(self._identity(), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def _identity(self) -> dict[str, Any]:
+        """What is hashed."""
+        return self.model_dump(mode="json")
 
 
 class Channel(Frozen):
@@ -99,6 +106,12 @@ class DescriptionParameters(Frozen):
     local_features: Annotated[int, Field(ge=8, le=4096)] | None = Field(
         None, description="Keypoints stored per image for geometric verification; null: none."
     )
+    local_features_side: Annotated[int, Field(ge=64, le=1280)] = Field(
+        320, description="Longer side at which keypoints are found, pixels; the time grows with its square."
+    )
+    local_features_equalised: bool = Field(
+        True, description="Whether contrast is equalised (CLAHE) before keypoints are found."
+    )
 
     @model_validator(mode="after")
     def _channel_weights_are_of_channels(self) -> Self:
@@ -124,6 +137,15 @@ class DescriptionRecipe(Identified):
     dynamic: tuple[str, ...]
     parameters: DescriptionParameters
     vocabulary: str = Field(description="SHA-256 of the vocabulary's tensors.")
+
+    def _identity(self) -> dict[str, Any]:
+        """Parameters that came later count where they differ from how recipes before them described."""
+        content = super()._identity()
+        parameters = content["parameters"]
+        for name, before in CAME_LATER.items():
+            if parameters[name] == before:
+                del parameters[name]
+        return content
 
 
 class TermWeights(Frozen):

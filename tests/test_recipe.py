@@ -1,5 +1,6 @@
 """The two halves of a recipe: what is refused, what their ids depend on, and where a misplaced parameter is sent."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -12,6 +13,7 @@ from pydantic import ValidationError
 from schemas.description import DETAIL, SEMANTIC
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.recipe import (
+    CAME_LATER,
     CellGrid,
     Channel,
     DescriptionParameters,
@@ -144,7 +146,7 @@ def paths(value: JSON, way: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
 
 def different(model: type[DescriptionRecipe] | type[RankingConfig], content: JSON, way: tuple[str, ...]) -> Any:
     """The value with another one, which is allowed there, at one place."""
-    for other in (0.5, 0.25, 3, 9, "other", "graph", "l1", ["sky", "road"], ["sky"], None):
+    for other in (0.5, 0.25, 3, 9, 480, True, False, "other", "graph", "l1", ["sky", "road"], ["sky"], None):
         copy = json.loads(json.dumps(content))
         inner = copy
         for key in way[:-1]:
@@ -185,6 +187,14 @@ class TestId:
 
         ids = {RECIPE.model_copy(update={"parameters": parameters}).id for parameters in (short, long)}
         assert len(ids) == 1
+
+    def test_recipes_stored_before_a_parameter_came_keep_theirs(self) -> None:
+        content = RECIPE.model_dump(mode="json")
+        for name in CAME_LATER:
+            del content["parameters"][name]
+
+        before = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        assert DescriptionRecipe.model_validate(content).id == hashlib.sha256(before.encode()).hexdigest()[:16]
 
     def test_it_is_sixteen_hexadecimal_digits(self) -> None:
         for half in (RECIPE, RANKING):

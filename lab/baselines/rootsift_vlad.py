@@ -1,8 +1,7 @@
 """The classical pipeline: RootSIFT, VLAD, and a fundamental matrix for the first answers.
 
 RootSIFT: Arandjelovic and Zisserman 2012. Keypoints are found on the grey image as it is, with a low threshold of
-contrast so that dark rooms have some too. On luminance that was equalised, as the service does it for its own
-(`worker.description.local_features`), the rival is weaker.
+contrast so that dark rooms have some too, as the service finds its own (`worker.description.local_features`).
 """
 
 from collections.abc import Sequence

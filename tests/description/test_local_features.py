@@ -38,6 +38,22 @@ def test_an_image_without_structure_has_none(shape: tuple[int, ...]) -> None:
     assert found.descriptors.dtype == np.int8
 
 
+def test_equalising_finds_other_keypoints_and_a_larger_size_finds_more() -> None:
+    dark = (textured() // 8).astype(np.uint8)
+    plain, equalised = local_features(dark, 300, equalised=False), local_features(dark, 300)
+    assert min(len(plain), len(equalised)) > 100
+    assert not np.array_equal(plain.positions, equalised.positions)
+    assert len(local_features(textured(), 2000, 640)) > 1.5 * len(local_features(textured(), 2000))
+
+
+def test_a_third_of_the_light_finds_the_same_keypoints_where_nothing_is_equalised() -> None:
+    bright, dark = textured(), (textured() // 3).astype(np.uint8)
+    [found] = verification.verify(
+        local_features(dark, 300, equalised=False), [local_features(bright, 300, equalised=False)]
+    )
+    assert found.inliers > 200
+
+
 def test_descriptors_are_unit_length_in_bytes() -> None:
     drawn = np.random.default_rng(0).uniform(0, 0.2, (5, 128)).astype(np.float32)
     length = np.linalg.norm(reduce(drawn).astype(np.float32), axis=1)

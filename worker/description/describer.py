@@ -93,8 +93,11 @@ class Describer:
 
     def keypoints(self, image: Image) -> LocalFeatures | None:
         """Local features for verification; None when the recipe has none. They do not need the pixel field."""
-        wanted = self.recipe.parameters.local_features
-        return None if wanted is None else local_features(image.pixels, wanted)
+        wanted = self.recipe.parameters
+        if wanted.local_features is None:
+            return None
+        side, equalised = wanted.local_features_side, wanted.local_features_equalised
+        return local_features(image.pixels, wanted.local_features, side, equalised)
 
     def describe(self, image: Image, field: PixelField, found: LocalFeatures | None) -> Description:
         """The description of an image by the recipe; `found` are the local features from `keypoints`.

@@ -1,4 +1,4 @@
-"""Keypoints of an image for geometric verification: SIFT on the equalised luminance, descriptors of 48 bytes."""
+"""Keypoints of an image for geometric verification: SIFT on the luminance, descriptors of 48 bytes."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,8 +15,11 @@ from worker.method.unit_length import unit
 LONGER_SIDE = 320
 """Pixels to which the longer side is scaled, up or down: the time of SIFT grows with the area."""
 
-CONTRAST = 0.01
+CONTRAST = 0.003
 """SIFT's contrast threshold (OpenCV's default of 0.04 leaves dark rooms without keypoints)."""
+
+CONTRAST_EQUALISED = 0.01
+"""The same where contrast was equalised."""
 
 CLIP_LIMIT = 2.0
 """Of CLAHE in 8 x 8 tiles, which equalises contrast before SIFT."""
@@ -25,7 +28,9 @@ PROJECTION = Path(__file__).with_name("rootsift_projection.npz")
 """Mean and first 48 principal directions of RootSIFT on many images (`training.commands.fit_rootsift_projection`)."""
 
 
-def local_features(pixels: Bytes2D, keypoints: int) -> LocalFeatures:
+def local_features(
+    pixels: Bytes2D, keypoints: int, longer_side: int = LONGER_SIDE, equalised: bool = True
+) -> LocalFeatures:
     """The strongest keypoints of an image.
 
     Parameters
@@ -34,6 +39,10 @@ def local_features(pixels: Bytes2D, keypoints: int) -> LocalFeatures:
         RGB.
     keypoints : int
         Number kept at most.
+    longer_side : int
+        Pixels to which the longer side is scaled, up or down.
+    equalised : bool
+        Whether contrast is equalised first (CLAHE): more keypoints in dark parts, fewer that are found again.
 
     Returns
     -------
@@ -44,21 +53,19 @@ def local_features(pixels: Bytes2D, keypoints: int) -> LocalFeatures:
     -----
     SIFT: Lowe 2004. RootSIFT (L1, then square root): Arandjelovic and Zisserman 2012. Deterministic.
     """
-    positions, descriptors = root_descriptors(pixels, keypoints)
+    positions, descriptors = root_descriptors(pixels, keypoints, longer_side, equalised=equalised)
     return LocalFeatures(positions, reduce(descriptors))
 
 
 def root_descriptors(
-    pixels: Bytes2D, keypoints: int, longer_side: int = LONGER_SIDE, upright: bool = False
+    pixels: Bytes2D, keypoints: int, longer_side: int = LONGER_SIDE, upright: bool = False, equalised: bool = True
 ) -> tuple[Floats, Floats]:
     """Keypoints before reduction.
 
     Parameters
     ----------
-    pixels, keypoints
+    pixels, keypoints, longer_side, equalised
         As of `local_features`.
-    longer_side : int
-        Pixels to which the longer side is scaled.
     upright : bool
         Describe every keypoint along the image's axes instead of its own direction.
 
@@ -68,8 +75,11 @@ def root_descriptors(
     descriptors : float32 of shape (n, 128)
         RootSIFT, unit length, non-negative.
     """
-    image = _evened(pixels, longer_side)
-    sift = cv2.SIFT_create(nfeatures=max(1, keypoints), contrastThreshold=CONTRAST)
+    image = _luminance(pixels, longer_side)
+    if equalised:
+        image = cv2.createCLAHE(CLIP_LIMIT, (8, 8)).apply(image)
+    threshold = CONTRAST_EQUALISED if equalised else CONTRAST
+    sift = cv2.SIFT_create(nfeatures=max(1, keypoints), contrastThreshold=threshold)
     if upright:
         found, descriptors = sift.compute(image, _turned_up(sift.detect(image, None)))
     else:
@@ -115,12 +125,11 @@ def _turned_up(found: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
     return list(spots.values())
 
 
-def _evened(pixels: Bytes2D, longer_side: int) -> Bytes2D:
-    """Luminance with its longer side at so many pixels, contrast equalised, uint8 (height, width)."""
+def _luminance(pixels: Bytes2D, longer_side: int) -> Bytes2D:
+    """Luminance with its longer side at so many pixels, uint8 (height, width)."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
     scale = longer_side / max(height, width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    evened: Bytes2D = cv2.createCLAHE(CLIP_LIMIT, (8, 8)).apply(grey)
-    return evened
+    resized: Bytes2D = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    return resized

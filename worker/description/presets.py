@@ -97,6 +97,7 @@ _DEFAULT = DescriptionParameters(
     dense=CellGrid(rows=16, columns=28, dimensions=32, channel_weights={SEMANTIC: 0.35, DETAIL: 0.65}),
     graph=GraphNodes(min_region_cells=8),
     local_features=300,
+    local_features_equalised=False,
 )
 
 _DEFAULT_RANKING = RankingConfig(
