@@ -27,6 +27,7 @@ from tests.sample_images import photo
 from tests.stories.running import RunningService
 
 JPEG = {"content-type": "image/jpeg"}
+apart = pytest.mark.one_database("events leave the memory of a service, and no row is read")
 SECRET = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
 SOON = (0.05, 0.05)
 EVERYTHING = ("matched", "no_match", "look-alike")
@@ -105,6 +106,7 @@ def settled(outcomes: list[str], count: int) -> list[str]:
     return outcomes
 
 
+@apart
 def test_the_signature_is_that_of_the_standard() -> None:
     """The example of the specification's own libraries."""
     said = signature(SECRET, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}')
@@ -139,6 +141,7 @@ def test_a_query_is_told_and_can_be_verified(tmp_path: Path) -> None:
     assert SECRET not in "".join(service.output)
 
 
+@apart
 def test_only_what_is_wanted_is_told() -> None:
     with receiving() as app, telling(app.url, ("look-alike",)) as (hooks, _):
         hooks.tell(answer("a"))
@@ -150,6 +153,7 @@ def test_only_what_is_wanted_is_told() -> None:
     assert told["data"]["rival"] == {"map": "floor2", "place": "lift", "view": "r1"}
 
 
+@apart
 def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
     with receiving(503, 429) as app, telling(app.url) as (hooks, outcomes):
         hooks.tell(answer("first"))
@@ -163,6 +167,7 @@ def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
     assert [len(of) for of in bodies.values()] == [1, 1]  # the same message each time
 
 
+@apart
 def test_an_answer_that_never_ends_holds_nothing_up() -> None:
     ended = threading.Event()
 
@@ -192,6 +197,7 @@ def test_an_answer_that_never_ends_holds_nothing_up() -> None:
             thread.join()
 
 
+@apart
 @pytest.mark.parametrize(
     ("statuses", "outcome", "attempts"), [((410,), "refused", 1), ((302,), "refused", 1), ((500,) * 3, "given_up", 3)]
 )
@@ -205,6 +211,7 @@ def test_what_is_refused_or_never_taken_is_said(
     assert f"webhook lost is lost: answered {statuses[-1]} to attempt {attempts}" in caplog.text
 
 
+@apart
 def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -225,6 +232,7 @@ def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
     assert "more than 50 wait" in caplog.text
 
 
+@apart
 @pytest.mark.parametrize("url", ["http://a..b/hook", "http://xn--/hook", "http://\u202e/hook", "http://[::1/hook"])
 def test_an_address_that_cannot_be_one_is_given_up_and_the_next_event_is_tried(url: str) -> None:
     """Settings refuse most of these; none of them may end the thread that sends."""
@@ -234,6 +242,7 @@ def test_an_address_that_cannot_be_one_is_given_up_and_the_next_event_is_tried(u
         assert settled(outcomes, 2) == ["given_up", "given_up"]
 
 
+@apart
 @pytest.mark.parametrize(
     ("setting", "value"),
     [

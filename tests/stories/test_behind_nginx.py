@@ -18,6 +18,8 @@ import pytest
 from tests.sample_images import photo
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("a proxy speaks HTTP")
+
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 JPEG, PNG = {"content-type": "image/jpeg"}, {"content-type": "image/png"}
 PASSWORD = ("robot", "secret")

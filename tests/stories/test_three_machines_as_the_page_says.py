@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
+import pytest
 
 from tests.sample_images import photo
 from tests.storage.databases import postgres_schema
@@ -17,6 +18,8 @@ from tests.stories.fleets import JPEG, until
 from tests.stories.importing import ZIP, ended, photos, zipped
 from tests.stories.running import ROOT, RunningService, worker
 from tests.stories.test_behind_nginx import free_port, nginx
+
+pytestmark = pytest.mark.one_database("it has databases of its own")
 
 PAGE = (ROOT / "docs" / "operations.md").read_text()
 BALANCER = (ROOT / "deploy" / "fleet" / "nginx.conf").read_text()
