@@ -55,7 +55,7 @@ def test_whatever_is_waited_for_and_mounted_is_there(compose: dict[str, Any]) ->
         assert set(service.get("depends_on", ())) <= set(services)
         for volume in service.get("volumes", ()):
             source, _, target = volume.partition(":")
-            if source.startswith("./"):
+            if source.startswith("."):
                 assert (FLEET / source).is_file()
             elif target:
                 assert source in volumes

@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 
 import httpx
 
+from app.http.deadline import Deadline
 from app.http.query_events import PATIENCE_S, WAITING, Outcome, event, kind_of
 from schemas.settings import Settings
 from schemas.wire import QueryAnswer
@@ -30,6 +31,7 @@ DELAYS_S = (5.0, 30.0, 120.0, 600.0, 1800.0)
 """Seconds before each further attempt, give or take a tenth."""
 
 TIMEOUT_S = 10.0
+"""Of an attempt, from the first byte of the connection to the end of the answer's headers."""
 
 PREFIX = "whsec_"
 """Of a secret that is base64."""
@@ -72,6 +74,7 @@ class Webhooks:
         self._number = 0
         self._ends_at: float | None = None
         self._thread: threading.Thread | None = None
+        self._deadline = Deadline()
         self._count: Callable[[Outcome], None] = lambda outcome: None
 
     @classmethod
@@ -116,6 +119,7 @@ class Webhooks:
         with self._lock:
             self._ends_at = time.monotonic() + patience_s
             self._changed.set()
+        self._deadline.hurry(patience_s)
         if self._thread is not None:
             self._thread.join(patience_s + 1)
         with self._lock:
@@ -160,11 +164,18 @@ class Webhooks:
         if self._secret is not None:
             headers["webhook-signature"] = signature(self._secret, one.id, sent_at, one.body)
         timeout = TIMEOUT_S if self._ends_at is None else max(0.1, self._ends_at - time.monotonic())
+        traced = {"trace": self._deadline.trace}
         try:
-            with client.stream("POST", self._url, content=one.body, headers=headers, timeout=timeout) as answer:
+            with (
+                self._deadline.within(timeout),
+                client.stream(
+                    "POST", self._url, content=one.body, headers=headers, timeout=timeout, extensions=traced
+                ) as answer,
+            ):
                 pass  # what follows the status is not read: it may never end
         except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:  # UnicodeError: a host that cannot be named
-            return _Failure(f"{type(error).__name__} after attempt {one.attempts}")
+            why = "no whole answer in time" if self._deadline.is_over else type(error).__name__
+            return _Failure(f"{why} after attempt {one.attempts}")
         if answer.is_success:
             return None
         final = answer.status_code < 500 and answer.status_code not in AGAIN

@@ -318,6 +318,19 @@ def test_a_database_that_cannot_search_vectors_is_refused_in_words() -> None:
         open_store(sqlite_url(folder), folder, index="pgvector")
 
 
+def test_a_schema_beside_that_of_the_extension_has_tables_of_its_own(url: str, nodes: tuple[Node, Node, Node]) -> None:
+    public, alone = sa.make_url(url).difference_update_query(["options"]), {"poolclass": sa.NullPool}
+    engine = sa.create_engine(public, isolation_level="AUTOCOMMIT", **alone)
+    schema = str(sa.make_url(url).query["options"]).partition("=")[2]
+    with engine.connect() as connection, postgres_schema() as other, data_folder() as folder:
+        connection.execute(sa.text(f"ALTER EXTENSION vector SET SCHEMA {schema}"))
+        try:
+            with closing(Node(other, folder, "pgvector").store), sa.create_engine(other, **alone).connect() as seeing:
+                assert sa.inspect(seeing).has_table(SEARCHED_VECTORS.name)
+        finally:
+            connection.execute(sa.text("ALTER EXTENSION vector SET SCHEMA public"))
+
+
 def test_a_server_without_the_extension_is_refused_in_words(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.storage.vector_tables.EXTENSION", "vector_of_another_name")
     with data_folder() as folder, pytest.raises(SetupError, match=r"does not offer the extension pgvector; install"):

@@ -1,4 +1,4 @@
-"""Stories that are told on both databases."""
+"""Stories are told on both databases, unless they are marked ``one_database`` with the reason."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -9,44 +9,34 @@ import pytest
 from tests.storage.databases import DATABASES, postgres_schema
 from tests.stories import running
 
-ON_BOTH = (
-    "test_a_map_that_keeps_no_images",
-    "test_a_part_of_a_map_is_searched",
-    "test_a_recording_is_imported",
-    "test_a_stop_answers_every_caller",
-    "test_an_app_is_told_what_queries_found",
-    "test_an_app_that_speaks_compreface",
-    "test_an_enrolment_tells_what_it_resembles",
-    "test_nobody_waits_without_end",
-    "test_several_maps_give_one_verdict",
-    "test_the_clock_goes_back",
-)
-"""Of the others some are about the disk or the file of SQLite, some have a database of their own, some never store."""
+SQLITE, POSTGRESQL = DATABASES
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Tell these stories once for each database."""
-    if metafunc.module.__name__.rpartition(".")[2] in ON_BOTH:
-        metafunc.parametrize("database", DATABASES, indirect=True, scope="module")
+    """Tell a story once for each database."""
+    marks = [*metafunc.definition.iter_markers("one_database")]
+    assert all(mark.args and str(mark.args[0]).strip() for mark in marks), f"{metafunc.definition.nodeid}: say why"
+    metafunc.parametrize("database", (SQLITE,) if marks else DATABASES, indirect=True, scope="module")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def database(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Where the services of a story keep their rows; a service that a whole module shares asks for it."""
-    kind = str(getattr(request, "param", "sqlite"))
-    if kind == "sqlite":
-        yield kind
-        return
+    """Where the services of a story keep their rows; a fixture that a whole module shares asks for it."""
+    kind, failed = str(request.param), request.session.testsfailed
+    rows: dict[Path, str] = {}
+    in_the_folder = running.rows_of
     with ExitStack() as schemas:
-        urls: dict[Path, str] = {}
 
         def url_of(data: Path) -> str:
-            if data not in urls:
-                urls[data] = schemas.enter_context(postgres_schema())
-            return urls[data]
+            if data not in rows:
+                rows[data] = schemas.enter_context(postgres_schema())
+            return rows[data]
 
-        running.rows_of = url_of
+        if kind == POSTGRESQL:
+            running.rows_of = url_of
         try:
             yield kind
         finally:
-            running.rows_of = None
+            running.rows_of = in_the_folder
+    if kind == POSTGRESQL and request.session.testsfailed == failed:
+        assert rows, f"{request.module.__name__} stores nothing in the database that it is given: mark it one_database"

@@ -6,12 +6,16 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
+from typing import Any
 
 import httpx
+
+from schemas.settings import Settings
+from tests.stories.warm import Forked, can_be_forked
 
 ROOT = Path(__file__).resolve().parents[2]
 LINES = 200
@@ -20,16 +24,39 @@ LINES = 200
 START_S = 120
 
 rows_of: Callable[[Path], str] | None = None
-"""From a data folder to the URL of its database, unless a story says where rows lie; None: SQLite. See conftest.py."""
+"""From a data folder to the URL of its database; None: SQLite in the folder. conftest.py sets it for each story."""
 
 
-def _settings(data: Path, environment: dict[str, str]) -> dict[str, str]:
+def settings(data: Path, **said: Any) -> Settings:
+    """Settings of a service inside the test, whose rows lie where `rows_of` says, with the encoder without weights."""
+    database = None if rows_of is None else rows_of(data)
+    return Settings.model_validate({"data": data, "database": database, "encoder": "color", "threads": 1, **said})
+
+
+def variables(data: Path, environment: Mapping[str, str] = MappingProxyType({})) -> dict[str, str]:
     """Variables of a process that needs no weights; `environment` goes before them."""
     ours = {"REVISIT_DATA": str(data), "REVISIT_ENCODER": "color", "REVISIT_THREADS": "1"}
     if rows_of is not None and "REVISIT_DATABASE" not in environment:
         ours["REVISIT_DATABASE"] = rows_of(data)
     clean = {k: v for k, v in os.environ.items() if not k.startswith("REVISIT_")}
-    return clean | ours | environment
+    return {**clean, **ours, **environment}
+
+
+def _started(
+    command: str, data: Path, environment: Mapping[str, str], within: tuple[str, ...] = ()
+) -> "Forked | subprocess.Popen[str]":
+    """A process of `revisit`, all that it says in one stream."""
+    whole = variables(data, environment)
+    if not within and can_be_forked(environment):
+        return Forked(command, whole)
+    return subprocess.Popen(
+        [*within, sys.executable, "-m", "app.cli", command],
+        cwd=ROOT,
+        env=whole,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
 
 
 class RunningService:
@@ -51,14 +78,7 @@ class RunningService:
 
     def __init__(self, data: Path, ready: bool = True, /, **environment: str) -> None:
         self.data = data
-        self._process = subprocess.Popen(
-            [*self.within, sys.executable, "-m", "app.cli", self.command],
-            cwd=ROOT,
-            env=_settings(data, {"REVISIT_PORT": "0", **environment}),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        self._process = _started(self.command, data, {"REVISIT_PORT": "0", **environment}, self.within)
         self.output: list[str] = []
         self._address = threading.Event()
         self.url = ""
@@ -145,21 +165,29 @@ class RunningEncoder(RunningService):
 
 
 @contextmanager
-def worker(data: Path, /, *within: str, **environment: str) -> Iterator["subprocess.Popen[str]"]:
+def worker(data: Path, /, *within: str, **environment: str) -> Iterator["Forked | subprocess.Popen[str]"]:
     """`revisit worker` on a data folder, with the encoder that needs no weights; `within`: what runs the command."""
-    process = subprocess.Popen(
-        [*within, sys.executable, "-m", "app.cli", "worker"],
-        cwd=ROOT,
-        env=_settings(data, environment),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    process = _started("worker", data, environment, within)
+    said: list[str] = []
+    described = threading.Event()
+
+    def read() -> None:  # to the end: a full pipe would stop it
         assert process.stdout is not None
-        assert "describes" in process.stdout.readline()
+        for line in process.stdout:
+            said.append(line)
+            if "describes" in line:
+                described.set()
+        described.set()
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    try:
+        assert described.wait(START_S), "".join(said)
+        assert process.poll() is None, "".join(said)
         yield process
     finally:
         process.kill()
         process.wait()
+        reader.join(5)
         assert process.stdout is not None
         process.stdout.close()

@@ -8,8 +8,8 @@ import sqlalchemy as sa
 
 from scenes import scene
 from schemas.records import Filters, ViewAttributes
-from schemas.settings import Settings
 from tests.stories.photos import photo
+from tests.stories.running import settings
 from worker.runtime import build
 from worker.storage.tables import CELLS
 
@@ -17,7 +17,7 @@ from worker.storage.tables import CELLS
 def test_a_damaged_view_is_named_described_again_and_then_compared(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    runtime = build(settings(tmp_path, compare=False))
     runtime.start()
     try:
         for town in ("whole", "damaged"):
@@ -25,7 +25,7 @@ def test_a_damaged_view_is_named_described_again_and_then_compared(
                 look = photo(scene(name))
                 runtime.services.enroll.enroll(look, town, ViewAttributes(place=name), patience_s=60)
         seq = runtime.store.views.list("damaged", Filters())[0][0].seq
-        with sa.create_engine(f"sqlite:///{tmp_path / 'revisit.db'}").begin() as connection:
+        with runtime.store._database.engine.begin() as connection:
             connection.execute(sa.update(CELLS).where(CELLS.c.seq == seq).values(body=b"not cells"))
 
         with caplog.at_level(logging.ERROR):

@@ -18,6 +18,8 @@ from tests.storage.databases import PostgresServer
 from tests.stories.fleets import Ledger, until
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("it has databases of its own")
+
 USER = "pgserver" if os.geteuid() == 0 else None
 """The server refuses to run as root; the package that brings one makes this user."""
 

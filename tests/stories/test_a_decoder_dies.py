@@ -7,9 +7,12 @@ import threading
 from pathlib import Path
 
 import httpx
+import pytest
 
 from tests.sample_images import photo
 from tests.stories.running import RunningService
+
+pytestmark = pytest.mark.one_database("what dies decodes, and stores nothing")
 
 
 def decoders_of(service: RunningService) -> list[int]:

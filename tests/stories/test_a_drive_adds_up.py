@@ -13,6 +13,8 @@ from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.runtime import build
 
+pytestmark = pytest.mark.one_database("drives are kept in the memory of the service")
+
 JPEG = {"content-type": "image/jpeg"}
 STREET = [0.0, 3.0, 6.0, 9.0, 12.0, 15.0]
 

@@ -17,6 +17,8 @@ from tests.storage.databases import postgres_schema
 from tests.storage.object_store import ObjectStore
 from tests.stories.running import RunningService, worker
 
+pytestmark = pytest.mark.one_database("it has databases of its own")
+
 JPEG = {"content-type": "image/jpeg"}
 LEASE_S = 2.0
 

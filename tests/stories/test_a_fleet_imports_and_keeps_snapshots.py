@@ -16,6 +16,8 @@ from tests.stories.importing import ZIP, ended, photos, zipped
 from tests.stories.running import RunningService, worker
 from worker.storage.snapshot_files import SnapshotReader
 
+pytestmark = pytest.mark.one_database("it has databases of its own")
+
 JPEG = {"content-type": "image/jpeg"}
 IMAGES = 150
 

@@ -25,6 +25,8 @@ from schemas.wire import QueryAnswer
 from tests.sample_images import photo
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("events leave a process that serves, and are stored nowhere")
+
 JPEG = {"content-type": "image/jpeg"}
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 broker_needed = pytest.mark.skipif(MOSQUITTO is None, reason="needs mosquitto: apt-get install mosquitto")

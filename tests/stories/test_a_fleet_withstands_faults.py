@@ -28,6 +28,8 @@ from tests.stories.fleets import JPEG, Ledger, found, nodes, until
 from tests.stories.running import ROOT, RunningService, worker
 from worker.storage.again import JITTER, PAUSES_S
 
+pytestmark = pytest.mark.one_database("it has databases of its own")
+
 LEASE_S = "2"
 
 AWAY_S = 2 * sum(PAUSES_S) * (1 + JITTER)

@@ -9,16 +9,16 @@ import pytest
 
 from schemas.imports import ImportOptions
 from schemas.records import ViewAttributes
-from schemas.settings import Settings
 from tests.sample_images import photo
 from tests.stories.importing import photos, zipped
+from tests.stories.running import settings
 from worker.runtime import build
 
 PATIENCE_S = 60
 
 
 def test_a_portion_of_comparisons_ends_when_a_job_waits(tmp_path: Path) -> None:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    runtime = build(settings(tmp_path, compare=False))
     runtime.start()
     try:
         for number in range(5):
@@ -51,7 +51,7 @@ def test_an_import_ends_the_rest_between_comparisons(tmp_path: Path, monkeypatch
         return True
 
     monkeypatch.setattr("worker.runtime.idle_work", lambda *_: compare)
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     runtime.start()
     try:
         assert resting.wait(PATIENCE_S)

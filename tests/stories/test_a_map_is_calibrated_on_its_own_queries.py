@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -17,9 +17,9 @@ PLACES, LONE = 8, 8
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
+def client(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[CheckedClient]:
     data = tmp_path_factory.mktemp("data")
-    runtime = build(Settings(data=data, encoder="color", threads=1, compare=False))
+    runtime = build(settings(data, compare=False))
     with CheckedClient(create_app(runtime)) as opened:
         yield opened
 

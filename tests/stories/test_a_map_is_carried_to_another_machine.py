@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -19,8 +19,8 @@ TAR = {"content-type": "application/x-tar"}
 
 
 @contextmanager
-def service(data: Path, **settings: Any) -> Iterator[CheckedClient]:
-    runtime = build(Settings(data=data, encoder="color", threads=1, **settings))
+def service(data: Path, **said: Any) -> Iterator[CheckedClient]:
+    runtime = build(settings(data, **said))
     with CheckedClient(create_app(runtime)) as client:
         yield client
 

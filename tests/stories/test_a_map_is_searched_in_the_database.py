@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 from revisit_client import Revisit
 
 from tests.sample_images import photo
 from tests.storage.databases import postgres_schema
 from tests.stories.running import RunningService
+
+pytestmark = pytest.mark.one_database("it has databases of its own")
 
 JPEG = {"content-type": "image/jpeg"}
 

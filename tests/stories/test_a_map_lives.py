@@ -19,6 +19,8 @@ from tests.storage.databases import postgres_schema
 from tests.stories.importing import ZIP, ended, zipped
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("it has databases of its own")
+
 JPEG = {"content-type": "image/jpeg"}
 TAR = {"content-type": "application/x-tar"}
 STOPS = 16

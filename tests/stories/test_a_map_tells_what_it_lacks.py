@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.running import settings
 from worker.runtime import Runtime, build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -40,7 +40,7 @@ class Site:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[Site]:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    runtime = build(settings(tmp_path, compare=False))
     with CheckedClient(create_app(runtime)) as client:
         yield Site(runtime, client)
 

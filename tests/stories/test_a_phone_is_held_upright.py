@@ -13,6 +13,8 @@ from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg
 from worker.runtime import build
 
+pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
+
 NAMES = ("mill lane", "the green", "school hill", "chapel row")
 
 

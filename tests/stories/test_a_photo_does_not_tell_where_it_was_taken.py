@@ -17,6 +17,8 @@ from tests.stories.running import RunningService
 from worker.images import stripping
 from worker.runtime import build
 
+pytestmark = pytest.mark.one_database("images lie in a folder, whatever the database is")
+
 SECRET = b"<script>of my garden</script>"
 
 

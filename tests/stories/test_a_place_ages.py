@@ -3,9 +3,11 @@
 import hashlib
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
 
@@ -14,9 +16,9 @@ from scenes import scene
 from schemas.ageing import DayScore
 from schemas.image import ImageFacts
 from schemas.records import Position, ViewAttributes
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
+from tests.stories.running import settings
 from worker.runtime import Runtime, build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -28,51 +30,65 @@ LOWER = [score - 0.2 * (i > 6) for i, score in enumerate(STEADY)]
 
 
 class Town:
-    """A service with the map ``town``: six places by day, each with a position, enrolled a year ago."""
+    """A map of six places by day, each with a position, enrolled a year ago; and its service."""
 
-    def __init__(self, runtime: Runtime, client: CheckedClient) -> None:
-        self.runtime, self.client = runtime, client
+    def __init__(self, runtime: Runtime, client: CheckedClient, name: str) -> None:
+        self.runtime, self.client, self.name = runtime, client, name
+        self.path = f"/maps/{name}"
+
+    def enrol(self) -> None:
         long_ago = NOW - timedelta(days=365)
         for number, name in enumerate(PLACES):
             given = ViewAttributes(name, Position(x=100.0 * number, y=1.0))
             for turn in (0, 6):
                 body = photo(scene(name).seen_from(turn=turn))
                 facts = ImageFacts(480, 360, len(body), "jpeg", hashlib.sha256(body).hexdigest())
-                runtime.store.enrolment.submit("town", body, facts, given, runtime.default_recipe, long_ago)
-        assert runtime.loop is not None
-        runtime.loop.wake()
+                self.runtime.store.enrolment.submit(
+                    self.name, body, facts, given, self.runtime.default_recipe, long_ago
+                )
+        assert self.runtime.loop is not None
+        self.runtime.loop.wake()
         self.settle()
-        self.keep(50)
+
+    def snapshot(self) -> bytes:
+        """The map as a file."""
+        job = self.client.post(f"{self.path}/snapshots").json()
+        until = time.monotonic() + 60
+        while job["state"] in ("waiting", "running"):
+            assert time.monotonic() < until
+            time.sleep(0.02)
+            job = self.client.get(f"/jobs/{job['id']}").json()
+        return bytes(self.client.get(f"/snapshots/{job['result']['snapshot']}").content)
 
     def settle(self) -> None:
         """Wait until all views are described."""
         until = time.monotonic() + 60
-        while self.client.get("/maps/town").json()["views"]["pending"]:
+        while self.client.get(self.path).json()["views"]["pending"]:
             assert time.monotonic() < until
             time.sleep(0.05)
 
     def keep(self, count: int) -> None:
-        assert self.client.patch("/maps/town", json={"keep_matches": count}).status_code == 200
+        assert self.client.patch(self.path, json={"keep_matches": count}).status_code == 200
 
     def view(self, name: str) -> Any:
         """The first view of a place."""
-        return self.client.get("/views", params={"map": "town", "place": name}).json()["views"][0]
+        return self.client.get("/views", params={"map": self.name, "place": name}).json()["views"][0]
 
     def matched(self, name: str, scores: Sequence[float]) -> None:
         """Let a place have been matched with these scores, every third day up to yesterday."""
         store, last = self.runtime.store, NOW.date() - timedelta(days=1)
         days = [DayScore(last - timedelta(days=3 * i), 2, 2 * score) for i, score in enumerate(reversed(scores))]
         seq = store.views.get(self.view(name)["id"]).seq
-        store.day_scores.add("town", store.maps.get("town").recipe, {seq: days})
+        store.day_scores.add(self.name, store.maps.get(self.name).recipe, {seq: days})
 
     def at_night(self, name: str, dx: float, **given: Any) -> Any:
         image = photo(scene(name).at("night").seen_from(dx=dx, turn=3))
-        answer = self.client.post("/query", params={"map": "town", **given}, content=image, headers=JPEG).json()
+        answer = self.client.post("/query", params={"map": self.name, **given}, content=image, headers=JPEG).json()
         assert (answer["status"], answer["places"][0]["place"]) == ("matched", name)
         return answer
 
     def health(self, **params: Any) -> Any:
-        answer = self.client.get("/maps/town/health", params=params)
+        answer = self.client.get(f"{self.path}/health", params=params)
         assert answer.status_code == 200, answer.text
         return answer.json()
 
@@ -80,11 +96,42 @@ class Town:
         return self.health(code="ageing")["findings"]
 
 
-@pytest.fixture
-def town(tmp_path: Path) -> Iterator[Town]:
-    runtime = build(Settings(data=tmp_path, encoder="compact", threads=1, compare=False, decoders=0))
+@contextmanager
+def service(data: Path) -> Iterator[tuple[Runtime, CheckedClient]]:
+    runtime = build(settings(data, encoder="compact", compare=False, decoders=0))
     with CheckedClient(create_app(runtime)) as client:
-        yield Town(runtime, client)
+        yield runtime, client
+
+
+def restored(running: tuple[Runtime, CheckedClient], snapshot: bytes, name: str) -> Town:
+    """A map of a snapshot, under a name of its own: nothing is described again."""
+    town = Town(*running, name)
+    answer = town.client.post(
+        "/restore", params={"as": name}, content=snapshot, headers={"content-type": "application/x-tar"}
+    )
+    assert answer.status_code == 201, answer.text
+    town.keep(50)
+    return town
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[tuple[Runtime, CheckedClient]]:
+    with service(tmp_path_factory.mktemp("town")) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def snapshot(running: tuple[Runtime, CheckedClient]) -> bytes:
+    town = Town(*running, "town")
+    town.enrol()
+    return town.snapshot()
+
+
+@pytest.fixture
+def town(running: tuple[Runtime, CheckedClient], snapshot: bytes) -> Iterator[Town]:
+    town = restored(running, snapshot, f"town-{uuid4().hex}")
+    yield town
+    town.client.delete(town.path)
 
 
 def test_a_place_whose_scores_fall_is_told_with_the_photo_that_refreshes_it(town: Town) -> None:
@@ -104,17 +151,17 @@ def test_a_place_whose_scores_fall_is_told_with_the_photo_that_refreshes_it(town
     assert scores["now"] == pytest.approx(0.6, abs=0.02)
     assert first < 0.7
     assert found["detail"].startswith("'station road' scores less than it did: 0.90 on the first 7 days")
-    [proposal] = town.client.get("/maps/town/proposals").json()["proposals"]
+    [proposal] = town.client.get(f"{town.path}/proposals").json()["proposals"]
     assert found["proposal"] == proposal["id"]
     assert "--unconfirmed" in found["remedy"]
 
     town.at_night("station road", 0.5)
     [found] = town.ageing()
-    assert f"POST /maps/town/proposals/{proposal['id']}" in found["remedy"]
+    assert f"POST {town.path}/proposals/{proposal['id']}" in found["remedy"]
     assert "2 agree" in found["remedy"]
     assert town.health()["counts"]["ageing"] == 1
 
-    taken = town.client.post(f"/maps/town/proposals/{proposal['id']}", json={"views": 1})
+    taken = town.client.post(f"{town.path}/proposals/{proposal['id']}", json={"views": 1})
     assert taken.status_code == 200, taken.text
     town.settle()
     assert town.ageing() == []  # refreshed: what its newest days say is of before
@@ -127,7 +174,7 @@ def test_what_is_enrolled_now_stands_where_no_photo_was_kept(town: Town) -> None
     assert found["proposal"] is None
     assert found["remedy"] == "enrol a photo of it as it looks now, with the place 'rose garden'"
     image = photo(scene("rose garden").at("dusk").seen_from())
-    given = {"map": "town", "place": "rose garden", "x": 200.0, "y": 1.0}
+    given = {"map": town.name, "place": "rose garden", "x": 200.0, "y": 1.0}
     assert town.client.post("/enroll", params=given, content=image, headers=JPEG).status_code == 201
     assert town.ageing() == []
 
@@ -144,7 +191,7 @@ def test_places_that_fall_together_are_one_finding_of_the_map(town: Town) -> Non
 def test_other_scores_begin_anew(town: Town) -> None:
     town.matched("old harbour", [*FALLEN, 0.58])
     assert len(town.ageing()) == 1
-    assert town.client.patch("/maps/town", json={"ranking": {"candidates": 33}}).status_code == 200
+    assert town.client.patch(town.path, json={"ranking": {"candidates": 33}}).status_code == 200
     assert town.ageing() == []
     town.matched("old harbour", [0.6] * 14)
     assert town.ageing() == []
@@ -154,16 +201,16 @@ def test_nothing_is_noted_unless_the_map_keeps_matches_nor_of_a_part_of_it(town:
     scores, write = town.runtime.store.day_scores, town.runtime.services.query.scores.write
     town.at_night("station road", 0.8, place="station road")
     write()
-    assert scores.of("town") == []
+    assert scores.of(town.name) == []
     town.keep(0)
     town.at_night("station road", 0.8)
     write()
-    assert scores.of("town") == []
+    assert scores.of(town.name) == []
     town.keep(50)
     answer = town.at_night("station road", 0.8)
     town.at_night("station road", 0.8)
     write()
-    [view] = scores.of("town")
+    [view] = scores.of(town.name)
     [day] = view.days
     assert (view.known.name, day.count) == ("station road", 2)
     assert day.total == pytest.approx(2 * answer["matches"][0]["score"])
@@ -171,18 +218,13 @@ def test_nothing_is_noted_unless_the_map_keeps_matches_nor_of_a_part_of_it(town:
     assert gone["scores"] == 1
 
 
-def test_scores_that_wait_are_written_at_a_stop(tmp_path: Path) -> None:
-    settings = Settings(data=tmp_path, encoder="compact", threads=1, compare=False, decoders=0)
-    runtime = build(settings)
-    with CheckedClient(create_app(runtime)) as client:
-        town = Town(runtime, client)
+def test_scores_that_wait_are_written_at_a_stop(snapshot: bytes, tmp_path: Path) -> None:
+    with service(tmp_path) as running:
+        town = restored(running, snapshot, "town")
         town.at_night("station road", 0.8)
-        assert runtime.store.day_scores.of("town") == []  # once a minute, aside of the queries
-    again = build(settings)
-    try:
+        assert town.runtime.store.day_scores.of("town") == []  # once a minute, aside of the queries
+    with service(tmp_path) as (again, _):
         assert len(again.store.day_scores.of("town")) == 1
-    finally:
-        again.stop()
 
 
 def test_a_place_that_no_query_is_matched_with_is_told_until_one_is(town: Town) -> None:
@@ -193,7 +235,7 @@ def test_a_place_that_no_query_is_matched_with_is_told_until_one_is(town: Town) 
     for name in busy:
         town.matched(name, STEADY)
     image = photo(scene("new gate").seen_from())
-    assert town.client.post("/enroll?map=town&place=new gate", content=image, headers=JPEG).status_code == 201
+    assert town.client.post(f"/enroll?map={town.name}&place=new gate", content=image, headers=JPEG).status_code == 201
 
     [found] = town.health(code="never-matched")["findings"]  # and not the place that is new
 

@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.sample_images import photo
 from tests.stories.running import RunningService
+
+pytestmark = pytest.mark.one_database("the log is the same, and one test breaks a file of SQLite")
 
 JPEG = {"content-type": "image/jpeg"}
 

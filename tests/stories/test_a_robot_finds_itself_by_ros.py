@@ -19,6 +19,8 @@ from tests.stories.photos import photo
 from tests.stories.running import RunningService
 from tests.stories.test_keys_are_made_and_revoked_while_it_runs import keys
 
+pytestmark = pytest.mark.one_database("a node speaks HTTP, as the client does")
+
 NAMES = ("mill lane", "the green", "school hill", "chapel row", "the quay", "north gate")
 
 

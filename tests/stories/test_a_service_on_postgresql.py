@@ -13,6 +13,8 @@ from tests.sample_images import photo
 from tests.storage.databases import PostgresServer, postgres_schema
 from tests.stories.running import RunningService, worker
 
+pytestmark = pytest.mark.one_database("it has databases of its own")
+
 JPEG = {"content-type": "image/jpeg"}
 PATIENCE_S = 30.0
 

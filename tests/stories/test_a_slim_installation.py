@@ -11,6 +11,8 @@ import pytest
 from tests.sample_images import photo
 from tests.stories.running import ROOT, RunningService
 
+pytestmark = pytest.mark.one_database("what an installation lacks is torch")
+
 HEADERS = {"content-type": "image/jpeg"}
 
 

@@ -18,7 +18,7 @@ MP4 = {"content-type": "video/mp4"}
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+def service(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[RunningService]:
     with RunningService(tmp_path_factory.mktemp("videos"), REVISIT_COMPARE="false") as one:
         yield one
 
@@ -121,6 +121,7 @@ def test_a_kill_in_the_middle_of_a_video_loses_nothing_and_doubles_nothing(tmp_p
         assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 60, "failed": 0}
 
 
+@pytest.mark.one_database("a decoder is stopped, not a job")
 def test_a_stop_waits_for_no_frame_that_is_far(tmp_path: Path) -> None:
     """Between the frames that are wanted, thousands are decoded."""
     body = video(tmp_path / "a.avi", frames(3, 1024) * 700, 30)

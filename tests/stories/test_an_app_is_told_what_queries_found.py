@@ -1,13 +1,18 @@
 """Webhooks: an app is told what a robot recognised, by messages that are signed, repeated and never delay a query."""
 
 import base64
+import functools
 import hashlib
 import hmac
 import json
 import logging
+import shutil
+import socket
+import ssl
+import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -27,6 +32,7 @@ from tests.sample_images import photo
 from tests.stories.running import RunningService
 
 JPEG = {"content-type": "image/jpeg"}
+apart = pytest.mark.one_database("events leave the memory of a service, and no row is read")
 SECRET = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
 SOON = (0.05, 0.05)
 EVERYTHING = ("matched", "no_match", "look-alike")
@@ -105,6 +111,7 @@ def settled(outcomes: list[str], count: int) -> list[str]:
     return outcomes
 
 
+@apart
 def test_the_signature_is_that_of_the_standard() -> None:
     """The example of the specification's own libraries."""
     said = signature(SECRET, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}')
@@ -139,6 +146,7 @@ def test_a_query_is_told_and_can_be_verified(tmp_path: Path) -> None:
     assert SECRET not in "".join(service.output)
 
 
+@apart
 def test_only_what_is_wanted_is_told() -> None:
     with receiving() as app, telling(app.url, ("look-alike",)) as (hooks, _):
         hooks.tell(answer("a"))
@@ -150,6 +158,7 @@ def test_only_what_is_wanted_is_told() -> None:
     assert told["data"]["rival"] == {"map": "floor2", "place": "lift", "view": "r1"}
 
 
+@apart
 def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
     with receiving(503, 429) as app, telling(app.url) as (hooks, outcomes):
         hooks.tell(answer("first"))
@@ -163,6 +172,7 @@ def test_what_is_not_taken_is_sent_again_and_holds_up_nothing_else() -> None:
     assert [len(of) for of in bodies.values()] == [1, 1]  # the same message each time
 
 
+@apart
 def test_an_answer_that_never_ends_holds_nothing_up() -> None:
     ended = threading.Event()
 
@@ -192,6 +202,83 @@ def test_an_answer_that_never_ends_holds_nothing_up() -> None:
             thread.join()
 
 
+@pytest.fixture(params=["http", "https"])
+def dripping(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[str, list[socket.socket]]]:
+    """Address of a receiver whose headers never end, a byte every hundredth of a second, and its connections."""
+    ended, taken, threads = threading.Event(), list[socket.socket](), list[threading.Thread]()
+    wrap: Callable[[socket.socket], socket.socket] = lambda connection: connection  # noqa: E731
+    if request.param == "https":
+        key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+        if shutil.which("openssl") is None:
+            pytest.skip("TLS IS NOT TRIED: there is no openssl to make a certificate with")
+        making = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+        naming = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost"]
+        to = ["-keyout", str(key), "-out", str(certificate)]
+        subprocess.run([*making, *naming, *to], check=True, capture_output=True)
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(certificate, key)
+        wrap = functools.partial(context.wrap_socket, server_side=True)
+
+    def drip(connection: socket.socket) -> None:
+        with suppress(OSError), wrap(connection) as speaking:
+            speaking.recv(65536)
+            speaking.sendall(b"HTTP/1.1 204 No Content\r\nX-Long: ")
+            while not ended.wait(0.01):
+                speaking.sendall(b"a")
+
+    def take() -> None:
+        with suppress(OSError):
+            while True:
+                taken.append(listening.accept()[0])
+                threads.append(threading.Thread(target=drip, args=(taken[-1],)))
+                threads[-1].start()
+
+    with socket.create_server(("localhost", 0)) as listening:
+        threads.append(threading.Thread(target=take))
+        threads[0].start()
+        yield f"{request.param}://localhost:{listening.getsockname()[1]}/hook", taken
+        ended.set()
+        listening.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join()
+
+
+@apart
+def test_headers_that_drip_and_never_end_are_broken_off_and_the_next_event_is_tried(
+    dripping: tuple[str, list[socket.socket]], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    url, taken = dripping
+    monkeypatch.setattr(webhooks, "TIMEOUT_S", 0.3)
+    began = time.monotonic()
+    with telling(url) as (hooks, outcomes):
+        hooks.tell(answer("first"))
+        hooks.tell(answer("second"))
+        assert settled(outcomes, 2) == ["given_up", "given_up"]
+    assert 6 * 0.3 <= time.monotonic() - began < 10
+    assert len(taken) == 6, "each attempt has a connection of its own, since the one before was broken off"
+    assert "webhook first is lost: no whole answer in time after attempt 3" in caplog.text
+
+
+@apart
+def test_a_stop_does_not_wait_for_headers_that_drip(dripping: tuple[str, list[socket.socket]]) -> None:
+    url, taken = dripping
+    hooks = Webhooks(url, None, ("matched",))
+    outcomes: list[str] = []
+    hooks.on_outcome(outcomes.append)
+    hooks.start()
+    hooks.tell(answer("late"))
+    while not taken:
+        time.sleep(0.01)
+    began = time.monotonic()
+    hooks.close(0.5)
+    assert time.monotonic() - began < 1.4
+    assert outcomes == ["given_up"]
+
+
+@apart
 @pytest.mark.parametrize(
     ("statuses", "outcome", "attempts"), [((410,), "refused", 1), ((302,), "refused", 1), ((500,) * 3, "given_up", 3)]
 )
@@ -205,6 +292,7 @@ def test_what_is_refused_or_never_taken_is_said(
     assert f"webhook lost is lost: answered {statuses[-1]} to attempt {attempts}" in caplog.text
 
 
+@apart
 def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -225,6 +313,7 @@ def test_a_receiver_that_is_away_delays_no_query_and_a_stop_by_seconds(
     assert "more than 50 wait" in caplog.text
 
 
+@apart
 @pytest.mark.parametrize("url", ["http://a..b/hook", "http://xn--/hook", "http://\u202e/hook", "http://[::1/hook"])
 def test_an_address_that_cannot_be_one_is_given_up_and_the_next_event_is_tried(url: str) -> None:
     """Settings refuse most of these; none of them may end the thread that sends."""
@@ -234,6 +323,7 @@ def test_an_address_that_cannot_be_one_is_given_up_and_the_next_event_is_tried(u
         assert settled(outcomes, 2) == ["given_up", "given_up"]
 
 
+@apart
 @pytest.mark.parametrize(
     ("setting", "value"),
     [

@@ -12,6 +12,8 @@ from tests.stories.photos import photo
 from tests.stories.running import ROOT, RunningService
 from tests.stories.shown import answers_of
 
+pytestmark = pytest.mark.one_database("a protocol over a query; tests/storage reads from both which views are near")
+
 NAMES = ("mill lane", "the green", "school hill", "chapel row", "the quay", "north gate")
 OSCP = {"accept": "application/vnd.oscp+json;version=2.0"}
 

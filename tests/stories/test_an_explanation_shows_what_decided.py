@@ -22,6 +22,8 @@ from worker.service.query import QueryResult
 from worker.service.results import ScoredView
 from worker.service.sheets import cells_of, name_of, sheet
 
+pytestmark = pytest.mark.one_database("it is about what is drawn; tests/storage reads the same from both")
+
 PLACES = ("mill lane", "station road", "rose garden", "market street")
 
 

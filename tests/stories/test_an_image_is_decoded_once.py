@@ -11,8 +11,8 @@ from PIL import Image as PilImage
 from schemas.description import Description
 from schemas.image import Image
 from schemas.records import Filters, ViewAttributes
-from schemas.settings import Settings
 from tests.sample_images import drawn, encoded
+from tests.stories.running import settings
 from worker.description.presets import Wanted
 from worker.images import codec
 from worker.images.decoder import InProcessDecoder
@@ -68,7 +68,7 @@ def decoder() -> CountingDecoder:
 @pytest.fixture
 def runtime(tmp_path: Path, decoder: CountingDecoder, monkeypatch: pytest.MonkeyPatch) -> Iterator[Runtime]:
     monkeypatch.setattr("worker.runtime.make_decoder", lambda settings: decoder)
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    runtime = build(settings(tmp_path, compare=False))
     runtime.start()
     yield runtime
     runtime.stop()

@@ -9,25 +9,19 @@ import numpy as np
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
-from tests.storage.databases import postgres_schema
+from tests.stories.running import settings
 from worker.runtime import Runtime, build
 
 JPEG = {"content-type": "image/jpeg"}
 OTHER = {"labels": ["road", "sky", "building"], "dynamic": []}
 
 
-@pytest.fixture(params=["faiss", "pgvector"])
-def runtime(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runtime]:
-    """Searched in memory, and in the database."""
-    settings = Settings(data=tmp_path, encoder="color", threads=1, compare=False, index=request.param)
-    if request.param == "faiss":
-        yield build(settings)
-        return
-    with postgres_schema() as url:
-        yield build(settings.model_copy(update={"database": url}))
+@pytest.fixture
+def runtime(database: str, tmp_path: Path) -> Runtime:
+    """Searched in memory, and in PostgreSQL."""
+    return build(settings(tmp_path, compare=False, index="pgvector" if database == "postgresql" else "faiss"))
 
 
 @pytest.fixture

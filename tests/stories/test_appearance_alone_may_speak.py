@@ -15,6 +15,8 @@ from tests.stories.photos import photo
 from worker.description.presets import changed_ranking
 from worker.runtime import build
 
+pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
+
 NAMES = ("mill lane", "station road", "the green", "harbour street", "school hill", "chapel row")
 
 

@@ -1,8 +1,10 @@
 """The example configurations of nginx, run: large bodies, one form of refusals, kept connections, a dead node."""
 
 import io
+import json
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import time
@@ -15,9 +17,15 @@ import httpx
 import numpy as np
 import pytest
 
+from app.http.problems import KINDS
+from schemas.wire import Problem
 from tests.sample_images import photo
+from tests.stories.raw import Answer, answers, read_all
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("a proxy speaks HTTP")
+
+INCLUDED = "/etc/nginx/revisit-problems.conf"
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 JPEG, PNG = {"content-type": "image/jpeg"}, {"content-type": "image/png"}
 PASSWORD = ("robot", "secret")
@@ -36,6 +44,9 @@ def nginx(folder: Path, inside: str, port: int) -> Iterator[str]:
     if program is None:
         pytest.skip("NO PROXY IS TRIED: nginx is not installed (Debian: apt-get install nginx-light)")
     folder.mkdir()
+    (folder / "problems.conf").write_text((DEPLOY / "nginx-problems.conf").read_text())
+    assert INCLUDED in inside
+    inside = inside.replace(INCLUDED, str(folder / "problems.conf"))
     kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
     temporary = "".join(f"{kind}_temp_path {folder}/{kind};\n" for kind in kinds)
     (folder / "passwords").write_text(":{PLAIN}".join(PASSWORD))
@@ -58,13 +69,15 @@ def nginx(folder: Path, inside: str, port: int) -> Iterator[str]:
 
 
 @contextmanager
-def proxy(folder: Path, service_url: str, rate: int = 1000) -> Iterator[httpx.Client]:
+def proxy(folder: Path, service_url: str, rate: int = 1000, read_s: int = 130) -> Iterator[httpx.Client]:
     """A client of deploy/nginx.conf in front of a service, with what its head says stands beside the server block."""
     text = (DEPLOY / "nginx.conf").read_text()
     around = re.findall(r"^#   (.*)$", text, re.MULTILINE)
     assert around[0] == "limit_req_zone $binary_remote_addr zone=revisit:10m rate=10r/s;"
     outside = "\n".join(around).replace("127.0.0.1:8000", service_url.removeprefix("http://"))
     inside = text.replace("/etc/nginx/revisit.passwords", str(folder / "passwords"))
+    assert "proxy_read_timeout 130s;" in inside
+    inside = inside.replace("proxy_read_timeout 130s;", f"proxy_read_timeout {read_s}s;")
     port = free_port()
     server = f"server {{\nlisten 127.0.0.1:{port};\n{inside}\n}}"
     with (
@@ -84,6 +97,46 @@ def check(answer: httpx.Response, status: int, code: str) -> None:
     assert told["request_id"] == answer.headers["x-request-id"]
 
 
+def by_hand(client: httpx.Client, sent: bytes) -> Answer:
+    """The answer to bytes that no library would send."""
+    with socket.create_connection(("127.0.0.1", client.base_url.port or 80), 20) as connection:
+        connection.sendall(sent)
+        (answer,) = answers(read_all(connection))
+    return answer
+
+
+REFUSED = {
+    "a line that is no request": (b"nonsense\r\n\r\n", 400, "bad-request"),
+    "no Host": (b"GET /maps HTTP/1.1\r\n\r\n", 400, "bad-request"),
+    "another version": (b"GET /maps HTTP/4.0\r\nHost: a\r\n\r\n", 400, "bad-request"),
+    "a length that is no number": (b"POST /query HTTP/1.1\r\nHost: a\r\nContent-Length: x\r\n\r\n", 400, "bad-request"),
+    "an unknown encoding": (b"POST /query HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: gzip\r\n\r\n", 400, "bad-request"),
+    "a method that is not passed on": (
+        b"TRACE /maps HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n",
+        405,
+        "method-not-allowed",
+    ),
+    "an address of its own": (
+        b"GET /nginx-problem/forbidden HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n",
+        404,
+        "not-found",
+    ),
+    "a long address": (b"GET /" + b"a" * 40_000 + b" HTTP/1.1\r\nHost: a\r\n\r\n", 431, "headers-too-large"),
+    "a long header": (b"GET / HTTP/1.1\r\nHost: a\r\nX-A: " + b"a" * 40_000 + b"\r\n\r\n", 431, "headers-too-large"),
+}
+
+
+def test_each_refusal_of_the_proxy_is_one_that_the_service_knows() -> None:
+    text = (DEPLOY / "nginx-problems.conf").read_text()
+    written = re.findall(r"return (\d+) '(.*)';", text)
+    assert len(written) == text.count("error_page ") > 5
+    for status, body in written:
+        told = json.loads(body)
+        kind = KINDS[told["type"].removeprefix("urn:revisit:problem:")]
+        assert (int(status), told["status"], told["title"]) == (kind.status, kind.status, kind.title)
+        assert Problem.model_validate(told).detail
+
+
 def noise(side: int) -> bytes:
     """A PNG that cannot be packed: about three bytes a pixel."""
     pixels = np.random.default_rng(side).integers(0, 256, (side, side, 3), np.uint8)
@@ -92,7 +145,7 @@ def noise(side: int) -> bytes:
 
 @pytest.mark.slow
 def test_bodies_up_to_the_limit_go_through_and_all_refusals_have_one_form(tmp_path: Path) -> None:
-    with RunningService(tmp_path / "data") as service, proxy(tmp_path / "nginx", service.url) as client:
+    with RunningService(tmp_path / "data") as service, proxy(tmp_path / "nginx", service.url, read_s=5) as client:
         largest = noise(2880)
         assert 24_800_000 < len(largest) < 25_000_000
         assert client.post("/enroll", content=largest, headers=PNG).status_code == 201
@@ -110,6 +163,12 @@ def test_bodies_up_to_the_limit_go_through_and_all_refusals_have_one_form(tmp_pa
         assert refused.headers["www-authenticate"] == 'Basic realm="revisit"'
         assert client.get("/readyz", auth=None).json()["ready"]
 
+        for name, (sent, status, code) in REFUSED.items():
+            told = by_hand(client, sent)
+            assert (told.status, told.problem()) == (status, code), name
+        service.signal(signal.SIGSTOP)
+        check(client.get("/maps"), 503, "unavailable")  # it does not answer in time: nginx's 504
+        service.signal(signal.SIGCONT)
         service.kill()
         away = client.post("/query", content=photo(), headers=JPEG)
         check(away, 503, "unavailable")
@@ -179,5 +238,6 @@ def test_callers_of_a_fleet_do_not_notice_a_node_that_is_gone(tmp_path: Path) ->
             assert client.post("/query?map=default", content=photo(), headers=JPEG).status_code in (200, 404)
             assert client.get("/readyz").json()["ready"]
             check(client.post("/enroll", content=bytes(40_000_000), headers=PNG), 413, "body-too-large")
+            assert by_hand(client, REFUSED["a line that is no request"][0]).problem() == "bad-request"
             (other if mine is one else one).kill()
             check(client.get("/maps"), 503, "unavailable")

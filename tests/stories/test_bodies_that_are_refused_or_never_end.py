@@ -16,6 +16,8 @@ import pytest
 from tests.stories.raw import answers, connect, read_all, read_one, say
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("such requests never reach the database")
+
 TOO_LARGE = b"x" * 3_000_000
 HEAD_S, BODY_S = 1, 2
 

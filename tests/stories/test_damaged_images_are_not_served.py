@@ -9,9 +9,11 @@ from fastapi.testclient import TestClient
 
 from app.http.application import create_app
 from scenes import scene
-from schemas.settings import Settings
 from tests.stories.photos import photo
+from tests.stories.running import settings
 from worker.runtime import build
+
+pytestmark = pytest.mark.one_database("images lie in a folder, whatever the database is")
 
 JPEG = {"content-type": "image/jpeg"}
 NAMES = ("mill lane", "rose garden")
@@ -33,7 +35,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[TestClient]:
-    with TestClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1, compare=False)))) as client:
+    with TestClient(create_app(build(settings(tmp_path, compare=False)))) as client:
         yield client
 
 

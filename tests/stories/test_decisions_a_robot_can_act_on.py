@@ -15,6 +15,8 @@ from tests.openapi import CheckedClient
 from tests.stories.photos import jpeg, photo
 from worker.runtime import build
 
+pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
+
 JPEG = {"content-type": "image/jpeg"}
 PLACES = ("mill lane", "station road", "rose garden", "market street", "castle park", "school lane")
 PATIENCE_S = 120

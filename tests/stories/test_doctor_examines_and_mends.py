@@ -22,6 +22,8 @@ from tests.stories.running import ROOT, RunningService
 from worker.runtime import build
 from worker.storage.locks import lock_for_serving
 
+pytestmark = pytest.mark.one_database("it is about SQLite's own file; tests/storage examines rows on both")
+
 NOBODY = "http://127.0.0.1:9"
 
 

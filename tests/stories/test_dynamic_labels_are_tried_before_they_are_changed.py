@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -36,7 +36,7 @@ def shares(client: CheckedClient) -> dict[str, dict[str, float]]:
 
 @pytest.mark.parametrize("preset", ["paper", "default"])
 def test_a_preview_is_kept(tmp_path: Path, preset: str) -> None:
-    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1)))) as client:
+    with CheckedClient(create_app(build(settings(tmp_path)))) as client:
         enrolled(client, preset)
         before = shares(client)
         total = {name: sum(of.get(name, 0) for of in before.values()) for view in before.values() for name in view}
@@ -72,7 +72,7 @@ def test_a_preview_is_kept(tmp_path: Path, preset: str) -> None:
 
 
 def test_what_cannot_be_tried_is_said(tmp_path: Path) -> None:
-    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1)))) as client:
+    with CheckedClient(create_app(build(settings(tmp_path)))) as client:
         enrolled(client, "paper")
         nothing: dict[str, Any] = client.get("/maps/m/dynamic?dynamic=").json()
         assert (nothing["after"], nothing["nothing_left"], nothing["labels"], nothing["most"]) == (0, 0, [], [])

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -22,7 +22,7 @@ def street(seed: int) -> bytes:
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[CheckedClient]:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     with CheckedClient(create_app(runtime)) as client:
         yield client
 

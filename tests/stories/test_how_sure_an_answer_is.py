@@ -11,6 +11,8 @@ from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.runtime import build
 
+pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
+
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:

@@ -4,10 +4,13 @@ import time
 from pathlib import Path
 
 import httpx
+import pytest
 
 from tests.sample_images import photo
 from tests.storage.object_store import ObjectStore
 from tests.stories.running import RunningService
+
+pytestmark = pytest.mark.one_database("a fleet on PostgreSQL has its images in such a store in four other stories")
 
 JPEG = {"content-type": "image/jpeg"}
 PATIENCE_S = 30.0

@@ -1,6 +1,5 @@
 """A robot is given a key while the service runs, works with it, and loses it."""
 
-import os
 import re
 import subprocess
 import sys
@@ -12,18 +11,16 @@ from typing import Any
 import httpx
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
-from tests.stories.running import ROOT, RunningService
+from tests.stories.running import ROOT, RunningService, settings, variables
 from worker.runtime import build
 
 
 def keys(data: Path, *arguments: str) -> str:
     """Run `revisit keys` as the operator would, beside the service."""
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("REVISIT_")}
-    command = [sys.executable, "-m", "app.cli", "keys", *arguments, "--data", str(data)]
-    done = subprocess.run(command, cwd=ROOT, env=clean, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "app.cli", "keys", *arguments]
+    done = subprocess.run(command, cwd=ROOT, env=variables(data), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -76,7 +73,7 @@ def test_a_container_prints_its_first_key_once(tmp_path: Path) -> None:
 
 def test_two_tenants_of_one_service_see_nothing_of_one_another(tmp_path: Path) -> None:
     """Each with an admin key for a map of its own."""
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     with CheckedClient(create_app(runtime)) as client:
         made = {
             name: runtime.services.keys.create(name, "admin", datetime.now(UTC), maps=[name])[1]

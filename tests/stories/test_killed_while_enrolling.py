@@ -7,6 +7,10 @@ import pytest
 
 from lab.faults.kills import episode
 
+pytestmark = pytest.mark.one_database(
+    "the tables that it compares are SQLite's; fleets on PostgreSQL are killed in their stories"
+)
+
 
 @pytest.mark.parametrize(("kind", "kills"), [("serve", 8), ("worker", 5), ("switch", 4), ("migration", 10)])
 def test_nothing_acknowledged_is_lost_by_kills_at_any_moment(kind: str, kills: int, tmp_path: Path) -> None:

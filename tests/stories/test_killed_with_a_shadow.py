@@ -1,6 +1,5 @@
 """The power goes while a recipe is tried in the shadow, and again just after the map was told to change over."""
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,8 @@ from revisit_client import Revisit
 
 from scenes import scene
 from schemas.errors import NotFound
-from tests.storage.databases import postgres_schema, sqlite_url
 from tests.stories.photos import jpeg
-from tests.stories.running import RunningService
+from tests.stories.running import RunningService, settings
 from worker.storage.store import open_store
 
 PLACES = ("mill lane", "rose garden", "castle park")
@@ -28,26 +26,17 @@ def answer(service: RunningService, place: str) -> dict[str, Any]:
     return told
 
 
-@pytest.fixture(params=["faiss", "pgvector"])
-def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, str]]:
-    """Where a service keeps and searches its maps."""
-    if request.param == "faiss":
-        yield {"REVISIT_DATABASE": sqlite_url(tmp_path)}
-        return
-    with postgres_schema() as url:
-        yield {"REVISIT_DATABASE": url, "REVISIT_INDEX": "pgvector"}
-
-
-def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path, database: dict[str, str]) -> None:
-    settings = {"REVISIT_COMPARE": "false", **database}
-    with RunningService(tmp_path, True, **settings) as service, Revisit(service.url) as revisit:
+def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path, database: str) -> None:
+    """On PostgreSQL, which also searches the map."""
+    quiet = {"REVISIT_COMPARE": "false", "REVISIT_INDEX": "pgvector" if database == "postgresql" else "faiss"}
+    with RunningService(tmp_path, True, **quiet) as service, Revisit(service.url) as revisit:
         for place in PLACES:
             revisit.enroll(jpeg(scene(place).pixels), place=place)
         before = [answer(service, place) for place in PLACES]
         job = revisit.switch_recipe("default", labels=LABELS, dynamic=[], shadow=20)
         service.kill()
 
-    with RunningService(tmp_path, True, **settings) as service, Revisit(service.url) as revisit:
+    with RunningService(tmp_path, True, **quiet) as service, Revisit(service.url) as revisit:
         assert revisit.wait_for_job(job.id, timeout=60).kind == "shadow"
         assert [answer(service, place) for place in PLACES] == before
         shadow = revisit.shadow("default")
@@ -56,14 +45,14 @@ def test_a_shadow_survives_kills_and_the_switch_is_all_or_nothing(tmp_path: Path
         switched = revisit.switch_to_shadow("default")
         service.kill()
 
-    with closing(open_store(database["REVISIT_DATABASE"], tmp_path)) as store:
+    with closing(open_store(settings(tmp_path).database_url, tmp_path)) as store:
         assert store.jobs.get(switched.id).state == "done"
         assert store.maps.get("default").description.id == shadow.recipe["id"]
         assert len(store.descriptions.since("default", 0).seqs) == len(PLACES)
         with pytest.raises(NotFound):
             store.jobs.shadow("default")
 
-    with RunningService(tmp_path, True, **settings) as service:
+    with RunningService(tmp_path, True, **quiet) as service:
         answers = [answer(service, place) for place in PLACES]
     assert {told["recipe"] for told in answers} == {shadow.recipe["id"]}
     assert [told["matches"][0]["view"]["place"] for told in answers] == list(PLACES)

@@ -7,6 +7,8 @@ import pytest
 from tests.stories.raw import answers, connect, read_all, say
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("such requests never reach the database")
+
 END = b"Connection: close\r\n\r\n"
 
 REFUSED = {

@@ -12,10 +12,9 @@ import pytest
 
 from app.http.application import create_app
 from schemas.description import Description
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
-from tests.stories.running import RunningService, worker
+from tests.stories.running import RunningService, settings, worker
 from worker.description.describer import Describer
 from worker.runtime import build
 
@@ -88,7 +87,7 @@ def stuck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Che
         return describe(self, *rest)
 
     monkeypatch.setattr(Describer, "describe", slow)
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, wait=WAIT_S))
+    runtime = build(settings(tmp_path, wait=WAIT_S))
     with CheckedClient(create_app(runtime)) as client:
         yield client, runtime, go
         go.set()

@@ -20,6 +20,8 @@ from tests.stories.importing import ZIP, zipped
 from tests.stories.photos import photo
 from tests.stories.running import RunningEncoder, RunningService
 
+pytestmark = pytest.mark.one_database("the encoder is elsewhere, not the database")
+
 JPEG = {"content-type": "image/jpeg"}
 KEY = "0123456789abcdef0123456789abcdef"
 WAIT_S = 8.0

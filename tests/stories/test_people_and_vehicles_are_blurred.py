@@ -46,7 +46,7 @@ def is_seen(data: bytes) -> bool:
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory: pytest.TempPathFactory, database: str) -> Path:
     return tmp_path_factory.mktemp("shop")
 
 

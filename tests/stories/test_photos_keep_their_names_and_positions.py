@@ -8,11 +8,11 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
-from schemas.settings import Settings
 from schemas.values import LONGEST_FILE_NAME, file_name
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded, exif_of_a_phone
 from tests.stories.photos import photo
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"headers": {"content-type": "image/jpeg"}}
@@ -20,7 +20,7 @@ JPEG = {"headers": {"content-type": "image/jpeg"}}
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[CheckedClient]:
-    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1)))) as client:
+    with CheckedClient(create_app(build(settings(tmp_path)))) as client:
         yield client
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -57,9 +57,9 @@ class Town:
 
 
 @pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Town]:
+def town(tmp_path_factory: pytest.TempPathFactory, database: str) -> Iterator[Town]:
     data: Path = tmp_path_factory.mktemp("town")
-    runtime = build(Settings(data=data, encoder="compact", threads=1, compare=False, decoders=0))
+    runtime = build(settings(data, encoder="compact", compare=False, decoders=0))
     with CheckedClient(create_app(runtime)) as client:
         yield Town(client)
 

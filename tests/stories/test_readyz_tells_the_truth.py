@@ -11,9 +11,9 @@ import pytest
 
 from app.http.application import create_app
 from schemas.errors import DiskFull, SetupError
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
+from tests.stories.running import settings
 from worker.description.describers import Describers
 from worker.encoders.color import ColorEncoder
 from worker.runtime import Runtime, build
@@ -24,7 +24,7 @@ ANSWER_S, PROBES = 0.5, 3
 
 @pytest.fixture
 def runtime(tmp_path: Path) -> Runtime:
-    return build(Settings(data=tmp_path, encoder="color", threads=1))
+    return build(settings(tmp_path))
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import io
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image as PilImage
 
 from app.http.application import create_app
@@ -16,6 +17,8 @@ from worker.description.ports import Encoder, Segmenter
 from worker.encoders.choosing import make_encoder
 from worker.encoders.color import ColorEncoder
 from worker.runtime import build
+
+pytestmark = pytest.mark.one_database("it is about what is drawn")
 
 
 class StripesOfSkyAndRoad:

@@ -14,6 +14,8 @@ from scenes import scene
 from tests.stories.photos import photo
 from tests.stories.running import ROOT, RunningService
 
+pytestmark = pytest.mark.one_database("it speaks HTTP")
+
 SOURCE = ROOT / "deploy" / "cpp" / "place.cpp"
 NAMES = ("mill lane", "the green", "school hill", "chapel row", "the quay", "north gate")
 

@@ -11,6 +11,8 @@ import pytest
 
 from tests.stories.running import ROOT
 
+pytestmark = pytest.mark.one_database("a command that starts a service of its own")
+
 
 def rows(text: str) -> list[tuple[str, ...]]:
     """Rows of the tables in a text, one for each line that begins with an image's name."""

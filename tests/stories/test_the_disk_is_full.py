@@ -15,6 +15,8 @@ from tests.failing_writes import failing_writes
 from tests.sample_images import drawn, encoded
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
+
 JPEG = {"content-type": "image/jpeg"}
 ANSWER_S = 10
 DISK_MB, RESERVE_MB = 24, 4

@@ -15,6 +15,8 @@ import pytest
 from tests.sample_images import drawn, encoded
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("the disk is that of SQLite's file")
+
 JPEG = {"content-type": "image/jpeg"}
 WAIT_S = 5
 ANSWER_S = WAIT_S + 5

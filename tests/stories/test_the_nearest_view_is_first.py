@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from app.http.application import create_app
 from scenes import scene
 from schemas.recipe import RankingConfig
@@ -9,6 +11,8 @@ from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
 from worker.runtime import build
+
+pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
 
 STEPS = (0.0, 2.0, 4.0, 6.0)
 

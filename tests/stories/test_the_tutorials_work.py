@@ -11,10 +11,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
+
 from scenes import scene
 from tests.sample_images import photo as small_photo
 from tests.stories.photos import photo
 from tests.stories.running import ROOT, RunningService
+
+pytestmark = pytest.mark.one_database("they say what to type on one machine")
 
 TUTORIALS = ROOT / "docs" / "tutorials"
 NAMES = ("mill lane", "the green", "school hill", "chapel row")

@@ -12,6 +12,8 @@ from tests.otlp import collector
 from tests.sample_images import photo
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("it is about what is sent to a collector")
+
 JPEG = {"content-type": "image/jpeg"}
 TRACE, PARENT = "0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331"
 CONTAINERS_GRACE_S = 10

@@ -1,6 +1,5 @@
 """The inbox: photos of places that a map lacks come back as a short list, and the owner names each once."""
 
-import sqlite3
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
-from worker.runtime import build
+from tests.stories.running import settings
+from worker.runtime import Runtime, build
+from worker.storage.tables import KEPT_QUERIES
 
 JPEG = {"content-type": "image/jpeg"}
 KNOWN = ("mill lane", "station road", "rose garden", "market street", "castle park")
@@ -28,8 +29,8 @@ def photo(name: str, quality: int = 92) -> bytes:
 class Town:
     """A service with the map ``town`` of five places, which keeps queries."""
 
-    def __init__(self, client: CheckedClient, data: Path) -> None:
-        self.client, self.data = client, data
+    def __init__(self, client: CheckedClient, runtime: Runtime) -> None:
+        self.client, self.runtime = client, runtime
         for name in KNOWN:
             params = {"map": "town", "place": name}
             assert client.post("/enroll", params=params, content=photo(name), headers=JPEG).status_code == 201
@@ -55,9 +56,9 @@ class Town:
 
 @pytest.fixture
 def town(tmp_path: Path) -> Iterator[Town]:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1, compare=False))
+    runtime = build(settings(tmp_path, compare=False))
     with CheckedClient(create_app(runtime)) as client:
-        yield Town(client, tmp_path)
+        yield Town(client, runtime)
 
 
 def test_nothing_is_kept_unless_the_map_says_so(town: Town) -> None:
@@ -156,5 +157,5 @@ def test_the_oldest_are_dropped_and_nothing_is_left_of_a_deleted_map(town: Town)
         "snapshots": [],
         "snapshots_of_others": 0,
     }
-    with sqlite3.connect(town.data / "revisit.db") as database:
-        assert database.execute("SELECT count(*) FROM kept_queries").fetchone() == (0,)
+    with town.runtime.store._database.reading() as connection:
+        assert connection.scalar(sa.select(sa.func.count()).select_from(KEPT_QUERIES)) == 0

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import encoded
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
 
 
 def test_most_of_it_first(tmp_path: Path) -> None:
-    with CheckedClient(create_app(build(Settings(data=tmp_path, encoder="color", threads=1)))) as client:
+    with CheckedClient(create_app(build(settings(tmp_path)))) as client:
         for percent in (20, 80, 50, 0, 100):
             image = np.full((96, 128, 3), (70, 130, 180), np.uint8)  # sky above, grass below
             image[: 96 * (100 - percent) // 100] = (107, 142, 35)

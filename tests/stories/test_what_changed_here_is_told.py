@@ -16,6 +16,8 @@ from scenes.refurnishing import Piece, furnished
 from tests.stories.photos import jpeg, photo
 from tests.stories.running import RunningService
 
+pytestmark = pytest.mark.one_database("images are compared; what is kept of it is read from both in tests/storage")
+
 HALL = scene("corridor refurnished")
 CUPBOARD, CHAIR = Piece("cupboard", -0.8, 4.0, 1), Piece("chair", 0.7, 3.6, 2)
 JPEG = {"content-type": "image/jpeg"}

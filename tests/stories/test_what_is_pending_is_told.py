@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
+from tests.stories.running import settings
 from worker.runtime import build
 
 JPEG = {"content-type": "image/jpeg"}
@@ -18,7 +18,7 @@ PATIENCE_S = 20.0
 
 
 def test_a_view_described_amid_a_search_is_found_or_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     allowed = threading.Event()
     claim, index = runtime.store.jobs.claim, runtime.catalogue.index
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from app.http.application import create_app
-from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
+from tests.stories.running import settings
 from worker.description.describer import Describer
 from worker.runtime import build
 
@@ -19,7 +19,7 @@ JPEG = {"content-type": "image/jpeg"}
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[CheckedClient]:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     with CheckedClient(create_app(runtime)) as client:
         yield client
 
@@ -74,7 +74,7 @@ def test_other_labels_leave_the_parameters_the_ranking_and_the_views_of_a_map(cl
 def test_labels_are_those_that_a_view_was_described_with_when_its_map_changes_over_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     with CheckedClient(create_app(runtime)) as client:
         view = enroll(client, 0).json()["view"]
         stored = runtime.store.views
@@ -91,7 +91,7 @@ def test_labels_are_those_that_a_view_was_described_with_when_its_map_changes_ov
 
 
 def test_an_explanation_is_drawn_without_cells_once_the_views_were_described_anew(tmp_path: Path) -> None:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     with CheckedClient(create_app(runtime)) as client:
         image = client.get(enroll(client, 0).json()["view"]["links"]["image"]).content
         enroll(client, 1)

@@ -10,6 +10,8 @@ import pytest
 
 from tests.stories.running import ROOT
 
+pytestmark = pytest.mark.one_database("it is about a machine alone")
+
 ALONE = """
 import fcntl, socket, struct, sys
 from pathlib import Path

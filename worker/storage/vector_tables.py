@@ -148,9 +148,10 @@ def _make(database: Database) -> str | None:
             connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({TURN})"))  # several nodes may start at once
             if _installed(connection) is None:
                 connection.execute(sa.text(f"CREATE EXTENSION {EXTENSION}"))
-            see_extension(connection)
-            if not sa.inspect(connection).has_table(SEARCHED_VECTORS.name):
-                SEARCHED.create_all(connection)
+            missing = not sa.inspect(connection).has_table(SEARCHED_VECTORS.name)
+            see_extension(connection)  # whose schema may be that of another service, with tables of the same names
+            if missing:
+                SEARCHED.create_all(connection, checkfirst=False)
                 for statement in _REFERENCES:
                     connection.execute(sa.text(statement))
             return _installed(connection)
