@@ -102,9 +102,9 @@ class EnrollParameters(PositionParameters):
     )
     refuse_poor: bool | None = Field(
         None,
-        description="Refuse an image that is dark, overexposed, covered or blurred, or, with `wait`, shows mostly "
-        "things that move or is nearly in the map already; false: enrol it, and say so in `warnings`. Default: the "
-        "map's.",
+        description="Refuse an image that is dark, overexposed, covered or blurred, shows mostly things that move or "
+        "is nearly in the map already; with `wait=false` the last two become `failed` views, once they are described. "
+        "false: enrol it, and say so in `warnings`. Default: the map's.",
     )
     exif: bool = Field(False, description="Take position, heading and time from the image's EXIF where none is given.")
     wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")

@@ -130,8 +130,9 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         filename : str or None
             File name to show with the view; None: the last part of the path, none for bytes.
         refuse_poor : bool or None
-            Refuse an image that is dark, overexposed, covered or blurred, instead of enrolling it with a
-            warning. None: as the map says.
+            Refuse an image that is dark, overexposed, covered or blurred, shows mostly what moves or is nearly in the
+            map already, instead of enrolling it with a warning; with `wait` False the last two become views that
+            ``failed``. None: as the map says.
         exif : bool
             Take position, heading and time from the image's EXIF where none is given.
         wait : bool
