@@ -74,7 +74,8 @@ def test_a_drive_is_forgotten_and_others_go_their_own_way(client: CheckedClient)
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"drive": ""}, {"drive": "a b"}, {"drive": "a", "drive_timeout": 0}, {"drive": "x" * 200}]
+    "wrong",
+    [{"drive": ""}, {"drive": "a b"}, {"drive": "a", "drive_timeout": 0}, {"drive": "x" * 200}, {"drive_timeout": 5}],
 )
 def test_wrong_names_and_times_are_refused(client: CheckedClient, wrong: dict[str, Any]) -> None:
     taken = photo(scene("mill lane").seen_from())
