@@ -12,7 +12,7 @@ from schemas.errors import ParameterError
 
 DriveName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of a drive.", examples=["robot-7"])]
 
-OF_DRIVES = ("drive_timeout",)
+OF_DRIVES = ("drive_timeout", "consistent")
 """What says how a drive is followed."""
 
 
@@ -46,6 +46,13 @@ class QueryParameters(FilterParameters):
         ge=0.1,
         le=86400,
         description="Seconds of silence after which the drive begins anew; only with drive.",
+    )
+    consistent: int | None = Field(
+        None,
+        ge=2,
+        le=100,
+        description="matched is said only where so many images of the drive in a row, this one the last, are matched "
+        "one by one and come back to one stretch of the map; only with drive. Default: their evidence adds up.",
     )
     explain: bool = Field(
         False,

@@ -99,7 +99,12 @@ def test_a_map_with_another_walk_is_refused(walk: list[str], service: FakeServic
     assert not table.exists()
 
 
-def test_for_machines(walk: list[str], capsys: Out) -> None:
+def test_for_machines(walk: list[str], service: FakeService, capsys: Out) -> None:
+    rows = itertools.count()
+    drive = {"images": 1, "posterior": [], "nowhere": 0.1, "single_frame_status": "matched"}
+    alone = answers.query_answer(answers.match(view_id="0"), status="ambiguous")
+    service.replies["POST /query"] = lambda _: (200, alone | {"drive": drive | {"agreeing": next(rows)}})
+
     assert main([*walk, "--consistent", "2", "--json"]) == 0
 
     printed = json.loads(capsys.readouterr().out)

@@ -63,6 +63,7 @@ async def query(
         explain=params.explain or params.changes,
         drive=params.drive,
         drive_timeout_s=params.drive_timeout,
+        consistent=params.consistent,
     )
     if params.changes:
         answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
