@@ -93,7 +93,10 @@ def _write(arguments: argparse.Namespace, closer: "LoopCloser") -> None:
 
     if not closer.keyframes:
         return
-    for file, text in ((arguments.g2o, g2o(closer.keyframes, closer.loops)), (arguments.csv, csv(closer.loops))):
+    for file, text in (
+        (arguments.g2o, g2o(closer.keyframes, closer.loops)),
+        (arguments.csv, csv(closer.loops, closer.keyframes)),
+    ):
         if file is not None:
             file.write_text(text)
             say(f"written: {file} ({len(closer.keyframes)} keyframes)")

@@ -279,21 +279,43 @@ def g2o(
         dx, dy, dyaw = _step(poses[one], poses[two])
         of_place = 1 / max(drift * math.hypot(dx, dy), 0.01) ** 2
         lines.append(_edge(one, two, (dx, dy, dyaw), of_place, 1 / math.radians(turn) ** 2))
-    known = {one.number for one in keyframes if one.heading is not None}
-    for loop in loops:
-        of_place = 2 / loop.radius_m**2
-        sd = HEADING_SD if {loop.earlier, loop.keyframe} <= known else UNKNOWN_SD
-        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, 1 / math.radians(sd) ** 2))
+    for loop, (of_place, of_yaw) in zip(loops, information(loops, keyframes), strict=True):
+        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, of_yaw))
     return "\n".join(lines) + "\n"
 
 
-def csv(loops: Sequence[Loop]) -> str:
-    """The loops as a table: keyframe, earlier, confidence, radius_m."""
+def information(loops: Sequence[Loop], keyframes: Sequence[Keyframe]) -> list[tuple[float, float]]:
+    """What is known of each loop: information of x and of y alike, 1/m², and of yaw, 1/rad².
+
+    The radius is the root mean square of x and y together, so that each has the half of it, squared. Of yaw as much is
+    known as of the headings: `keyframes` has those that were given.
+    """
+    known = {one.number for one in keyframes if one.heading is not None}
+    turns = [HEADING_SD if {loop.earlier, loop.keyframe} <= known else UNKNOWN_SD for loop in loops]
+    return [(2 / loop.radius_m**2, 1 / math.radians(sd) ** 2) for loop, sd in zip(loops, turns, strict=True)]
+
+
+def csv(loops: Sequence[Loop], keyframes: Sequence[Keyframe] = ()) -> str:
+    """The loops as a table, with the information that `g2o` writes.
+
+    Parameters
+    ----------
+    loops : sequence of Loop
+    keyframes : sequence of Keyframe
+        Of which the headings are known; without them next to nothing is known of yaw.
+
+    Returns
+    -------
+    str
+        Columns keyframe, earlier, confidence, radius_m, information_xy (of x and of y alike, 1/m²) and information_yaw
+        (1/rad²).
+    """
     out = io.StringIO()
     writer = csv_files.writer(out, lineterminator="\n")
     names = [field.name for field in fields(Loop)]
-    writer.writerow(names)
-    writer.writerows([getattr(loop, name) for name in names] for loop in loops)
+    writer.writerow([*names, "information_xy", "information_yaw"])
+    for loop, known in zip(loops, information(loops, keyframes), strict=True):
+        writer.writerow([*(getattr(loop, name) for name in names), *(f"{value:.6g}" for value in known)])
     return out.getvalue()
 
 

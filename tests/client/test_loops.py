@@ -289,4 +289,16 @@ def test_the_steps_lead_from_the_first_pose_to_all_others(poses: list[tuple[floa
 
 
 def test_the_table_names_its_columns() -> None:
-    assert csv([Loop(9, 3, 0.5, 2.0)]) == "keyframe,earlier,confidence,radius_m\n9,3,0.5,2.0\n"
+    head = "keyframe,earlier,confidence,radius_m,information_xy,information_yaw\n"
+    assert csv([Loop(9, 3, 0.5, 2.0)]) == head + "9,3,0.5,2.0,0.5,0.101321\n"
+    assert csv([]) == head
+
+
+def test_the_table_and_the_graph_know_the_same_of_a_loop() -> None:
+    walk = [Keyframe(0, 0, 0, 0), Keyframe(1, 0, 2), Keyframe(2, 0, 4, 10)]
+    loops = [Loop(2, 0, 0.99, 3.0), Loop(2, 1, 0.99, 0.7)]
+
+    rows = [line.split(",") for line in csv(loops, walk).splitlines()[1:]]
+
+    in_graph = [edge[2][3:] for edge in edges(g2o(walk, loops))[-2:]]
+    assert [[float(row[4]), 0, 0, float(row[4]), 0, float(row[5])] for row in rows] == in_graph
