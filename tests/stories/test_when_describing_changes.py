@@ -103,7 +103,9 @@ def test_a_query_is_answered_by_the_recipe_it_began_with_and_the_next_by_the_new
             begun = client.post("/maps/default/recipe", json=wanted)
             assert until(client, begun.headers["location"], "done", "failed")["state"] == "done"
         before = client.get("/maps/default").json()["recipe"]["id"]
-        searcher, described, changed = runtime.services.searcher, [], []
+        searcher = runtime.services.searcher
+        described: list[str] = []
+        changed: list[int] = []
 
         def change_over(stage: str, evidence: object) -> None:
             if not changed:  # back to the recipe before, by which all views are described: at once
