@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from revisit_client import Revisit
-from revisit_client.loops import Keyframe, Loop, LoopCloser, confirmed
+from revisit_client.loops import Keyframe, Loop, LoopCloser
 
 from lab import evaluate
 from lab.datasets.dataset import Dataset
 from lab.faults.process import serve, settings
 from schemas.errors import RevisitError
+from worker.service.agreement import Row
 
 CONSISTENT = (1, 2, 3)
 STEP_M = 2.0
@@ -28,7 +29,6 @@ STEP_M = 2.0
 
 DRIFT = 0.02
 EXCLUDED = 20
-REACH = 5
 
 
 Candidates = list[Loop | None]
@@ -73,7 +73,13 @@ def judged(dataset: Dataset, loops: Sequence[Loop]) -> Counts:
 
 def certain(seen: Candidates, consistent: int) -> list[Loop]:
     """The loops of a whole walk where `consistent` keyframes must agree."""
-    return [loop for end in range(len(seen)) for loop in confirmed(seen[: end + 1], consistent, REACH)]
+    row, loops = Row(), []
+    for end, last in enumerate(seen):
+        row = row.followed_by(None if last is None else last.earlier)
+        if row.images >= consistent:
+            fresh = seen[end + 1 - consistent : end + 1] if row.images == consistent else [last]
+            loops += [loop for loop in fresh if loop is not None]
+    return loops
 
 
 def run(dataset: Dataset, *, drive: bool) -> Candidates:
@@ -83,7 +89,9 @@ def run(dataset: Dataset, *, drive: bool) -> Candidates:
         running = serve(data, settings(data, {"REVISIT_ENCODER": "compact", "REVISIT_THREADS": "0"}))
         try:
             with Revisit(running.url) as revisit:
-                closer = LoopCloser(revisit, "walk", exclude_last=EXCLUDED, drive="walk" if drive else None)
+                closer = LoopCloser(
+                    revisit, "walk", exclude_last=EXCLUDED, consistent=1, drive="walk" if drive else None
+                )
                 for image, keyframe in walk(dataset):
                     closer.add(image, keyframe)
         finally:

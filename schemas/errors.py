@@ -123,7 +123,7 @@ class InvalidParameters(RevisitError):
 
 
 class PoorImage(RevisitError):
-    """An image that is dark, overexposed, covered or blurred, and was not to be enrolled then."""
+    """An image that is dark, blurred, shows mostly what moves or adds nothing, and was not to be enrolled then."""
 
     code = "poor-picture"
 

@@ -85,7 +85,7 @@ class MapRecord:
     created_at: datetime
     calibration: str | None = None
     keep_queries: int = 0  # at most, of those that matched nothing
-    refuse_poor: bool = False  # images that are dark, overexposed, covered or blurred
+    refuse_poor: bool = False  # dark, blurred, showing mostly what moves, or adding nothing
     keep_matches: int = 0  # queries kept at most that matched a view although they look unlike it
     shadow: str | None = None  # id of the job of its shadow
     keep_images: bool = True  # False: an image is removed once its view is described
@@ -189,6 +189,8 @@ class Claim:
     ----------
     token : str
         Identifies the claim: finishing with an outdated token raises LeaseLost.
+    refuse_poor : bool
+        Whether the view is to fail where its description shows that the image is poor.
     """
 
     job_id: str
@@ -196,6 +198,7 @@ class Claim:
     view: ViewRecord
     recipe: DescriptionRecipe
     attempts: int
+    refuse_poor: bool = False
 
 
 @dataclass(frozen=True)

@@ -69,9 +69,8 @@ class PatchMap(BaseModel):
     )
     refuse_poor: bool | None = Field(
         None,
-        description="Refuse to enrol images that are dark, overexposed, covered or blurred, and, where the request "
-        "waits for the description, those that show mostly things that move or are nearly in the map already, unless "
-        "it says otherwise.",
+        description="Refuse to enrol images that are dark, overexposed, covered or blurred, show mostly things that "
+        "move or are nearly in the map already, unless a request says otherwise.",
     )
     keep_images: bool | None = Field(
         None,

@@ -131,9 +131,10 @@ class Reason(Answer):
     """Why the status is what it is."""
 
     code: Literal["sure", "look-alike", "weak", "few-views", "poor-picture", "empty"] = Field(
-        description="sure: one place stands out; look-alike: another place is nearly as good; weak: nothing stands out "
-        "from what wrong places get in this map; few-views: too little is enrolled to tell; poor-picture: the image "
-        "shows too little; empty: there was nothing to search."
+        description="sure: one place stands out (with `consistent` and another status: too few images agree so far); "
+        "look-alike: another place is nearly as good; weak: nothing stands out from what wrong places get in this map; "
+        "few-views: too little is enrolled to tell; poor-picture: the image shows too little; empty: there was nothing "
+        "to search."
     )
     detail: str = Field(description="What was seen.")
     remedy: str = Field(description="What to do.")
@@ -190,6 +191,11 @@ class DriveFacts(Answer):
     nowhere: float = Field(description="Probability that the image shows none of these places.", ge=0, le=1)
     single_frame_status: Literal["matched", "ambiguous", "no_match"] = Field(
         description="The verdict on this image alone."
+    )
+    agreeing: int = Field(
+        0,
+        description="Images in a row, up to this one, that are matched one by one, each at most five views from the "
+        "one before, by order of enrolment.",
     )
 
 

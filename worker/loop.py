@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 from schemas.description import Description
-from schemas.errors import EncoderAway, LeaseLost, RevisitError
+from schemas.errors import EncoderAway, LeaseLost, PoorImage, RevisitError
 from schemas.image import Image
 from schemas.log_context import bound
 from schemas.records import Claim, JobKind, MapClaim
@@ -115,6 +115,8 @@ class Loop:
         Of this worker, written to its claims.
     batch : int
         Images encoded together.
+    refused : function
+        Why the image of a job is refused, by its description, in words; None when it is not.
     trouble : StoringTrouble
         Is told when descriptions cannot be stored. They are kept and tried again until they can.
     idle_s : float
@@ -136,13 +138,14 @@ class Loop:
         name: str,
         batch: int,
         trouble: StoringTrouble,
+        refused: Callable[[Claim, Description], str | None] = lambda claim, description: None,
         idle_s: float = 0.5,
     ) -> None:
         self._jobs, self._views, self._pruning = jobs, views, pruning
         self._scheduler = scheduler
         self._describers = describers
         self._map_jobs, self._compare = map_jobs, compare
-        self._decode, self._decoded = decode, decoded
+        self._decode, self._decoded, self._refused = decode, decoded, refused
         self._name = name
         self._batch = batch
         self._trouble = trouble
@@ -287,7 +290,12 @@ class Loop:
             self._give_up(item.claim, error)
             return
         try:
-            self._jobs.finish(item.claim, description, _now())
+            poor = self._refused(item.claim, description)
+            if poor is None:
+                self._jobs.finish(item.claim, description, _now())
+            else:
+                self._jobs.fail(item.claim, PoorImage.code, poor, _now())
+                log.info("view %s is refused: %s", item.claim.view.id, poor, extra={"event": "refused"})
         except LeaseLost:
             log.info("job %s was given to another worker, or its view was deleted", item.claim.job_id)
         except STORAGE_ERRORS:

@@ -36,8 +36,10 @@ from worker.service.comparing import MapComparer
 from worker.service.day_scores import ScoreKeeper
 from worker.service.decoded import DecodedImages
 from worker.service.drives import Drives
+from worker.service.duplicates import NearDuplicates
 from worker.service.enroll import EnrollService
 from worker.service.explanations import Explanations
+from worker.service.gate import QualityGate
 from worker.service.health import HealthService
 from worker.service.import_receiving import ImportService
 from worker.service.importing import Importer
@@ -239,9 +241,9 @@ def build(
         loop: Loop | None = None
         if settings.inline_worker or not serving:
             importer = Importer(
-                uploads=store.uploads, jobs=store.jobs, enrolment=enrolment, settlements=settlements,
-                decode=decoder.decode_patiently, taken=decoder.taken, look_for_problem=quality.problem_of,
-                limits=Limits.of(settings), wake=bell.ring,
+                uploads=store.uploads, jobs=store.jobs, removals=store.removals, enrolment=enrolment,
+                settlements=settlements, decode=decoder.decode_patiently, taken=decoder.taken,
+                look_for_problem=quality.problem_of, limits=Limits.of(settings), wake=bell.ring,
             )  # fmt: skip
             loop = Loop(
                 jobs=store.jobs, views=store.views, pruning=store.pruning, scheduler=scheduler, describers=describers,
@@ -251,6 +253,7 @@ def build(
                 compare=idle_work(store.leftovers, store.indexing, comparer if settings.compare else None),
                 decode=decoder.decode_patiently, decoded=decoded, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
+                refused=QualityGate(NearDuplicates(store.views, store.descriptions, catalogue)).problem_of,
             )  # fmt: skip
         attendance = Attendance.of(store, me, loop, settings.lease_s)
         if loop is not None:
@@ -309,24 +312,14 @@ def _services(
         calibration=calibration_of,
         product=product,
     )
+    duplicates = NearDuplicates(store.views, store.descriptions, catalogue)
     enroll = EnrollService(
-        maps=store.maps,
-        enrolment=enrolment,
-        views=store.views,
-        removals=store.removals,
-        queue=store.jobs,
-        settlements=settlements,
-        decode=decoder.decode,
-        taken=decoder.taken,
-        look_for_problem=quality.problem_of,
-        default_recipe=default_recipe,
-        limit=settings.queue,
-        pace_s=lambda: scheduler.pace_s,
-        wake=bell.ring,
-        workers=lambda: attendance.alive,
-        resembles=Resemblances(store.maps, store.descriptions, searcher).of,
-        describer=searcher.describer,
-    )
+        maps=store.maps, enrolment=enrolment, views=store.views, removals=store.removals, queue=store.jobs,
+        settlements=settlements, decode=decoder.decode, taken=decoder.taken, look_for_problem=quality.problem_of,
+        default_recipe=default_recipe, limit=settings.queue, pace_s=lambda: scheduler.pace_s, wake=bell.ring,
+        workers=lambda: attendance.alive, describer=searcher.describer,
+        resembles=Resemblances(store.maps, store.descriptions, searcher, duplicates).of,
+    )  # fmt: skip
     renderings = RenderingService(
         maps=store.maps, views=store.views, descriptions=store.descriptions, describers=describers,
         scheduler=scheduler, decode=decoder.decode, thumbnail=decoder.thumbnail, explanations=explanations,

@@ -30,7 +30,9 @@ def add(verbs: Verbs) -> None:
         metavar="N|30s",
         help="newest images that are no loop: a number, or those enrolled in the last seconds (20)",
     )
-    parser.add_argument("--consistent", type=int, default=3, metavar="N", help="images in a row that must agree (3)")
+    parser.add_argument(
+        "--consistent", type=int, metavar="N", help="images in a row that must agree (3; with --drive they add up)"
+    )
     parser.add_argument("--within", type=float, metavar="METRES", help="look no further than this from the odometry")
     parser.add_argument("--radius", type=float, default=5.0, metavar="METRES", help="of a loop that has none (5)")
     parser.add_argument("--drive", metavar="NAME", help="count the images together, as those of this drive")
@@ -91,7 +93,10 @@ def _write(arguments: argparse.Namespace, closer: "LoopCloser") -> None:
 
     if not closer.keyframes:
         return
-    for file, text in ((arguments.g2o, g2o(closer.keyframes, closer.loops)), (arguments.csv, csv(closer.loops))):
+    for file, text in (
+        (arguments.g2o, g2o(closer.keyframes, closer.loops)),
+        (arguments.csv, csv(closer.loops, closer.keyframes)),
+    ):
         if file is not None:
             file.write_text(text)
             say(f"written: {file} ({len(closer.keyframes)} keyframes)")

@@ -32,6 +32,7 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--drive-timeout", type=float, metavar="S", help="seconds of silence after which the drive begins anew (60)"
     )
+    parser.add_argument("--consistent", type=int, metavar="N", help="images of the drive in a row that must agree")
     chooses(parser)
     parser.add_argument("--explain", type=Path, metavar="PNG", help="draw the explanation of the best match")
     parser.add_argument("--changes", type=Path, metavar="PNG", help="say and draw what changed since the best match")
@@ -56,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
             changes=arguments.changes is not None or None,
             drive=arguments.drive,
             drive_timeout=arguments.drive_timeout,
+            consistent=arguments.consistent,
             **filters,
         )
         if arguments.explain is not None and answer.matches:
@@ -74,10 +76,11 @@ def run(arguments: argparse.Namespace) -> int:
 def told(answer: "QueryAnswer") -> str:
     """The answer as text."""
     lines = [f"{VERDICTS[answer.status]} (confidence {answer.confidence:.2f}, {answer.searched} views searched)"]
-    if answer.reason.code != "sure":
+    if answer.reason.code != "sure" or answer.status != "matched":
         lines.append(f"{answer.reason.code}: {answer.reason.detail}; {answer.reason.remedy}")
     if answer.drive is not None:
-        lines.append(f"drive: image {answer.drive.images}; this image alone: {answer.drive.single_frame_status}")
+        alone, agree = answer.drive.single_frame_status, answer.drive.agreeing
+        lines.append(f"drive: image {answer.drive.images}, {agree} in a row agree; this image alone: {alone}")
     if answer.reason.rival is not None:
         rival = answer.reason.rival
         of = "" if answer.maps is None else f"{rival.view.map}: "

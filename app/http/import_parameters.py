@@ -28,8 +28,8 @@ class ImportParameters(Parameters):
     )
     refuse_poor: bool | None = Field(
         None,
-        description="Leave out images that are dark, overexposed, covered or blurred, as errors of their own. Default: "
-        "the map's.",
+        description="Leave out images that are dark, overexposed, covered or blurred, show mostly things that move or "
+        "are nearly in the map already, as errors of their own. Default: the map's.",
     )
     image_topic: Topic = Field(None, description="Topic of the images, of a ROS 2 recording (MCAP) with several.")
     pose_topic: Topic = Field(None, description="Topic of the poses, of a ROS 2 recording (MCAP) with several.")

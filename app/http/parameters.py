@@ -22,7 +22,7 @@ _TRUE = ("1", "true", "yes", "on", "t", "y")
 """What pydantic reads as true."""
 
 
-def _text(**schema: object) -> WithJsonSchema:
+def as_text(**schema: object) -> WithJsonSchema:
     """OpenAPI schema of a value that is written as text."""
     return WithJsonSchema({"type": "string", **schema})
 
@@ -33,13 +33,14 @@ def _condition(text: str) -> str:
     return text
 
 
-DriveName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of a drive.", examples=["robot-7"])]
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Time = Annotated[datetime, BeforeValidator(values.moment), _text(format="date-time", examples=["2026-03-01T09:30:00Z"])]
+Time = Annotated[
+    datetime, BeforeValidator(values.moment), as_text(format="date-time", examples=["2026-03-01T09:30:00Z"])
+]
 Metadata = Annotated[
-    dict[str, Any], BeforeValidator(values.metadata), _text(examples=['{"camera": "front", "floor": 2}'])
+    dict[str, Any], BeforeValidator(values.metadata), as_text(examples=['{"camera": "front", "floor": 2}'])
 ]
 
 
@@ -102,9 +103,9 @@ class EnrollParameters(PositionParameters):
     )
     refuse_poor: bool | None = Field(
         None,
-        description="Refuse an image that is dark, overexposed, covered or blurred, or, with `wait`, shows mostly "
-        "things that move or is nearly in the map already; false: enrol it, and say so in `warnings`. Default: the "
-        "map's.",
+        description="Refuse an image that is dark, overexposed, covered or blurred, shows mostly things that move or "
+        "is nearly in the map already; with `wait=false` the last two become `failed` views, once they are described. "
+        "false: enrol it, and say so in `warnings`. Default: the map's.",
     )
     exif: bool = Field(False, description="Take position, heading and time from the image's EXIF where none is given.")
     wait: bool = Field(True, description="Answer once the view is searchable; false: once it is durable.")
@@ -118,7 +119,7 @@ class FilterParameters(Parameters):
     """Filters of views, for queries and lists; with any number of ``metadata.KEY=VALUE``."""
 
     near: Annotated[
-        tuple[float, float, float], BeforeValidator(values.near), _text(examples=["12.5,3.0,20"])
+        tuple[float, float, float], BeforeValidator(values.near), as_text(examples=["12.5,3.0,20"])
     ] | None = Field(
         None,
         description="x,y,radius or lat,lon,radius, as the map's positions are; the radius in metres: views within it.",
@@ -137,14 +138,14 @@ class FilterParameters(Parameters):
         examples=['{"place": {"$prefix": "hall/"}, "metadata.floor": {"$gte": 2}}'],
     )
     exclude_last: Annotated[
-        int | timedelta, BeforeValidator(values.exclude_last), _text(examples=["10", "30s"])
+        int | timedelta, BeforeValidator(values.exclude_last), as_text(examples=["10", "30s"])
     ] | None = Field(
         None, description="Without the newest N views, or without those of the last seconds (30s): for loop closure."
     )  # fmt: skip
-    exclude: Annotated[tuple[str, ...], BeforeValidator(values.identifiers), _text()] = Field(
+    exclude: Annotated[tuple[str, ...], BeforeValidator(values.identifiers), as_text()] = Field(
         (), description="Ids of views to leave out, with commas between."
     )
-    metadata: Annotated[dict[str, str], _text()] = Field(
+    metadata: Annotated[dict[str, str], as_text()] = Field(
         default_factory=dict,
         validation_alias=METADATA_FILTER,
         description="Views whose metadata has this value under KEY, compared as text; several keys may be given.",
@@ -192,70 +193,6 @@ class FilterParameters(Parameters):
             exclude_last=self.exclude_last,
             exclude=self.exclude,
         )
-
-
-class QueryParameters(FilterParameters):
-    """Parameters of `POST /query`."""
-
-    map: MapName = "default"
-    maps: Annotated[tuple[str, ...], BeforeValidator(values.map_names), _text(examples=["floor1,floor2"])] = Field(
-        (), description="Names of several maps, with commas between, instead of `map`: one verdict over all of them."
-    )
-    top: int = Field(5, ge=1, le=100, description="How many matches at most.")
-    candidates: int | None = Field(
-        None,
-        ge=0,
-        le=500,
-        description="Candidates of each channel to re-rank; 0: rank by histograms alone. Default: the map's.",
-    )
-    precision: float | None = Field(
-        None,
-        ge=0.5,
-        le=0.999,
-        description="Share of answers with the status matched that must be right: the higher, the more often the "
-        "status is ambiguous. Default: the map's, 0.97 unless it was changed.",
-    )
-    drive: DriveName | None = Field(
-        None,
-        description="Name of a drive that this image is the next one of: the evidence of its images adds up.",
-    )
-    drive_timeout: float = Field(
-        60,
-        ge=0.1,
-        le=86400,
-        description="Seconds of silence after which the drive begins anew. Of use only with drive.",
-    )
-    explain: bool = Field(
-        False,
-        description="List the regions and local features that matched, and keep what the explanation is drawn from.",
-    )
-    changes: bool = Field(
-        False, description="Say what is gone, new or moved since the first match was taken; explains the query too."
-    )
-
-    @classmethod
-    def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
-        """Mistakes: `maps` beside `map`, or beside a drive, which runs in one."""
-        found = super().contradictions(given)
-        found += [
-            ParameterError("maps", f"cannot be given with {name}")
-            for name in ("map", "drive")
-            if {"maps", name} <= given.keys()
-        ]
-        return found
-
-    def searched(self) -> tuple[str, ...]:
-        """Names of the maps to search."""
-        return self.maps or (self.map,)
-
-
-class LocalizeParameters(Parameters):
-    """Parameters of `POST /localize/geopose`."""
-
-    map: MapName = "default"
-    precision: float | None = Field(
-        None, ge=0.5, le=0.999, description="Share of poses that must be of the right place. Default: the map's."
-    )
 
 
 class ListViews(FilterParameters):

@@ -337,6 +337,7 @@ def _drive(driven: Driven, results: RankedResults) -> wire.DriveFacts:
         posterior=posterior,
         nowhere=driven.nowhere,
         single_frame_status=driven.single_status,
+        agreeing=driven.agreeing,
     )
 
 

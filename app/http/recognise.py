@@ -127,6 +127,7 @@ class Recogniser:
         explain: bool,
         drive: str | None,
         drive_timeout_s: float,
+        consistent: int | None = None,
         keep: bool = True,
     ) -> wire.QueryAnswer:
         """Rank the views of some maps that may show the place of an image; raises as `QueryService.query`."""
@@ -141,6 +142,7 @@ class Recogniser:
             explain=explain,
             drive=drive,
             drive_timeout_s=drive_timeout_s,
+            consistent=consistent,
             keep=keep,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)

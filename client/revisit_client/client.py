@@ -130,8 +130,9 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         filename : str or None
             File name to show with the view; None: the last part of the path, none for bytes.
         refuse_poor : bool or None
-            Refuse an image that is dark, overexposed, covered or blurred, instead of enrolling it with a
-            warning. None: as the map says.
+            Refuse an image that is dark, overexposed, covered or blurred, shows mostly what moves or is nearly in the
+            map already, instead of enrolling it with a warning; with `wait` False the last two become views that
+            ``failed``. None: as the map says.
         exif : bool
             Take position, heading and time from the image's EXIF where none is given.
         wait : bool
@@ -162,6 +163,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         changes: bool | None = None,
         drive: str | None = None,
         drive_timeout: float | None = None,
+        consistent: int | None = None,
         near: tuple[float, float, float] | None = None,
         geographic: bool | None = None,
         after: Time | None = None,
@@ -195,6 +197,9 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
             Name of a drive that the image is the next one of: the evidence of its images adds up.
         drive_timeout : float or None
             Seconds of silence after which the drive begins anew. None: 60.
+        consistent : int or None
+            Images of the drive in a row that must be matched one by one and come back to one stretch of the map,
+            instead of adding up.
         near : (float, float, float) or None
             Only views near a point: x, y or latitude, longitude, and the radius in metres.
         geographic : bool or None
@@ -219,6 +224,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
             "maps": None if maps is None else ",".join(maps),
             "drive": drive,
             "drive_timeout": drive_timeout,
+            "consistent": consistent,
         }
         name, data = named(image)
         return self._connection.receive(

@@ -58,8 +58,8 @@ class JobCalls:
         panorama : bool
             Every image is an equirectangular panorama, and is enrolled as eight views.
         refuse_poor : bool or None
-            Leave out images that are dark, overexposed, covered or blurred, as errors of their own. None: as the map
-            says.
+            Leave out images that are dark, overexposed, covered or blurred, show mostly what moves or are nearly in the
+            map already, as errors of their own. None: as the map says.
         every : str or None
             Least time (``2s``, ``1min``) or way (``1m``: metres) from one image to the next. None: all images, and of
             a video one a second.

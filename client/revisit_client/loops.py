@@ -12,6 +12,8 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
+from uuid import uuid4
 
 from revisit_client.client import Revisit
 from revisit_client.errors import ClientError, RevisitProblem
@@ -22,6 +24,9 @@ KEYFRAME = "keyframe"
 
 HEADING_SD = 20.0
 """Degrees by which the camera of a loop may be turned against the earlier one's, as a standard deviation."""
+
+CONSISTENT = 3
+"""Keyframes in a row that must agree, where nothing else is said."""
 
 UNKNOWN_SD = 180.0
 """The same where a heading of the two is guessed: the way may have been walked backwards, or the camera look aside."""
@@ -81,28 +86,6 @@ class Loop:
     radius_m: float
 
 
-def confirmed(seen: Sequence[Loop | None], consistent: int, reach: int) -> list[Loop]:
-    """What the last of `seen` makes certain that was not before.
-
-    Parameters
-    ----------
-    seen : sequence of (Loop or None)
-        What each keyframe so far was recognised as.
-    consistent : int
-        Keyframes in a row whose earlier ones must lie together before they count, 1 or more.
-    reach : int
-        How many numbers those earlier ones may lie apart from one to the next.
-    """
-    row: list[Loop] = []
-    for loop in reversed(seen):
-        if loop is None or len(row) > consistent or (row and abs(loop.earlier - row[-1].earlier) > reach):
-            break
-        row.append(loop)
-    if len(row) < consistent:
-        return []
-    return row[::-1] if len(row) == consistent else row[:1]
-
-
 class LoopCloser:
     """Asks about each keyframe, then enrols it.
 
@@ -114,16 +97,15 @@ class LoopCloser:
         walk's keyframes compete with those of another for the same place.
     exclude_last : int or str
         Newest views that are no loop: a number, or those enrolled within the last seconds, as ``30s``.
-    consistent : int
-        Keyframes in a row whose earlier ones must lie together before they count.
-    reach : int
-        How many numbers those earlier ones may lie apart from one to the next.
+    consistent : int or None
+        Keyframes in a row that the service must recognise one by one, the earlier ones at most five views apart from
+        one to the next, before they count. None: 3, and 1 as a drive.
     within_m : float or None
         Only keyframes that odometry takes to be as near as this are looked for; None: all.
     radius_m : float
         Of a loop of whose position the service knows no radius, metres.
     drive : str or None
-        Count the images together, as those of one drive.
+        Count the images together, as those of one drive; with `consistent` its name alone.
     precision : float or None
         Share of loops that must be right; None: as the map says.
 
@@ -148,24 +130,26 @@ class LoopCloser:
         map: str,
         *,
         exclude_last: int | str = 20,
-        consistent: int = 3,
-        reach: int = 5,
+        consistent: int | None = None,
         within_m: float | None = None,
         radius_m: float = 5.0,
         drive: str | None = None,
         precision: float | None = None,
     ) -> None:
-        if consistent < 1:
-            raise ValueError(f"consistent is {consistent}; it is 1 or more")
-        if reach < 0:
-            raise ValueError(f"reach is {reach}; it is 0 or more")
+        if consistent is None:
+            consistent = CONSISTENT if drive is None else 1
+        if not 1 <= consistent <= 100:
+            raise ValueError(f"consistent is {consistent}; it is 1 or more, 100 at most")
         for name, metres in (("within_m", within_m), ("radius_m", radius_m)):
             if metres is not None and not 0 < metres < math.inf:
                 raise ValueError(f"{name} is {metres}; it is above 0")
         self._revisit, self._map = revisit, map
         self._exclude_last, self._within_m = exclude_last, within_m
-        self._consistent, self._reach, self._radius_m = consistent, reach, radius_m
-        self._drive, self._precision = drive, precision
+        self._consistent, self._radius_m, self._precision = consistent, radius_m, precision
+        self._drive: dict[str, Any] = {} if drive is None else {"drive": drive}
+        if consistent > 1:  # a walk may stand still for long
+            named = {"drive": drive or f"loops-{uuid4().hex}", "consistent": consistent, "drive_timeout": 86400}
+            self._drive = named
         self._numbers: dict[str, int] = {}
         self.keyframes: list[Keyframe] = []
         self.seen: list[Loop | None] = []
@@ -191,7 +175,7 @@ class LoopCloser:
             self._refuse_another_walk()
         elif keyframe.number <= self.keyframes[-1].number:
             raise ValueError(f"keyframe {keyframe.number} comes after {self.keyframes[-1].number}; numbers grow")
-        seen = self._seen(image, keyframe)
+        seen, agreeing = self._seen(image, keyframe)
         enrolled = self._revisit.enroll(
             image,
             map=self._map,
@@ -203,7 +187,8 @@ class LoopCloser:
         self._numbers.setdefault(enrolled.view.id, keyframe.number)
         self.keyframes.append(keyframe)
         self.seen.append(seen)
-        fresh = confirmed(self.seen, self._consistent, self._reach)
+        at_once = self._consistent if agreeing == self._consistent else 1
+        fresh = [one for one in self.seen[-at_once:] if one is not None] if agreeing >= self._consistent else []
         self.loops += fresh
         return fresh
 
@@ -220,27 +205,29 @@ class LoopCloser:
                 "name another map, or delete this one"
             )
 
-    def _seen(self, image: Image, keyframe: Keyframe) -> Loop | None:
+    def _seen(self, image: Image, keyframe: Keyframe) -> tuple[Loop | None, int]:
+        """What a keyframe is recognised as, and how many in a row agree."""
         try:
             answer = self._revisit.query(
                 image,
                 map=self._map,
                 exclude_last=self._exclude_last,
                 near=None if self._within_m is None else (keyframe.x, keyframe.y, self._within_m),
-                drive=self._drive,
                 precision=self._precision,
+                **self._drive,
             )
         except RevisitProblem as problem:
             if problem.code == "not-found":  # the first keyframe makes the map
-                return None
+                return None, 0
             raise
-        if answer.status != "matched":
-            return None
-        earlier = self._numbers.get(answer.matches[0].view.id)
+        status, agreeing = answer.status, int(answer.status == "matched")
+        if self._consistent > 1 and answer.drive is not None:
+            status, agreeing = answer.drive.single_frame_status, answer.drive.agreeing
+        earlier = self._numbers.get(answer.matches[0].view.id) if status == "matched" else None
         if earlier is None:
-            return None
+            return None, agreeing
         radius = None if answer.estimate is None else answer.estimate.radius_m
-        return Loop(keyframe.number, earlier, answer.confidence, radius or self._radius_m)
+        return Loop(keyframe.number, earlier, answer.confidence, radius or self._radius_m), agreeing
 
 
 def with_headings(keyframes: Sequence[Keyframe]) -> list[Keyframe]:
@@ -292,21 +279,43 @@ def g2o(
         dx, dy, dyaw = _step(poses[one], poses[two])
         of_place = 1 / max(drift * math.hypot(dx, dy), 0.01) ** 2
         lines.append(_edge(one, two, (dx, dy, dyaw), of_place, 1 / math.radians(turn) ** 2))
-    known = {one.number for one in keyframes if one.heading is not None}
-    for loop in loops:
-        of_place = 2 / loop.radius_m**2
-        sd = HEADING_SD if {loop.earlier, loop.keyframe} <= known else UNKNOWN_SD
-        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, 1 / math.radians(sd) ** 2))
+    for loop, (of_place, of_yaw) in zip(loops, information(loops, keyframes), strict=True):
+        lines.append(_edge(loop.earlier, loop.keyframe, (0, 0, 0), of_place, of_yaw))
     return "\n".join(lines) + "\n"
 
 
-def csv(loops: Sequence[Loop]) -> str:
-    """The loops as a table: keyframe, earlier, confidence, radius_m."""
+def information(loops: Sequence[Loop], keyframes: Sequence[Keyframe]) -> list[tuple[float, float]]:
+    """What is known of each loop: information of x and of y alike, 1/m², and of yaw, 1/rad².
+
+    The radius is the root mean square of x and y together, so that each has the half of it, squared. Of yaw as much is
+    known as of the headings: `keyframes` has those that were given.
+    """
+    known = {one.number for one in keyframes if one.heading is not None}
+    turns = [HEADING_SD if {loop.earlier, loop.keyframe} <= known else UNKNOWN_SD for loop in loops]
+    return [(2 / loop.radius_m**2, 1 / math.radians(sd) ** 2) for loop, sd in zip(loops, turns, strict=True)]
+
+
+def csv(loops: Sequence[Loop], keyframes: Sequence[Keyframe] = ()) -> str:
+    """The loops as a table, with the information that `g2o` writes.
+
+    Parameters
+    ----------
+    loops : sequence of Loop
+    keyframes : sequence of Keyframe
+        Of which the headings are known; without them next to nothing is known of yaw.
+
+    Returns
+    -------
+    str
+        Columns keyframe, earlier, confidence, radius_m, information_xy (of x and of y alike, 1/m²) and information_yaw
+        (1/rad²).
+    """
     out = io.StringIO()
     writer = csv_files.writer(out, lineterminator="\n")
     names = [field.name for field in fields(Loop)]
-    writer.writerow(names)
-    writer.writerows([getattr(loop, name) for name in names] for loop in loops)
+    writer.writerow([*names, "information_xy", "information_yaw"])
+    for loop, known in zip(loops, information(loops, keyframes), strict=True):
+        writer.writerow([*(getattr(loop, name) for name in names), *(f"{value:.6g}" for value in known)])
     return out.getvalue()
 
 

@@ -43,7 +43,7 @@ def test_loops_are_named_and_written(walk: list[str], service: FakeService, tmp_
     ]
     assert "VERTEX_SE2 2 0.000000 0.500000 -1.570796" in graph.read_text()
     assert graph.read_text().count("EDGE_SE2") == 4
-    assert table.read_text().splitlines()[1:] == ["1,0,0.93,3.0", "2,0,0.93,3.0"]
+    assert table.read_text().splitlines()[1:] == ["1,0,0.93,3.0,0.222222,8.20702", "2,0,0.93,3.0,0.222222,8.20702"]
     assert [line.split("?")[0] for line, _ in service.requests] == [
         "GET /views",
         *["POST /query", "POST /enroll"] * 3,
@@ -75,7 +75,7 @@ def test_what_was_found_before_an_early_end_is_written(
         signal.signal(signal.SIGINT, before)
 
     assert ended == (1 if ending is None else 130)
-    assert table.read_text().splitlines()[1:] == ["1,0,0.93,5.0"]
+    assert table.read_text().splitlines()[1:] == ["1,0,0.93,5.0,0.08,8.20702"]
     assert "(2 keyframes)" in capsys.readouterr().err
 
 
@@ -99,7 +99,12 @@ def test_a_map_with_another_walk_is_refused(walk: list[str], service: FakeServic
     assert not table.exists()
 
 
-def test_for_machines(walk: list[str], capsys: Out) -> None:
+def test_for_machines(walk: list[str], service: FakeService, capsys: Out) -> None:
+    rows = itertools.count()
+    drive = {"images": 1, "posterior": [], "nowhere": 0.1, "single_frame_status": "matched"}
+    alone = answers.query_answer(answers.match(view_id="0"), status="ambiguous")
+    service.replies["POST /query"] = lambda _: (200, alone | {"drive": drive | {"agreeing": next(rows)}})
+
     assert main([*walk, "--consistent", "2", "--json"]) == 0
 
     printed = json.loads(capsys.readouterr().out)

@@ -1,6 +1,7 @@
 """Loop closures: which keyframes count, and what the pose graph says of them."""
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from revisit_client import ClientError, Revisit, RevisitProblem
 from revisit_client.loops import Keyframe, Loop, LoopCloser, csv, g2o, with_headings
 
 from tests import answers
+from worker.service.agreement import Row
 
 IMAGE = b"a picture"
 
@@ -24,7 +26,7 @@ FIRST = 50
 class Service:
     """Recognises keyframe FIRST + n as the n-th keyframe of its list; None is no match, a refusal is raised.
 
-    The view of a keyframe has its number as its id.
+    The view of a keyframe has its number as its id. Of a drive it tells how many in a row agree, as the service does.
     """
 
     def __init__(self, seen: Sequence[int | dict[str, Any] | None], radius_m: float | None = 3.0) -> None:
@@ -32,6 +34,7 @@ class Service:
         self.kept: list[dict[str, Any]] = []
         self.queries: list[bytes] = []
         self.enrolled: list[bytes] = []
+        self.row = Row()
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
         if request.url.path == "/views":
@@ -43,11 +46,24 @@ class Service:
         seen = self.seen[len(self.queries) - 1]
         if isinstance(seen, dict):
             return httpx.Response(seen["status"], json=seen)
+        self.row = self.row.followed_by(seen)
+        alone = "no_match" if seen is None else "matched"
+        drive = {
+            "images": 1,
+            "posterior": [],
+            "nowhere": 0.5,
+            "single_frame_status": alone,
+            "agreeing": self.row.images,
+        }
+        told: dict[str, Any] = {"drive": drive} if b'name="drive"' in request.content else {}
+        wanted = re.search(rb'name="consistent"\r\n\r\n(\d+)', request.content)
         if seen is None:
-            return httpx.Response(200, json=answers.query_answer(status="no_match"))
+            return httpx.Response(200, json=answers.query_answer(status="no_match") | told)
         match = answers.match(view_id=str(seen))
-        estimate = {"position": match["view"]["position"], "radius_m": self.radius_m, "views": []}
-        return httpx.Response(200, json=answers.query_answer(match) | {"estimate": estimate})
+        told["estimate"] = {"position": match["view"]["position"], "radius_m": self.radius_m, "views": []}
+        if wanted is not None and self.row.images < int(wanted[1]):
+            told["status"] = "ambiguous"
+        return httpx.Response(200, json=answers.query_answer(match) | told)
 
     def closer(self, **options: Any) -> LoopCloser:
         revisit = Revisit("http://test", transport=httpx.MockTransport(self), patience=0)
@@ -118,8 +134,31 @@ def test_one_keyframe_that_stands_alone_is_no_loop_where_three_must_agree() -> N
 
 
 def test_a_walk_may_come_back_the_other_way() -> None:
-    assert found(Service([44, 42, 41]), consistent=3, reach=2) == [(0, 44), (1, 42), (2, 41)]
-    assert found(Service([44, 41, 40]), consistent=3, reach=2) == []
+    assert found(Service([44, 41, 36]), consistent=3) == [(0, 44), (1, 41), (2, 36)]
+    assert found(Service([44, 38, 37]), consistent=3) == []
+
+
+def test_the_service_counts_keyframes_in_a_row_of_a_drive_of_this_walk() -> None:
+    one, other = Service([40, 41]), Service([40, 41])
+
+    assert found(one, consistent=2) == found(other, consistent=2, drive="robot-7") == [(0, 40), (1, 41)]
+
+    names = [
+        {re.search(rb'name="drive"\r\n\r\n([^\r]+)', sent)[1] for sent in service.queries}  # type: ignore[index]
+        for service in (one, other)
+    ]
+    assert names[1] == {b"robot-7"}
+    assert len(names[0]) == 1
+    assert names[0].isdisjoint(names[1])
+    assert all(b'name="consistent"\r\n\r\n2\r\n' in sent for sent in one.queries)
+
+
+def test_as_a_drive_each_keyframe_counts_by_itself() -> None:
+    service = Service([7])
+
+    assert found(service, consistent=None, drive="robot-7") == [(0, 7)]
+
+    assert all(b'name="drive"' in sent and b'name="consistent"' not in sent for sent in service.queries)
 
 
 def test_what_was_seen_is_kept_whether_it_counts_or_not() -> None:
@@ -147,7 +186,7 @@ def test_where_the_service_knows_no_radius_the_callers_is_taken() -> None:
     "options",
     [
         {"consistent": 0},
-        {"reach": -1},
+        {"consistent": 101},
         {"radius_m": 0},
         {"radius_m": math.nan},
         {"within_m": -3},
@@ -250,4 +289,16 @@ def test_the_steps_lead_from_the_first_pose_to_all_others(poses: list[tuple[floa
 
 
 def test_the_table_names_its_columns() -> None:
-    assert csv([Loop(9, 3, 0.5, 2.0)]) == "keyframe,earlier,confidence,radius_m\n9,3,0.5,2.0\n"
+    head = "keyframe,earlier,confidence,radius_m,information_xy,information_yaw\n"
+    assert csv([Loop(9, 3, 0.5, 2.0)]) == head + "9,3,0.5,2.0,0.5,0.101321\n"
+    assert csv([]) == head
+
+
+def test_the_table_and_the_graph_know_the_same_of_a_loop() -> None:
+    walk = [Keyframe(0, 0, 0, 0), Keyframe(1, 0, 2), Keyframe(2, 0, 4, 10)]
+    loops = [Loop(2, 0, 0.99, 3.0), Loop(2, 1, 0.99, 0.7)]
+
+    rows = [line.split(",") for line in csv(loops, walk).splitlines()[1:]]
+
+    in_graph = [edge[2][3:] for edge in edges(g2o(walk, loops))[-2:]]
+    assert [[float(row[4]), 0, 0, float(row[4]), 0, float(row[5])] for row in rows] == in_graph

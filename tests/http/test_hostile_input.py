@@ -23,9 +23,9 @@ from app.http.parameters import (
     DeleteViews,
     EnrollParameters,
     ListViews,
-    QueryParameters,
 )
 from app.http.problems import KINDS, code_of
+from app.http.query_parameters import QueryParameters
 from app.http.validation import read, validated
 from schemas.errors import InvalidParameters, RevisitError
 from tests.sample_images import PNG_MAGIC, drawn, encoded, png_chunk

@@ -31,6 +31,7 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "explain": False,
         "drive": None,
         "drive_timeout_s": 60,
+        "consistent": None,
     }
 
 
@@ -142,7 +143,7 @@ def test_a_parameter_that_cannot_be_used_is_named(
 def test_an_unknown_parameter_is_answered_with_the_known_ones(client: CheckedClient) -> None:
     answer = client.post("/query?journey=monday-7", content=photo(), headers=JPEG)
     assert answer.json()["detail"] == (
-        "journey: is unknown; known are after, before, candidates, changes, drive, drive_timeout, exclude, "
+        "journey: is unknown; known are after, before, candidates, changes, consistent, drive, drive_timeout, exclude, "
         "exclude_last, explain, frame, map, maps, "
         "metadata.KEY, near, place, precision, top, where"
     )

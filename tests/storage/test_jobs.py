@@ -10,7 +10,18 @@ import pytest
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.records import Filters
 from tests.storage.conftest import Open
-from tests.storage.material import NOW, RECIPE, Follower, describe_all, enroll, finish, give_sign
+from tests.storage.material import (
+    NO_ATTRIBUTES,
+    NOW,
+    RECIPE,
+    Follower,
+    describe_all,
+    enroll,
+    facts,
+    finish,
+    give_sign,
+    image,
+)
 from worker.storage.store import SqlStore, open_store
 
 
@@ -44,6 +55,23 @@ def test_a_job_whose_worker_is_silent_goes_to_another_and_the_late_one_changes_n
     with pytest.raises(LeaseLost):
         finish(store, other)
     assert store.views.get(view.id).state == "ready"
+
+
+def test_a_job_remembers_that_poor_images_are_refused(store: SqlStore) -> None:
+    for name, wanted in (("gate", False), ("pond", True)):
+        body = image(name)
+        store.enrolment.submit("campus", body, facts(body), NO_ATTRIBUTES, RECIPE, NOW, refuse_poor=wanted)
+    give_sign(store, "dying")
+    assert [claim.refuse_poor for claim in store.jobs.claim("dying", 2)] == [False, True]
+    store.workers.bury(["dying"], NOW)
+    pond = store.jobs.claim("heir", 2)[1]
+    assert pond.refuse_poor
+
+    store.jobs.fail(pond, "poor-picture", "it adds nothing", NOW)
+
+    refused = store.views.get(pond.view.id)
+    assert (refused.state, refused.failure) == ("failed", ("poor-picture", "it adds nothing"))
+    assert Follower(store).catch_up().vectors == {}
 
 
 def test_a_worker_that_is_late_but_alone_may_still_finish(store: SqlStore) -> None:

@@ -305,6 +305,7 @@ def without_later(connection: sa.Connection) -> None:
         "views.filename",
         "comparisons.rival",
         "comparisons.own",
+        "jobs.refuse_poor",
         "comparisons.breadth",
         "maps.keep_queries",
         "maps.refuse_poor",

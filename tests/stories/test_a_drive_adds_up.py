@@ -76,13 +76,41 @@ def test_a_drive_is_forgotten_and_others_go_their_own_way(client: CheckedClient)
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"drive": ""}, {"drive": "a b"}, {"drive": "a", "drive_timeout": 0}, {"drive": "x" * 200}]
+    "wrong",
+    [
+        {"drive": ""},
+        {"drive": "a b"},
+        {"drive": "a", "drive_timeout": 0},
+        {"drive": "x" * 200},
+        {"drive_timeout": 5},
+        {"drive": "a", "consistent": 1},
+        {"consistent": 3},
+    ],
 )
 def test_wrong_names_and_times_are_refused(client: CheckedClient, wrong: dict[str, Any]) -> None:
     taken = photo(scene("mill lane").seen_from())
     refused = client.post("/query", params=wrong, content=taken, headers=JPEG)
     assert refused.status_code == 422
-    assert refused.json()["errors"][0]["parameter"].startswith("drive")
+    assert refused.json()["errors"][0]["parameter"] in ("drive", "drive_timeout", "consistent")
+
+
+def test_images_that_must_agree_are_matched_once_enough_in_a_row_do(client: CheckedClient) -> None:
+    sure = [ahead for ahead in STREET if put(client, ahead, precision=0.5)["status"] == "matched"][:3]
+    assert len(sure) == 3
+
+    row = [put(client, ahead, drive="robot-6", consistent=3, precision=0.5) for ahead in sure]
+
+    assert [answer["drive"]["single_frame_status"] for answer in row] == ["matched"] * 3
+    assert [answer["drive"]["agreeing"] for answer in row] == [1, 2, 3]
+    assert [answer["status"] for answer in row] == ["ambiguous", "ambiguous", "matched"]
+    assert "only 2 of 3 images in a row of this drive agree" in row[1]["reason"]["detail"]
+    assert [answer["matches"][0]["view"]["place"] for answer in row] == [f"{ahead:g}" for ahead in sure]
+    # One that is not recognised begins the row anew; how many agree is told of drives that add up, too.
+    elsewhere = photo(scene("foreign street").seen_from())
+    wanted = {"drive": "robot-6", "consistent": 3}
+    unknown = client.post("/query", params=wanted, content=elsewhere, headers=JPEG).json()
+    assert (unknown["status"], unknown["drive"]["agreeing"]) == (unknown["drive"]["single_frame_status"], 0)
+    assert put(client, sure[0], drive="robot-6", precision=0.5)["drive"]["agreeing"] == 1
 
 
 def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:

@@ -87,6 +87,7 @@ def test_a_360_video_becomes_eight_views_of_each_frame(client: httpx.Client, tmp
     [
         ({"every": "1m"}, "a video does not say where it was taken"),
         ({"every": "0s"}, "needs seconds such as 2s"),
+        ({"image_topic": "/camera"}, "image_topic: is of use only with a recording of ROS 2"),
         ({"every": "2"}, "needs seconds such as 2s"),
         ({"every": "2s 1m"}, "needs seconds such as 2s"),
     ],

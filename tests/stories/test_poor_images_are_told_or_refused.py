@@ -1,5 +1,6 @@
 """A robot's camera is dirty, or the light is off: it is told when it enrols, not when it is lost."""
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -145,3 +146,65 @@ def test_an_image_that_adds_nothing_is_told_or_refused(client: httpx.Client) -> 
     told = client.post("/enroll?map=wall&refuse_poor=false", content=wall(70), headers=JPEG)
     assert (told.status_code, [one["code"] for one in told.json()["warnings"]]) == (201, ["duplicate"])
     assert client.post("/enroll?map=wall", content=sharp(5), headers=JPEG).status_code == 201
+
+
+def settled(client: httpx.Client, view_id: str, within_s: float = 30) -> dict[str, Any]:
+    """A view once it is described or failed."""
+    until = time.monotonic() + within_s
+    while (view := client.get(f"/views/{view_id}").json())["state"] == "pending":
+        assert time.monotonic() < until, view
+        time.sleep(0.02)
+    return dict(view)
+
+
+@pytest.mark.parametrize(("poor", "reason"), [(wall(70), "adds nothing"), (crowd(0.9, 2), "things that move")])
+def test_whoever_does_not_wait_finds_the_refusal_at_the_view(client: httpx.Client, poor: bytes, reason: str) -> None:
+    name = reason.replace(" ", "-")
+    assert client.put(f"/maps/{name}", json={}).status_code == 201
+    assert client.patch(f"/maps/{name}", json={"refuse_poor": True}).status_code == 200
+    kept = client.post(f"/enroll?map={name}", content=wall(92), headers=JPEG).json()["view"]["id"]
+    revision = client.get(f"/maps/{name}").json()["revision"]
+
+    accepted = client.post(f"/enroll?map={name}&wait=false", content=poor, headers=JPEG)
+
+    assert accepted.status_code == 202
+    view = settled(client, accepted.json()["view"]["id"])
+    assert view["state"] == "failed"
+    assert view["failure"]["code"] == "poor-picture"
+    assert reason in view["failure"]["detail"]
+    job = client.get(f"/jobs/{accepted.json()['job']}").json()
+    assert (job["state"], job["failure"]) == ("failed", view["failure"])
+    found = client.post(f"/query?map={name}&top=10", content=poor, headers=JPEG).json()["matches"]
+    assert [match["view"]["id"] for match in found] == [kept]
+    assert client.get(f"/maps/{name}").json()["revision"] == revision  # it was never to be found
+    # Whoever waits for the same image is told; what was acknowledged stays.
+    told = client.post(f"/enroll?map={name}", content=poor, headers=JPEG)
+    assert (told.status_code, told.json()["type"]) == (422, "urn:revisit:problem:poor-picture")
+    assert f"kept as view {view['id']}" in told.json()["detail"]
+    # Another recipe is no way around the gate, nor the same once more; sending the image without it is.
+    for dynamic in (["car", "cyclist"], ["car", "cyclist"], ["car"]):
+        wanted = {"labels": ["road", "sky", "building", "car", "cyclist"], "dynamic": dynamic}
+        begun = client.post(f"/maps/{name}/recipe", json=wanted)
+        assert begun.status_code == 202, begun.text
+        assert ended(client, begun.headers["location"].removeprefix("/jobs/"))["state"] == "done"
+        assert client.get(f"/views/{view['id']}").json()["failure"] == view["failure"]
+    again = client.post(f"/enroll?map={name}&refuse_poor=false", content=poor, headers=JPEG)
+    assert (again.status_code, again.json()["view"]["state"]) == (200, "ready")
+
+
+def test_an_import_lists_what_the_map_refuses_once_it_is_described(client: httpx.Client) -> None:
+    assert client.put("/maps/stop-and-go", json={}).status_code == 201
+    assert client.patch("/maps/stop-and-go", json={"refuse_poor": True}).status_code == 200
+    files = {"0.jpg": wall(92), "1.jpg": wall(70), "2.png": crowd(0.9, 2), "3.jpg": sharp(4), "4.jpg": wall(60)}
+
+    for enrolled, there in ((2, 0), (0, 2)):
+        answer = client.post("/maps/stop-and-go/imports", content=zipped(files), headers=ZIP)
+        result = ended(client, answer.json()["id"])["result"]
+
+        assert (result["enrolled"], result["already_there"], result["failed"]) == (enrolled, there, 3)
+        assert [(one["file"], one["problem"]) for one in result["errors"]] == [
+            (file, "poor-picture") for file in ("1.jpg", "2.png", "4.jpg")
+        ]
+        assert "adds nothing" in result["errors"][0]["detail"]
+        views = client.get("/views?map=stop-and-go").json()["views"]
+        assert sorted(view["filename"] for view in views) == ["0.jpg", "3.jpg"]  # nothing else is left

@@ -55,11 +55,13 @@ class Enrolment(Protocol):
         steady_s: float | None = None,
         background: bool = False,
         covered: Covered | None = None,
+        refuse_poor: bool = False,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
 
         `steady_s` is the reading of a steady clock at `now`; `background`: other enrolments are described first;
-        `covered`: what was blurred in the image, which is then not what was sent.
+        `covered`: what was blurred in the image, which is then not what was sent; `refuse_poor`: the view is to fail
+        where its description shows that the image is poor.
 
         Raises
         ------
@@ -214,6 +216,7 @@ class BlurringEnrolment:
         now: datetime,
         steady_s: float | None = None,
         background: bool = False,
+        refuse_poor: bool = False,
     ) -> Submitted:
         """Store an image durably and queue its description; `image` is `data` decoded, not altered since.
 
@@ -235,7 +238,7 @@ class BlurringEnrolment:
                 stored, told, found = blurred.data, blurred.image, Covered(words, image.digest)
             try:
                 submitted = self._enrolment.submit(
-                    name, stored, facts(told), attributes, recipe, now, steady_s, background, found
+                    name, stored, facts(told), attributes, recipe, now, steady_s, background, found, refuse_poor
                 )
                 if submitted.job_id is not None and found is None:
                     self._decoded.keep(image)

@@ -11,6 +11,7 @@ import numpy as np
 from worker.method.decision import SOFTENING, Decision, PlaceProbability, Reason, confidences
 from worker.method.drive import Drive, Single, follow, spread
 from worker.method.evidence import Ranking
+from worker.service.agreement import Row
 from worker.service.results import RankedResults
 
 DRIVEN = 20
@@ -34,11 +35,14 @@ class Driven:
         Most probable first; indices into the views of the results.
     single_status : str
         The verdict on this image alone.
+    agreeing : int
+        Images in a row, up to this one, that are matched one by one and come back to one stretch of the map.
     """
 
     images: int
     posterior: tuple[PlaceProbability, ...]
     single_status: str
+    agreeing: int
 
     @property
     def nowhere(self) -> float:
@@ -52,6 +56,7 @@ class _Kept:
     recipe: str
     revision: int
     at: float
+    row: Row
 
 
 class Drives:
@@ -69,12 +74,18 @@ class Drives:
         self._lock = threading.Lock()
 
     def follow(
-        self, key: tuple[str, str], timeout_s: float, results: RankedResults, decision: Decision
+        self,
+        key: tuple[str, str],
+        timeout_s: float,
+        results: RankedResults,
+        decision: Decision,
+        consistent: int | None = None,
     ) -> tuple[RankedResults, Decision, Driven]:
         """Take one more image of a drive into account.
 
         Where the images together are as sure as the precision asks for, the decision is theirs and the views of their
-        place come first. Otherwise the image's own decision stands.
+        place come first. Otherwise the image's own decision stands. With `consistent` the decision is always the
+        image's own, and `matched` only where enough images in a row agree.
 
         Parameters
         ----------
@@ -86,23 +97,29 @@ class Drives:
             With `DRIVEN` views or more, if there are so many.
         decision : Decision
             On the image alone.
+        consistent : int, optional
+            Images in a row that must be matched one by one and come back to one stretch of the map.
         """
         if not results.views:
-            return results, decision, Driven(self._images(key), (), decision.status)
+            return results, decision, Driven(self._images(key), (), decision.status, 0)
         single = _single(results, decision)
         recipe, now = results.recipe.description.id, self._now()
         with self._lock:
             kept = self._kept.pop(key, None)
             fits = kept is not None and kept.recipe == recipe and kept.revision <= results.first_map.revision
-            before = kept.drive if kept is not None and fits and now - kept.at <= timeout_s else Drive()
+            known = kept is not None and fits and now - kept.at <= timeout_s
+            before, row = (kept.drive, kept.row) if kept is not None and known else (Drive(), Row())
             after, together = follow(before, single)
-            self._kept[key] = _Kept(after, recipe, results.first_map.revision, now)
+            row = row.followed_by(int(results.ranking.order[0]) if decision.status == "matched" else None)
+            self._kept[key] = _Kept(after, recipe, results.first_map.revision, now, row)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         posterior = _by_place(
             results.ranking, len(results.views), dict(zip(single.seqs.tolist(), together, strict=True))
         )
-        driven = Driven(after.images, posterior, decision.status)
+        driven = Driven(after.images, posterior, decision.status, row.images)
+        if consistent is not None:
+            return results, _consistent(decision, row.images, consistent), driven
         if after.images == 1 or posterior[0].probability < decision.threshold:
             return results, decision, driven
         order = [view for place in posterior for view in place.views]
@@ -121,6 +138,14 @@ class Drives:
     def _images(self, key: tuple[str, str]) -> int:
         with self._lock:
             return self._kept[key].drive.images if key in self._kept else 0
+
+
+def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:
+    """The decision on an image alone, `ambiguous` where it is `matched` and too few images in a row agree."""
+    if decision.status != "matched" or agreeing >= wanted:
+        return decision
+    detail = f"this image alone is sure, but only {agreeing} of {wanted} images in a row of this drive agree on where"
+    return replace(decision, status="ambiguous", reason=Reason("sure", detail, "send the next images of the drive"))
 
 
 def _single(results: RankedResults, decision: Decision) -> Single:

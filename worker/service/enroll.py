@@ -25,6 +25,8 @@ NO_WORKER = (
 )
 NO_WORKER_RETRY_S = 10
 
+KEPT = "kept as view {}, which no search will return"
+
 
 @dataclass(frozen=True)
 class Accepted:
@@ -39,8 +41,6 @@ class Accepted:
         Seconds until it is described, by the length of the queue and the measured pace.
     problem : str or None
         What may keep it from being recognised, in words.
-    refuses_poor : bool
-        Whether it is refused when its description shows that it is poor.
     timing_ms : mapping of stage to milliseconds
     """
 
@@ -48,7 +48,6 @@ class Accepted:
     began: float
     expected_s: float
     problem: str | None
-    refuses_poor: bool
     timing_ms: dict[str, float]
 
 
@@ -163,8 +162,8 @@ class EnrollService:
         waits : bool
             Whether the caller wants to wait for the description, which is refused when no worker is alive.
         refuse_poor : bool, optional
-            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled, nor, where the caller
-            waits, one that shows mostly things that move or is nearly in the map already; None: as the map says.
+            Whether an image that is dark, overexposed, covered or blurred is not to be enrolled, and whether the view
+            of one is to fail that shows mostly things that move or is nearly in the map already; None: as the map says.
         exif : bool
             Whether the image's EXIF says where and when it was taken, where `attributes` do not.
 
@@ -195,13 +194,14 @@ class EnrollService:
         if exif:
             attributes = completed(attributes, self._taken(data))
         submitted = self._enrolment.submit(
-            map_name, data, image, attributes, self._default_recipe, datetime.now(UTC), steady.reading_s()
-        )
+            map_name, data, image, attributes, self._default_recipe, datetime.now(UTC), steady.reading_s(),
+            refuse_poor=refuses_poor,
+        )  # fmt: skip
         if submitted.job_id is not None:
             self._wake()
         expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
         timing_ms = {"decode": (decoded - began) * 1000, "store": _since(decoded)}
-        return Accepted(submitted, began, expected_s, problem, refuses_poor, timing_ms)
+        return Accepted(submitted, began, expected_s, problem, timing_ms)
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
         """The outcome of an accepted image.
@@ -217,8 +217,8 @@ class EnrollService:
         NothingStatic
             The view is kept, `failed`.
         PoorImage
-            The image shows mostly things that move, or adds nothing to the map, and such images are refused; the view
-            is removed.
+            The image shows mostly things that move, or adds nothing to the map, and such images are refused; a view
+            that this call created is removed.
         DiskFull, StorageFailed
             The description cannot be stored now, and the view that this call created is removed. Where it cannot be
             removed, or was there before, it stays pending and is described later: that is no error.
@@ -233,25 +233,22 @@ class EnrollService:
         if view is not None and record.state == "failed" and record.failure is not None:
             code, detail = record.failure
             if code == NothingStatic.code:
-                raise NothingStatic(f"{detail} (kept as view {record.id}, which no search will return)")
-            if submitted.created:  # a view that an earlier call acknowledged stays
+                raise NothingStatic(f"{detail} ({KEPT.format(record.id)})")
+            if code == PoorImage.code:
+                gone = self._undone(submitted)  # a view that an earlier call acknowledged stays
+                raise PoorImage(detail if gone else f"{detail} ({KEPT.format(record.id)})")
+            if submitted.created:
                 self._removals.delete_view(record.id)
             raise RevisitError(detail)
         problem = accepted.problem
         if view is not None and submitted.created:
-            moves = self._moves(record)
-            if moves is not None and accepted.refuses_poor and self._undone(submitted):
-                raise PoorImage(moves)
-            problem = problem or moves
+            problem = problem or self._moves(record)
         revision = submitted.revision
         resembles: tuple[Resemblance, ...] = ()
         timing_ms = accepted.timing_ms
         if record.state == "ready" and submitted.created:
             comparing = time.perf_counter()
             resembles = self._resembles(record)
-            same = next((one.detail for one in resembles if one.code == "duplicate"), None)
-            if same is not None and accepted.refuses_poor and self._undone(submitted):
-                raise PoorImage(same)
             timing_ms = {**timing_ms, "compare": _since(comparing)}
         if record.state == "ready":
             revision = self._maps.get(record.map).revision

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
@@ -19,10 +20,12 @@ from worker.service import steady
 from worker.service.blurring import BlurringEnrolment
 from worker.service.completing import completed, turned, wanted_of_exif
 from worker.service.decoded import MOST_BYTES
+from worker.service.enroll import KEPT
 from worker.service.import_ports import ImportJobs, Uploads
 from worker.service.import_report import Report
 from worker.service.opening import open_recording
 from worker.service.panoramas import Panoramas
+from worker.service.ports import Removals
 from worker.service.recordings import Item, Limits, Note
 from worker.service.settlements import Settlements
 from worker.service.trouble import STORAGE_ERRORS
@@ -56,7 +59,7 @@ class Importer:
 
     Parameters
     ----------
-    uploads, jobs
+    uploads, jobs, removals
         Parts of the store.
     enrolment : BlurringEnrolment
     settlements : Settlements
@@ -77,6 +80,7 @@ class Importer:
         *,
         uploads: Uploads,
         jobs: ImportJobs,
+        removals: Removals,
         enrolment: BlurringEnrolment,
         settlements: Settlements,
         decode: Callable[[bytes], Image],
@@ -87,7 +91,7 @@ class Importer:
     ) -> None:
         self._uploads, self._jobs, self._enrolment, self._settlements = uploads, jobs, enrolment, settlements
         self._decode, self._taken, self._look_for_problem = decode, taken, look_for_problem
-        self._limits, self._wake = limits, wake
+        self._limits, self._wake, self._removals = limits, wake, removals
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
         """Import a recording until `stopping()` is true; what is there already is skipped, an error fails the job.
@@ -164,12 +168,15 @@ class Importer:
         image = self._decode(data)
         return _Read(data, attributes, None, image, self._look_for_problem(image))
 
-    def submit(self, claim: MapClaim, data: bytes, attributes: ViewAttributes, image: Image) -> Submitted:
+    def submit(
+        self, claim: MapClaim, data: bytes, attributes: ViewAttributes, image: Image, refuse_poor: bool
+    ) -> Submitted:
         """Store an image durably and queue its description; raises Conflict, LeaseLost, DiskFull, StorageFailed."""
         try:
             submitted = self._enrolment.submit(
-                claim.map, data, image, attributes, None, _now(), steady.reading_s(), background=True
-            )
+                claim.map, data, image, attributes, None, _now(), steady.reading_s(), background=True,
+                refuse_poor=refuse_poor,
+            )  # fmt: skip
         except NotFound as error:
             raise LeaseLost(error.detail) from None
         if submitted.job_id is not None:
@@ -182,6 +189,11 @@ class Importer:
             return self._settlements.wait(view_id, patience_s)
         except NotFound:
             return None
+
+    def drop(self, view_id: str) -> None:
+        """Remove a view; does nothing where it was deleted."""
+        with suppress(NotFound):
+            self._removals.delete_view(view_id)
 
     def report(self, claim: MapClaim, report: Report) -> None:
         """Tell the store how far a job is; raises LeaseLost."""
@@ -248,7 +260,8 @@ class _Run:
                     raise PoorImage(read.problem)
                 self._report.poor += 1
             if view is None:
-                view = self._importer.submit(self._claim, read.data, read.attributes, read.image).view
+                one = self._importer.submit(self._claim, read.data, read.attributes, read.image, self._refuse_poor)
+                view = one.view
         except (*STORAGE_ERRORS, LeaseLost, EncoderAway):
             raise
         except Repeated:
@@ -281,9 +294,12 @@ class _Run:
         if view is None:
             self._fail(file, "not-found", f"its view {view_id} was deleted before it was described")
         elif view.state == "failed" and view.failure is not None:
-            self._fail(
-                file, view.failure[0], f"{view.failure[1]} (kept as view {view_id}, which no search will return)"
-            )
+            code, detail = view.failure
+            if own and code == PoorImage.code:  # nobody was told of it: refused, it leaves nothing
+                self._importer.drop(view_id)
+            else:
+                detail = f"{detail} ({KEPT.format(view_id)})"
+            self._fail(file, code, detail)
         elif own:
             self._report.enrolled += 1
         else:

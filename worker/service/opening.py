@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from schemas.errors import BodyTooLarge, InvalidParameters
+from schemas.errors import BodyTooLarge, InvalidParameters, ParameterError
 from schemas.imports import ImportOptions
 from schemas.records import ViewAttributes
 from worker.images.apart.bag import MAGIC, Bag
@@ -30,6 +30,9 @@ def open_recording(path: Path, limits: Limits, options: ImportOptions) -> Record
     """
     with path.open("rb") as file:
         head = file.read(16)
+    topics = [name for name in ("image_topic", "pose_topic") if getattr(options, name) is not None]
+    if topics and not head.startswith(MAGIC):
+        raise InvalidParameters([ParameterError(name, "is of use only with a recording of ROS 2") for name in topics])
     if is_video(head):
         return _video(path, limits, options)
     if head.startswith(MAGIC):

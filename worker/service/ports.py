@@ -68,8 +68,8 @@ class Views(Protocol):
         """One view; raises NotFound."""
         ...
 
-    def at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
-        """Views by sequence number; those deleted meanwhile are absent."""
+    def at(self, seqs: Sequence[int], recipe: str | None = None) -> dict[int, ViewRecord]:
+        """Views by sequence number, described by their map's recipe or another one; those deleted are absent."""
         ...
 
     def list(

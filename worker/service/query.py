@@ -160,6 +160,7 @@ class QueryService:
         explain: bool = False,
         drive: str | None = None,
         drive_timeout_s: float = DRIVE_TIMEOUT_S,
+        consistent: int | None = None,
         keep: bool = True,
     ) -> QueryResult:
         """Which views of some maps show the place of an image.
@@ -184,6 +185,9 @@ class QueryService:
             Name of the drive that the image is the next one of; only with one map.
         drive_timeout_s : float
             The drive begins anew when its last image is older.
+        consistent : int, optional
+            `matched` is said only where so many images of the drive in a row are matched one by one and come back to
+            one stretch of the map; None: their evidence adds up instead.
         keep : bool
             Whether the image may be kept among the maps' unknown places, or as a proposed view.
 
@@ -217,7 +221,9 @@ class QueryService:
         driven = None
         if drive is not None:
             [one], [decision] = found, decisions
-            results, decision, driven = self._drives.follow((maps[0], drive), drive_timeout_s, one.results, decision)
+            results, decision, driven = self._drives.follow(
+                (maps[0], drive), drive_timeout_s, one.results, decision, consistent
+            )
             found, decisions = [replace(one, results=results)], [decision]
         joined = join(decisions)
         leading, decision = found[joined.leading], joined.decision

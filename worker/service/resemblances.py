@@ -1,22 +1,18 @@
 """What a view that was just described resembles in its map: the same image again, or another place."""
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
-
-import numpy as np
 
 from schemas.comparisons import KnownView
 from schemas.errors import NotFound, RevisitError, Unavailable
 from schemas.records import Filters, ViewRecord
-from worker.method import near_duplicates
 from worker.method.places import SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.service.comparing import Descriptions
+from worker.service.duplicates import NearDuplicates, named, told
 from worker.service.ports import Maps
-from worker.service.results import RankedResults, ScoredView
+from worker.service.results import RankedResults
 from worker.service.searching import RecipeChanged, Searcher
-from worker.service.sheets import name_of
 from worker.service.twins import would_match
 
 log = logging.getLogger("revisit.service")
@@ -51,10 +47,11 @@ class Resemblances:
     maps, descriptions
         Parts of the store.
     searcher : Searcher
+    duplicates : NearDuplicates
     """
 
-    def __init__(self, maps: Maps, descriptions: Descriptions, searcher: Searcher) -> None:
-        self._maps, self._descriptions, self._searcher = maps, descriptions, searcher
+    def __init__(self, maps: Maps, descriptions: Descriptions, searcher: Searcher, duplicates: NearDuplicates) -> None:
+        self._maps, self._descriptions, self._searcher, self._duplicates = maps, descriptions, searcher, duplicates
 
     def of(self, view: ViewRecord) -> tuple[Resemblance, ...]:
         """What a described view resembles; empty also when that cannot be told: the view is enrolled all the same."""
@@ -65,40 +62,15 @@ class Resemblances:
                 return ()
             others = {view.map: Filters(exclude=(view.id,))}
             found = self._searcher.search(others, recipe, description, top=TOP)
-            same = self._duplicate(view, found)
+            same = self._duplicates.of(view.map, recipe.id, description, but=view.seq)
         except (NotFound, RecipeChanged, Unavailable):  # the view, or its map, changes too fast to tell
             return ()
         except RevisitError as error:
             log.error("view %s is not compared with its map: %s", view.id, error.detail)
             return ()
-        told = () if same is None else (same,)
+        first = () if same is None else (Resemblance("duplicate", told(same), same.id),)
         alike = _look_alike(view, found)
-        return told if alike is None else (*told, alike)
-
-    def _duplicate(self, view: ViewRecord, found: RankedResults) -> Resemblance | None:
-        seqs = [view.seq, *(scored.seq for scored in found.views)]
-        recipe = found.recipe.description.id
-        for other in _same_images(self._descriptions, seqs, recipe):
-            [scored] = [scored for scored in found.views if scored.seq == other]
-            detail = f"nearly the same image is enrolled already, as {_named(scored)}; it adds nothing"
-            return Resemblance("duplicate", detail, scored.view.id)
-        return None
-
-
-def _same_images(descriptions: Descriptions, seqs: Sequence[int], recipe: str) -> list[int]:
-    """Which of some views, after the first, show nearly the same image as that."""
-    vectors, cells = descriptions.vectors(seqs, recipe), descriptions.appearances(seqs, recipe)
-    first = seqs[0]
-    if first not in vectors or first not in cells:
-        return []
-    return [
-        seq
-        for seq in seqs[1:]
-        if seq in vectors
-        and seq in cells
-        and float(np.linalg.norm(vectors[seq] - vectors[first])) <= near_duplicates.NEAR
-        and near_duplicates.similarity(cells[first].coarse, cells[seq].coarse) >= near_duplicates.SAME
-    ]
+        return first if alike is None else (*first, alike)
 
 
 def _look_alike(view: ViewRecord, found: RankedResults) -> Resemblance | None:
@@ -126,16 +98,11 @@ def _look_alike(view: ViewRecord, found: RankedResults) -> Resemblance | None:
             return None
     return Resemblance(
         "look-alike",
-        f"the map takes it for {_named(rival)}: if that is another place, enrol both where they differ; if it is the "
-        "same, give both one place",
+        f"the map takes it for {named(rival.view)}: if that is another place, enrol both where they differ; if it is "
+        "the same, give both one place",
         rival.view.id,
     )
 
 
 def _known(view: ViewRecord) -> KnownView:
     return KnownView(view.attributes.place, view.attributes.position)
-
-
-def _named(scored: ScoredView) -> str:
-    name = name_of(scored.view)
-    return f"the view {scored.view.id}" if name == scored.view.id else f"{name!r} (view {scored.view.id})"

@@ -70,7 +70,7 @@ class Searcher:
         self._descriptions, self._comparisons, self._queue = descriptions, comparisons, queue
         self._describers, self._scheduler, self._catalogue = describers, scheduler, catalogue
         self._calibration, self._product = calibration, product
-        self._levels: dict[str, tuple[tuple[datetime, int], MapLevels]] = {}
+        self._levels: dict[str, tuple[tuple[datetime, int, str], MapLevels]] = {}
 
     def describer(self, map_name: str) -> Describer:
         """The describer of a map's recipe; raises NotFound."""
@@ -161,7 +161,7 @@ class Searcher:
         NotFound
             There is no such map.
         RecipeChanged
-            A map's recipe is no longer `recipe`, or the maps are no longer of one kind.
+            A map's recipe is no longer `recipe` when the search begins, or the maps are no longer of one kind.
         Unavailable
             Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
         """
@@ -195,18 +195,16 @@ class Searcher:
                     observe=watch.observe,
                 )
                 shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
-                views = self._views.at(sorted({candidate.seq for candidate in shown}))
-                described = {seq: view.description for seq, view in views.items() if view.description is not None}
-                facts = [described[candidate.seq] for candidate in shown if candidate.seq in described]
-                if len(facts) < len(shown):
-                    raise ViewGone({candidate.seq for candidate in shown} - described.keys())
+                # By the recipe that was searched: the map may have changed over while candidates were compared.
+                views = self._views.at(sorted({candidate.seq for candidate in shown}), recipe.id)
+                described = {seq for seq, view in views.items() if view.description is not None}
+                if gone_now := {candidate.seq for candidate in shown} - described:
+                    raise ViewGone(gone_now)
             except ViewGone as error:
                 # A round that found damaged descriptions to leave out does not count: a map may have many.
                 rounds += not self._comparisons.known(sorted(error.seqs - gone), recipe.id)
                 gone |= error.seqs
                 continue
-            if any(of.recipe != recipe.id for of in facts):
-                raise RecipeChanged  # while candidates were compared: views are shown by the map's present recipe
             scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
             return RankedResults(
                 views=tuple(scored[: len(ranked.first)]),
@@ -228,9 +226,9 @@ class Searcher:
     def _levels_of(self, record: MapRecord) -> MapLevels:
         """What wrong answers get in a map; read once for each revision."""
         kept = self._levels.get(record.name)
-        if kept is None or kept[0] != (record.created_at, record.revision):
-            levels = self._comparisons.levels(record.name)
-            kept = (record.created_at, levels.revision), levels
+        if kept is None or kept[0] != (record.created_at, record.revision, record.description.id):
+            levels = self._comparisons.levels(record.name, record.description.id)
+            kept = (record.created_at, levels.revision, record.description.id), levels
             self._levels[record.name] = kept
         return kept[1]
 

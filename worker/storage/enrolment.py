@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from datetime import datetime
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
@@ -108,12 +108,13 @@ class Enrolment(Part):
         steady_s: float | None = None,
         background: bool = False,
         covered: Covered | None = None,
+        refuse_poor: bool = False,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map, if `recipe` is given.
 
         `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured;
         `background`: other enrolments are described first; `covered`: what was blurred in the image, which is not what
-        was sent.
+        was sent; `refuse_poor`: the view is to fail where its description shows that the image is poor.
 
         For an image that the map has already the result is its view, which is queued again if it had failed.
 
@@ -142,11 +143,12 @@ class Enrolment(Part):
             if blur_of(row) != (() if covered is None else covered.words):
                 raise BlurChanged(f"what the map {name!r} blurs was changed meanwhile; try again")
             sent = facts.sha256 if covered is None else covered.sent_sha256
+            how = _How(now, background, refuse_poor)
             columns = {**fact_columns(facts), "sent_sha256": None if covered is None else sent}
             view = _same_image(connection, row.id, sent, facts.sha256)
             if view is None:
-                return self._enrol(connection, row, columns, attributes, now, steady_s, background)
-            submitted = self._enrol_again(connection, row, view, columns, attributes, now, background)
+                return self._enrol(connection, row, columns, attributes, how, steady_s)
+            submitted = self._enrol_again(connection, row, view, columns, attributes, how)
         if row.drop_images or view.sha256 != facts.sha256:
             # What a view needs stays: where it is to be described, or where this image took the place of another.
             self._images.discard([facts.sha256, view.sha256])
@@ -170,15 +172,14 @@ class Enrolment(Part):
         row: sa.Row[Any],
         image: Mapping[str, Any],
         attributes: ViewAttributes,
-        now: datetime,
+        how: "_How",
         steady_s: float | None,
-        background: bool,
     ) -> Submitted:
-        view_id, elapsed_us = self._order.following(connection, now, steady_s)
+        view_id, elapsed_us = self._order.following(connection, how.now, steady_s)
         columns = {
             "id": view_id,
             "map_id": row.id,
-            "enrolled_at": now,
+            "enrolled_at": how.now,
             "elapsed_us": elapsed_us,
             **image,
             **attribute_columns(attributes),
@@ -189,7 +190,7 @@ class Enrolment(Part):
         view = view_record(find_view(connection, view_id))
         self._order.note(view.seq, elapsed_us, steady_s)
         keep_pairs(connection, view.seq, attributes)
-        job = self._queue(connection, row, view.seq, now, background)
+        job = self._queue(connection, row, view.seq, how)
         return Submitted(view, job, created=True, revision=row.revision)
 
     def _enrol_again(
@@ -199,15 +200,14 @@ class Enrolment(Part):
         view: sa.Row[Any],
         image: Mapping[str, Any],
         attributes: ViewAttributes,
-        now: datetime,
-        background: bool,
+        how: "_How",
     ) -> Submitted:
         if not has_whole_attributes(view):  # what is sent now is what there is
-            set_aside_views(connection, [view.seq], now)  # nobody may have read it since it was damaged
+            set_aside_views(connection, [view.seq], how.now)  # nobody may have read it since it was damaged
             columns = {
                 **view._mapping,
                 "map_id": row.id,
-                "enrolled_at": now,
+                "enrolled_at": how.now,
                 **image,
                 **attribute_columns(attributes),
             }
@@ -229,7 +229,7 @@ class Enrolment(Part):
             )
         job: str | None
         if view.state == "failed":  # sending it again means trying again
-            job = self._queue(connection, row, view.seq, now, background)
+            job = self._queue(connection, row, view.seq, how)
             connection.execute(
                 sa.update(VIEWS)
                 .where(VIEWS.c.seq == view.seq)
@@ -247,12 +247,21 @@ class Enrolment(Part):
             return False
         return True
 
-    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, now: datetime, background: bool) -> str:
+    def _queue(self, connection: sa.Connection, row: sa.Row[Any], seq: int, how: "_How") -> str:
         """Queue the description of a view by the map's recipe and, in a recipe switch, by the next; returns the job."""
         job = switching.unfinished_job(connection, seq, row.recipe)
         if job is None:
-            [job] = switching.queue(connection, row.id, [seq], row.recipe, now, background=background)
+            told = {"background": how.background, "refuse_poor": how.refuse_poor}
+            [job] = switching.queue(connection, row.id, [seq], row.recipe, how.now, **told)
         following = row.next_recipe
         if following is not None and not switching.settled(connection, seq, following):
-            switching.queue(connection, row.id, [seq], following, now, background=True)
+            switching.queue(connection, row.id, [seq], following, how.now, background=True)
         return job
+
+
+class _How(NamedTuple):
+    """When an image is enrolled, and how it is to be described."""
+
+    now: datetime
+    background: bool
+    refuse_poor: bool

@@ -35,10 +35,10 @@ def metadata_pair(key: str, text: str) -> str:
 
 def metadata_pairs(metadata: Mapping[str, Any]) -> list[str]:
     """The stored pairs of a view: each top-level key with the text of its value."""
-    return [metadata_pair(key, _text(value)) for key, value in metadata.items()]
+    return [metadata_pair(key, text_of(value)) for key, value in metadata.items()]
 
 
-def _text(value: object) -> str:
+def text_of(value: object) -> str:
     """The text that finds a value: a string as it is, anything else as compact JSON with sorted keys."""
     if isinstance(value, str):
         return value
@@ -65,7 +65,7 @@ def allowing(connection: sa.Connection, filters: Filters, scope: Sequence[Clause
         first, second, radius = map(float, filters.near)
         geographic = filters.geographic
         if geographic is None:
-            geographic = _are_in_degrees(connection, first, second, scope)
+            geographic = are_in_degrees(connection, first, second, scope)
         conditions += (_near_degrees if geographic else _near_metres)(first, second, radius)
     if filters.after is not None:
         conditions.append(VIEWS.c.captured_at >= filters.after)
@@ -129,7 +129,7 @@ def fitting(
     return allowed + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
 
 
-def _are_in_degrees(connection: sa.Connection, first: float, second: float, scope: Sequence[Clause]) -> bool:
+def are_in_degrees(connection: sa.Connection, first: float, second: float, scope: Sequence[Clause]) -> bool:
     """Whether positions are in degrees, of which `first` and `second` then have to be a latitude and a longitude."""
     metres, degrees = (
         connection.scalar(sa.select(VIEWS.c.seq).where(column.is_not(None), *scope).limit(1)) is not None

@@ -75,7 +75,10 @@ class Jobs(Part):
             held = {"state": "running", "worker": worker, "token": tokens[job.number]}
             connection.execute(_CLAIMED, {"of": job.number, **held})
         return [
-            Claim(job.id, tokens[job.number], views[job.seq], recipes[job.recipe], job.attempts + 1) for job in jobs
+            Claim(
+                job.id, tokens[job.number], views[job.seq], recipes[job.recipe], job.attempts + 1, bool(job.refuse_poor)
+            )
+            for job in jobs
         ]
 
     def finish(self, claim: Claim, description: Description, now: datetime) -> int:

@@ -1,7 +1,8 @@
 """Selections of views for a search, and places."""
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -10,7 +11,10 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged
 from schemas.records import Filters, Position, Selection, Sequence64
+from worker.storage.database import Database
+from worker.storage.filter_cache import FilterCache
 from worker.storage.filtering import allowing, excluding
+from worker.storage.image_store import ImageStore
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.part import Part
 from worker.storage.rows import find_map, maps_named
@@ -24,10 +28,26 @@ MEANS = ("x", "y", "z", "alt", "globe_x", "globe_y", "globe_z")
 class Listings(Part):
     """See `worker.service.ports.Listings`."""
 
+    def __init__(self, database: Database, images: ImageStore) -> None:
+        super().__init__(database, images)
+        self._columns = FilterCache(database)
+
+    def close(self) -> None:
+        """Wait for what reads in the background."""
+        self._columns.wait()
+
     def select(self, name: str, filters: Filters) -> Selection:
         """The views of a map that filters select, as sequence numbers; raises NotFound."""
         with self._database.reading() as connection:
-            return selected(connection, find_map(connection, name).id, filters)
+            row = find_map(connection, name)
+            plain = replace(filters, exclude_last=None, exclude=())
+            only = None
+            if plain not in (Filters(), Filters(geographic=filters.geographic)):
+                only = self._columns.only(connection, row.id, row.revision, plain)
+            if only is None:
+                return selected(connection, row.id, filters)
+            rest = selected(connection, row.id, Filters(exclude_last=filters.exclude_last, exclude=filters.exclude))
+            return replace(rest, only=only)
 
     def places(
         self, name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
@@ -74,14 +94,13 @@ class Listings(Part):
 def selected(connection: sa.Connection, map_id: int, filters: Filters) -> Selection:
     """The views of a map that filters select, as sequence numbers; raises InvalidParameters."""
     of_map = VIEWS.c.map_id == map_id
-    seqs = sa.select(VIEWS.c.seq).where(of_map)
     only = None
     allowed = allowing(connection, filters, [of_map])
     if allowed:
-        only = _ascending(connection.scalars(seqs.where(*allowed)))
+        only = _ascending(connection, [of_map, *allowed])
     # Each by itself: a search that leaves out the newest views comes with every frame of a robot.
-    never = [_ascending(connection.scalars(seqs.where(e))) for e in excluding(connection, filters, map_id)]
-    return Selection(only, np.unique(np.concatenate([_ascending(()), *never])))
+    never = [_ascending(connection, [of_map, e]) for e in excluding(connection, filters, map_id)]
+    return Selection(only, np.unique(np.concatenate([np.zeros(0, np.int64), *never])))
 
 
 def _is_text(place: str) -> bool:
@@ -103,5 +122,9 @@ def _mean_position(row: sa.Row[Any]) -> Position:
     return Position(lat=lat, lon=math.degrees(math.atan2(row.globe_y, row.globe_x)), alt=row.alt)
 
 
-def _ascending(seqs: Iterable[int]) -> Sequence64:
-    return np.sort(np.fromiter(seqs, np.int64))
+def _ascending(connection: sa.Connection, conditions: Sequence[sa.ColumnElement[bool]]) -> Sequence64:
+    """Sequence numbers of the views that fulfil all conditions: as one text, since a row for each takes four times as
+    long."""
+    listed = sa.func.aggregate_strings(sa.cast(VIEWS.c.seq, sa.Text), ",")
+    text = connection.scalar(sa.select(listed).where(*conditions))
+    return np.sort(np.array([] if text is None else np.fromstring(text, np.int64, sep=","), np.int64))

@@ -155,11 +155,15 @@ def ranking_of(body: str) -> RankingConfig:
 
 
 @cache
-def view_rows() -> sa.Select[Any]:
-    """Selects views with their map's name and their description by the map's recipe, for `view_record`."""
+def view_rows(*, by_given: bool = False) -> sa.Select[Any]:
+    """Selects views with their map's name and their description, for `view_record`.
+
+    The description is that by the map's recipe; `by_given`: by the recipe in the parameter ``recipe``.
+    """
+    recipe = sa.bindparam("recipe", type_=sa.Text) if by_given else MAPS.c.recipe
     # A map without a name is being deleted: its views are no longer shown.
     named = sa.and_(MAPS.c.id == VIEWS.c.map_id, MAPS.c.name.is_not(None))
-    described = sa.and_(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == MAPS.c.recipe)
+    described = sa.and_(DESCRIPTIONS.c.seq == VIEWS.c.seq, DESCRIPTIONS.c.recipe == recipe)
     return sa.select(
         VIEWS,
         MAPS.c.name.label("map"),
@@ -252,10 +256,10 @@ def find_view(connection: sa.Connection, view_id: str) -> sa.Row[Any]:
 
 
 @cache
-def views_of() -> sa.Select[Any]:
+def views_of(*, by_given: bool = False) -> sa.Select[Any]:
     """`view_rows` for the sequence numbers in the parameter ``seqs``."""
     seqs: sa.BindParameter[Any] = sa.bindparam("seqs", expanding=True)
-    return view_rows().where(VIEWS.c.seq.in_(seqs))
+    return view_rows(by_given=by_given).where(VIEWS.c.seq.in_(seqs))
 
 
 @cache

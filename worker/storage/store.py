@@ -184,6 +184,7 @@ class SqlStore:
         """Close connections and release the data folder; a second time does nothing."""
         self._peers.leave()
         self._images.close()
+        self.listings.close()
         self._database.close()
         self._share.release()
 

@@ -14,7 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 from uuid6 import uuid7
 
-from schemas.errors import Conflict
+from schemas.errors import Conflict, PoorImage
 from schemas.recipe import MapRecipe, RankingConfig
 from worker.storage import clock
 from worker.storage.image_store import forgets
@@ -50,10 +50,23 @@ _CHANGING = (  # no row for most maps
 )
 
 
+_REFUSED = (VIEWS.c.state == "failed") & (sa.func.coalesce(VIEWS.c.failure_code, "") == PoorImage.code)
+
+
 def queue(
-    connection: sa.Connection, map_id: int, seqs: list[int], recipe: str, now: datetime, *, background: bool
+    connection: sa.Connection,
+    map_id: int,
+    seqs: list[int],
+    recipe: str,
+    now: datetime,
+    *,
+    background: bool,
+    refuse_poor: bool = False,
 ) -> list[str]:
-    """Queue the description of views by a recipe; returns the jobs' ids."""
+    """Queue the description of views by a recipe; returns the jobs' ids.
+
+    `refuse_poor`: views whose descriptions show that their images are poor are to fail.
+    """
     rows = [
         {
             "id": str(uuid7()),
@@ -65,6 +78,7 @@ def queue(
             "state": "waiting",
             "attempts": 0,
             "created_at": now,
+            "refuse_poor": refuse_poor or None,
         }
         for seq in seqs
     ]
@@ -114,7 +128,7 @@ def begin(
         new = {"id": job, "kind": "recipe", "map_id": row.id, "recipe": recipe, "background": True}
         connection.execute(inserting(JOBS), {**new, "state": "running", "attempts": 1, "created_at": now})
     under_way = sa.exists().where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.recipe == recipe, JOBS.c.state.in_(UNFINISHED))
-    lacking = [VIEWS.c.map_id == row.id, ~is_described(recipe), ~under_way]
+    lacking = [VIEWS.c.map_id == row.id, ~is_described(recipe), ~under_way, ~_REFUSED]
     seqs = list(connection.scalars(sa.select(VIEWS.c.seq).where(*lacking).order_by(VIEWS.c.seq)))
     refuse_without_images(connection, row, seqs)
     queue(connection, row.id, seqs, recipe, now, background=True)
@@ -276,7 +290,10 @@ def _named(row: Mapping[str, Any]) -> set[str]:
 
 
 def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
-    """Set the state of each view of a map by a recipe: ready, pending, or failed with the reason of its last job."""
+    """Set the state of each view of a map by a recipe: ready, pending, or failed with the reason of its last job.
+
+    One that was refused as poor stays so until its image is sent again.
+    """
     own = sa.update(VIEWS).where(VIEWS.c.map_id == map_id)
     connection.execute(own.where(is_described(recipe)).values(state="ready", failure_code=None, failure_detail=None))
     last = (
@@ -291,7 +308,7 @@ def settle(connection: sa.Connection, map_id: int, recipe: str) -> None:
         return sa.select(column).where(jobs.c.number == last).correlate(VIEWS).scalar_subquery()
 
     connection.execute(
-        own.where(~is_described(recipe)).values(
+        own.where(~is_described(recipe), ~_REFUSED).values(
             state=sa.case((of_last(jobs.c.state).in_(UNFINISHED), "pending"), else_="failed"),
             failure_code=of_last(jobs.c.failure_code),
             failure_detail=of_last(jobs.c.failure_detail),

@@ -45,12 +45,13 @@ class Views(Part):
         [record] = self._records([row])
         return record
 
-    def at(self, seqs: Sequence[int]) -> dict[int, ViewRecord]:
-        """Views by sequence number; deleted ones are absent."""
+    def at(self, seqs: Sequence[int], recipe: str | None = None) -> dict[int, ViewRecord]:
+        """Views by sequence number, described by their map's recipe or another one; deleted ones are absent."""
         rows: list[sa.Row[Any]] = []
+        wanted, by = views_of(by_given=recipe is not None), {} if recipe is None else {"recipe": recipe}
         with self._database.reading() as connection:
             for portion in batches(int(seq) for seq in seqs):
-                rows += connection.execute(views_of(), {"seqs": portion})
+                rows += connection.execute(wanted, {"seqs": portion, **by})
         return {record.seq: record for record in self._records(rows)}
 
     def list(

@@ -14,7 +14,7 @@ from app.http.dependencies import Measures, Recognises
 from app.http.geopose import OSCP, OSCP_VERSION, GeoPoseRequest, oscp_answer, speaks_oscp
 from app.http.keys import Accesses, check_map
 from app.http.openapi import OF_IMAGES, refusals, takes_json
-from app.http.parameters import LocalizeParameters
+from app.http.query_parameters import LocalizeParameters
 from app.http.rate_limits import charge_images
 from app.http.validation import in_words
 from schemas.errors import BadBody, InvalidParameters, NoPose

@@ -12,7 +12,7 @@ from app.http.examples import QUERY_ANSWER
 from app.http.geopose import OGC, basic_ypr, wants_geopose
 from app.http.keys import Accesses, check_map
 from app.http.openapi import OF_IMAGES, refusals, takes_images
-from app.http.parameters import QueryParameters
+from app.http.query_parameters import QueryParameters
 from app.http.rate_limits import charge_images
 from app.http.validation import read
 from schemas import wire
@@ -63,6 +63,7 @@ async def query(
         explain=params.explain or params.changes,
         drive=params.drive,
         drive_timeout_s=params.drive_timeout,
+        consistent=params.consistent,
     )
     if params.changes:
         answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})

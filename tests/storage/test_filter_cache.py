@@ -1,0 +1,146 @@
+"""Filters from columns in memory choose the same views as the database, whatever happens to the map meanwhile."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import timedelta
+from typing import Any
+
+import pytest
+
+from schemas.errors import InvalidParameters
+from schemas.records import Filters, Position, ViewAttributes
+from schemas.where import condition
+from tests.storage.material import NOW, describe_all, enroll
+from worker.storage.filter_cache import FilterCache
+from worker.storage.store import SqlStore
+
+FILTERS: Sequence[Filters] = [
+    Filters(near=(3.0, 0.0, 2.0)),
+    Filters(near=(3.0, 0.0, 0.0)),
+    Filters(near=(0.0, 0.0, 1e9), geographic=False),
+    Filters(after=NOW + timedelta(seconds=3)),
+    Filters(after=NOW + timedelta(seconds=3), before=NOW + timedelta(seconds=5, microseconds=-1)),
+    Filters(place="hall/4"),
+    Filters(place="nowhere"),
+    Filters(metadata={"run": "1"}),
+    Filters(metadata={"run": "1", "camera": "front"}, near=(0.0, 0.0, 6.0)),
+    Filters(metadata={"size": '{"h":2,"w":1.5}'}),
+    Filters(metadata={"missing": "1"}),
+    Filters(where=condition({"place": {"$prefix": "hall/"}, "metadata.run": {"$gte": 1}})),
+    Filters(where=condition({"x": {"$lt": 4}}), exclude_last=6),
+]
+
+
+def attributes(number: int) -> ViewAttributes:
+    extra = {"size": {"w": 1.5, "h": 2}} if number == 2 else {}
+    return ViewAttributes(
+        f"{'hall' if number % 2 == 0 else 'Hall'}/{number}",
+        Position(x=float(number), y=0.0),
+        NOW + timedelta(seconds=number),
+        {"run": number % 3, "camera": "front" if number < 5 else "rear", **extra},
+    )
+
+
+@pytest.fixture
+def walk(store: SqlStore) -> SqlStore:
+    for number in range(9):
+        enroll(store, f"image {number}", attributes=attributes(number))
+    describe_all(store)
+    store.listings._columns = cache(store)
+    return store
+
+
+Chosen = tuple[list[int] | None, list[int]]
+
+
+def by_database(store: SqlStore, filters: Filters) -> Chosen:
+    """What the database chooses, whatever is in memory."""
+    kept, store.listings._columns = store.listings._columns, cache(store, settled_s=1e9)
+    try:
+        return chosen(store, filters)
+    finally:
+        store.listings._columns = kept
+
+
+def chosen(store: SqlStore, filters: Filters) -> Chosen:
+    selection = store.listings.select("campus", filters)
+    store.listings._columns.wait()
+    return None if selection.only is None else selection.only.tolist(), selection.never.tolist()
+
+
+def cache(store: SqlStore, **options: Any) -> FilterCache:
+    return FilterCache(store._database, **{"settled_s": 0.0, **options})
+
+
+def test_memory_and_database_choose_the_same_and_memory_is_bounded(walk: SqlStore) -> None:
+    expected = [by_database(walk, filters) for filters in FILTERS]
+    for filters, of_database in zip(FILTERS, expected, strict=True):
+        walk.listings._columns = cache(walk)
+        assert chosen(walk, filters) == chosen(walk, filters) == of_database
+        assert walk.listings._columns.size > 0
+    walk.listings._columns = small = cache(walk, most_bytes=2000)  # what does not fit is left to the database
+    for _ in range(3):
+        assert [chosen(walk, filters) for filters in FILTERS] == expected
+        assert small.size <= 2000
+
+
+def test_near_on_the_globe_is_the_same_from_memory(store: SqlStore) -> None:
+    for number, longitude in enumerate((179.9, -179.9, 170.0, 0.0)):
+        enroll(store, f"image {number}", attributes=ViewAttributes(None, Position(lat=10.0, lon=longitude)))
+    store.listings._columns = cache(store)
+    for near in ((10.0, 180.0, 20_000.0), (10.0, 0.0, 0.0), (-10.0, 0.0, 3e7), (89.0, 5.0, 9e6)):
+        expected = by_database(store, Filters(near=near))
+        assert chosen(store, Filters(near=near)) == chosen(store, Filters(near=near)) == expected
+    for _ in range(3):
+        with pytest.raises(InvalidParameters, match="latitude"):
+            store.listings.select("campus", Filters(near=(91.0, 0.0, 5.0)))
+
+
+def test_a_map_that_keeps_changing_is_left_to_the_database_and_queries_never_wait(store: SqlStore) -> None:
+    store.listings._columns = settling = cache(store, settled_s=1e9)
+    for number in range(3):
+        enroll(store, f"image {number}", attributes=attributes(number))
+        assert chosen(store, FILTERS[0]) == chosen(store, FILTERS[0]) == by_database(store, FILTERS[0])
+        assert settling.size == 0
+
+
+def changed(store: SqlStore) -> None:
+    first = store.views.list("campus", Filters())[0][0]
+    store.views.change(first.id, lambda known: replace(known, position=Position(x=3.5, y=0.0), metadata={"run": 1}))
+
+
+def deleted(store: SqlStore) -> None:
+    store.removals.delete_views("campus", Filters(place="hall/4"))
+
+
+def grown(store: SqlStore) -> None:
+    enroll(store, "one more", attributes=replace(attributes(4), place="hall/9"))
+
+
+def described(store: SqlStore) -> None:
+    describe_all(store)
+
+
+def pending_deleted(store: SqlStore) -> None:
+    pending = enroll(store, "yet one more", attributes=replace(attributes(4), place="hall/10")).view
+    for _ in range(2):
+        chosen(store, FILTERS[0])
+    store.removals.delete_view(pending.id)
+
+
+def made_anew(store: SqlStore) -> None:
+    store.removals.delete_map("campus")
+    enroll(store, "another", attributes=attributes(3))
+
+
+def test_what_happens_to_a_map_is_seen_by_the_next_filter(walk: SqlStore) -> None:
+    for happens in (changed, deleted, grown, described, pending_deleted, made_anew):
+        for _ in range(2):
+            for filters in FILTERS:
+                chosen(walk, filters)
+
+        happens(walk)
+
+        now = [chosen(walk, filters) for filters in FILTERS]
+        again = [chosen(walk, filters) for filters in FILTERS]
+        assert now == again == [by_database(walk, filters) for filters in FILTERS], happens.__name__
