@@ -92,7 +92,7 @@ def test_labels_are_those_that_a_view_was_described_with_when_its_map_changes_ov
 
 
 def test_a_query_is_answered_by_the_recipe_it_began_with_and_the_next_by_the_new_one(tmp_path: Path) -> None:
-    runtime = build(Settings(data=tmp_path, encoder="color", threads=1))
+    runtime = build(settings(tmp_path))
     with CheckedClient(create_app(runtime)) as client:
         images = [encoded(drawn(320, 240, seed), "jpeg") for seed in range(3)]
         for seed in range(3):
