@@ -40,8 +40,8 @@ def test_a_slim_installation_answers_as_the_whole_one_does(tmp_path: Path, path:
     slim, whole = answered(tmp_path / "one", PYTHONPATH=path), answered(tmp_path / "other")
 
     assert slim == whole
-    # The same photo: every term is 1 but verification, which even 300 inliers leave below it.
-    assert slim[0] == ("p3", pytest.approx(0.92, abs=0.02))
+    # The same photo: every term is 1 but verification, for which photos of 64 pixels have too few keypoints.
+    assert slim[0] == ("p3", pytest.approx(2.03 / 2.43, abs=0.01))
 
 
 @pytest.mark.parametrize("wanted", [{"REVISIT_ENCODER": "lseg"}, {"REVISIT_DEVICE": "cuda"}])
