@@ -13,9 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from schemas.description import DETAIL
 
-CAME_LATER = {"local_features_side": 320, "local_features_equalised": True}
-"""Description parameters that are younger than stored recipes, with the values that those mean."""
-
 Weight = Annotated[float, Field(ge=0, le=1000)]
 
 
@@ -126,6 +123,13 @@ class DescriptionParameters(Frozen):
         if self.dense is None:
             return {}
         return self.dense.channel_weights or dict.fromkeys(self.channels, 1.0)
+
+
+CAME_LATER = {
+    name: DescriptionParameters.model_fields[name].default
+    for name in ("local_features_side", "local_features_equalised")
+}
+"""Description parameters that are younger than stored recipes, with the values that those mean."""
 
 
 class DescriptionRecipe(Identified):

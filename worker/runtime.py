@@ -238,6 +238,7 @@ def build(
         decoded = DecodedImages() if settings.inline_worker or not serving else DecodedImages(0)
         enrolment = BlurringEnrolment(store.enrolment, store.maps, blurring.cover, decoded)
         me = this_process("serve" if serving else "worker")
+        duplicates = NearDuplicates(store.views, store.descriptions, catalogue)
         loop: Loop | None = None
         if settings.inline_worker or not serving:
             importer = Importer(
@@ -253,7 +254,7 @@ def build(
                 compare=idle_work(store.leftovers, store.indexing, comparer if settings.compare else None),
                 decode=decoder.decode_patiently, decoded=decoded, name=me.name, batch=batch,
                 trouble=StoringTrouble("descriptions", 2.0, settlements.refuse),
-                refused=QualityGate(NearDuplicates(store.views, store.descriptions, catalogue)).problem_of,
+                refused=QualityGate(duplicates).problem_of,
             )  # fmt: skip
         attendance = Attendance.of(store, me, loop, settings.lease_s)
         if loop is not None:
@@ -265,7 +266,7 @@ def build(
             attendance=attendance, bell=bell,
             services=_services(
                 settings, encoder, store, scheduler, describers, catalogue, selecting, decoder, product, settlements,
-                default_recipe, bell, attendance, snapshots, shadows, blurring, enrolment,
+                default_recipe, bell, attendance, snapshots, shadows, blurring, enrolment, duplicates,
             ),
             default_recipe=default_recipe,
             calibration=shipped_calibration,
@@ -296,6 +297,7 @@ def _services(
     shadows: ShadowService,
     blurring: Blurring,
     enrolment: BlurringEnrolment,
+    duplicates: NearDuplicates,
 ) -> Services:
     """The use-cases, each with its parts of the store."""
     explanations = Explanations(settings.explanations)
@@ -312,7 +314,6 @@ def _services(
         calibration=calibration_of,
         product=product,
     )
-    duplicates = NearDuplicates(store.views, store.descriptions, catalogue)
     enroll = EnrollService(
         maps=store.maps, enrolment=enrolment, views=store.views, removals=store.removals, queue=store.jobs,
         settlements=settlements, decode=decoder.decode, taken=decoder.taken, look_for_problem=quality.problem_of,
