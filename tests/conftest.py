@@ -48,6 +48,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: next((n for n, part in enumerate(LONGEST) if part in item.nodeid), len(LONGEST)))
 
 
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Name bytes that are no text by their place: compressed ones hold the second at which a process collected, and
+    pytest-xdist runs nothing where two processes name a test differently."""
+    return argname if isinstance(val, bytes) and not (val.isascii() and val.decode().isprintable()) else None
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Refuse to compare bits that depend on the number of cores."""
     if config.getoption("golden_exact") and NUMPY_SPLITS_SUMS:
