@@ -90,6 +90,7 @@ class MapRecord:
     shadow: str | None = None  # id of the job of its shadow
     keep_images: bool = True  # False: an image is removed once its view is described
     blur: tuple[str, ...] = ()  # words of what is covered in an image before it is stored
+    following: str | None = None  # id of the description recipe that it is changing to; of a shadow's
 
     @property
     def recipe(self) -> MapRecipe:

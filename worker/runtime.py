@@ -169,6 +169,7 @@ class Runtime:
         self.scheduler.stop()
         self.decoder.close()
         self.services.query.scores.stop()
+        self.catalogue.close()
         self.store.close()
         self.unlock()
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.description import Appearance, Int8s, LocalFeatures
-from schemas.recipe import RankingConfig
+from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import Changes, MapRecord
 from tests.storage.material import NOW, RECIPE
 from worker.search.catalogue import Catalogue
@@ -23,7 +23,10 @@ class Store:
     def get(self, name: str) -> MapRecord:
         return self.record
 
-    def since(self, name: str, revision: int) -> Changes:
+    def description(self, recipe: str) -> DescriptionRecipe:
+        return self.record.description
+
+    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
         if self._changes:
             self.record = self._changes.pop(0)
         nothing = np.zeros(0, np.int64)

@@ -1,25 +1,46 @@
 """One index per map, brought up to date with the store before each search."""
 
+import logging
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 
+from schemas.errors import NotFound
 from schemas.recipe import DescriptionRecipe
 from schemas.records import MapRecord
 from worker.search.ports import DescriptionReader, Index, MapReader
 
 MakeIndex = Callable[[DescriptionRecipe], Index]
 
+log = logging.getLogger("revisit")
 
-@dataclass(frozen=True)
+PREPARE_S = 2.0
+"""Seconds after which a map that is changing to another recipe is looked at again for what was described by it."""
+
+KEPT_S = 60.0
+"""Seconds for which what was prepared is kept of a map that is not changing, or not any more."""
+
+
+@dataclass
 class _Held:
+    """An index of the map that was made at `made_at`; `read_at`, on the monotonic clock, of one that is read ahead."""
+
     index: Index
     made_at: datetime
+    read_at: float = 0.0
+
+    def is_of(self, record: MapRecord, recipe: str) -> bool:
+        """Whether it is of this very map, by this recipe; one created again under its name is another."""
+        return self.made_at == record.created_at and self.index.recipe == recipe
 
 
 class Catalogue:
     """Indexes of all maps, built when first needed. A cache of the store.
+
+    While a map is described by another recipe the index by that one is read beside, in a thread of its own, so that the
+    first query after the change does not wait for it.
 
     Parameters
     ----------
@@ -35,6 +56,9 @@ class Catalogue:
         self._indexes: dict[str, _Held] = {}
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
+        self._prepared: dict[str, _Held] = {}
+        self._preparing = threading.Lock()
+        self._thread: threading.Thread | None = None
 
     def index(self, name: str) -> tuple[Index, MapRecord]:
         """The index of a map, with all changes committed before this call, and the map at that revision.
@@ -50,14 +74,12 @@ class Catalogue:
             while True:
                 record = self._maps.get(name)
                 held = self._indexes.get(name)
-                # A map that was deleted and created again under its name is another map.
                 if (
                     held is None
-                    or held.made_at != record.created_at
-                    or held.index.recipe != record.description.id
+                    or not held.is_of(record, record.description.id)
                     or held.index.revision > record.revision  # which never goes back, but by damage or a backup
                 ):
-                    held = _Held(self._make(record.description), record.created_at)
+                    held = self._taken(name, record) or _Held(self._make(record.description), record.created_at)
                 if held.index.revision < record.revision:
                     changes = self._descriptions.since(name, held.index.revision)
                     if changes.recipe != held.index.recipe:
@@ -66,7 +88,72 @@ class Catalogue:
                 self._indexes[name] = held
                 if held.index.revision > record.revision:
                     continue  # what ranks and calibrates may have changed between the two reads
+                self._look_ahead(record)
                 return held.index, record
+
+    def prepare(self, name: str, recipe: DescriptionRecipe) -> None:
+        """Read what a map has by a recipe that it is about to change to, so that no query has to.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        """
+        with self._preparing:
+            record = self._maps.get(name)
+            if record.description.id == recipe.id:
+                return
+            known = self._prepared.get(name)
+            if known is None or not known.is_of(record, recipe.id):
+                known = _Held(self._make(recipe), record.created_at)
+            changes = self._descriptions.since(name, known.index.revision, recipe.id)
+            known.index.apply(changes)
+            known.read_at = time.monotonic()
+            self._prepared[name] = known
+
+    def close(self) -> None:
+        """Wait for what reads in the background."""
+        with self._lock:
+            thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def _taken(self, name: str, record: MapRecord) -> _Held | None:
+        """What was prepared of a map that has changed over to its recipe, up to the map's revision."""
+        if name not in self._prepared:
+            return None
+        with self._preparing:
+            known = self._prepared.pop(name, None)
+            if known is None or not known.is_of(record, record.description.id):
+                return None
+            known.index.apply(self._descriptions.since(name, known.index.revision, record.description.id))
+            return known
+
+    def _look_ahead(self, record: MapRecord) -> None:
+        """Begin to prepare a map that is changing, unless that was done a moment ago; drop what is no longer needed."""
+        known, now = self._prepared.get(record.name), time.monotonic()
+        changing = record.following is not None and record.shadow is None
+        if not changing:  # what a change that was told to come has prepared is kept for its moment
+            if known is not None and now - known.read_at > KEPT_S:
+                self._prepared.pop(record.name, None)
+            return
+        with self._lock:
+            if self._thread is not None or (known is not None and now - known.read_at < PREPARE_S):
+                return
+            self._thread = threading.Thread(
+                target=self._prepare_apart, args=(record.name, record.following), name="revisit-index", daemon=True
+            )
+            self._thread.start()
+
+    def _prepare_apart(self, name: str, recipe: str) -> None:
+        try:
+            self.prepare(name, self._maps.description(recipe))
+        except NotFound:
+            log.info("map %s was deleted while its next index was read", name)
+        except Exception as error:  # the query after the change reads it, and says what is wrong
+            log.warning("the index that map %s changes to is not read ahead: %s", name, error)
+        finally:
+            self._thread = None
 
     def revisions(self) -> dict[str, int]:
         """The revision of each loaded index by map; waits for no search."""
@@ -77,6 +164,7 @@ class Catalogue:
         return {}
 
     def forget(self, name: str) -> None:
-        """Drop the index of a deleted map."""
+        """Drop the indexes of a deleted map."""
         with self._lock:
             self._indexes.pop(name, None)
+            self._prepared.pop(name, None)

@@ -123,8 +123,14 @@ class DatabaseCatalogue:
         """The recall of each map that HNSW searches, against an exact search."""
         return self._vectors.recalls() if self._approximate else {}
 
+    def prepare(self, name: str, recipe: DescriptionRecipe) -> None:
+        """Nothing is read: vectors of another recipe are searched once the map has it."""
+
     def forget(self, name: str) -> None:
         """Nothing is held of a deleted map; its rows went with it."""
+
+    def close(self) -> None:
+        """Nothing reads in the background."""
 
 
 class InsideSearch:

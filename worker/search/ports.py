@@ -72,8 +72,22 @@ class Catalogue(Protocol):
         """The measured recall of each map that is searched approximately, 0 to 1."""
         ...
 
+    def prepare(self, name: str, recipe: DescriptionRecipe) -> None:
+        """Read what a map has by a recipe that it is about to change to, so that no query has to.
+
+        Raises
+        ------
+        NotFound
+            There is no such map.
+        """
+        ...
+
     def forget(self, name: str) -> None:
-        """Drop the index of a deleted map."""
+        """Drop the indexes of a deleted map."""
+        ...
+
+    def close(self) -> None:
+        """Wait for what reads in the background."""
         ...
 
 
@@ -127,12 +141,19 @@ class MapReader(Protocol):
         """One map; raises NotFound."""
         ...
 
+    def description(self, recipe: str) -> DescriptionRecipe:
+        """A stored description recipe by its id; raises Damaged."""
+        ...
+
 
 class DescriptionReader(Protocol):
     """Descriptions, in the parts that an index and a ranking read. Deleted views are absent."""
 
-    def since(self, name: str, revision: int) -> Changes:
-        """Changes to a map's searchable views since a revision (0: all views); raises NotFound."""
+    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
+        """Changes to a map's searchable views since a revision (0: all views); raises NotFound.
+
+        `recipe`: of the views described by this one, whether or not the map is searched by it.
+        """
         ...
 
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:

@@ -174,7 +174,9 @@ class MapService:
         ------
         NotFound, Conflict, InvalidParameters
         """
-        job = self._jobs.switch_recipe(name, self._following(name, wanted), datetime.now(UTC))
+        following = self._following(name, wanted)
+        self._catalogue.prepare(name, following.description)  # it may be described already
+        job = self._jobs.switch_recipe(name, following, datetime.now(UTC))
         self._wake()
         return job
 

@@ -157,6 +157,7 @@ class ShadowService:
 
     def switch(self, name: str) -> JobRecord:
         """Change a map over to its shadow; raises NotFound, and Conflict when it is not ready."""
+        self._catalogue.prepare(name, self._jobs.shadow(name).recipe.description)
         return self._jobs.switch_to_shadow(name, datetime.now(UTC))
 
     def discard(self, name: str) -> JobRecord:

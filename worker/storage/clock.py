@@ -18,9 +18,14 @@ def read(connection: sa.Connection) -> int:
     return int(connection.scalar(_LAST) or 0)
 
 
+def forward(connection: sa.Connection) -> int:
+    """The next revision, which no map gets, inside a transaction that writes in turn."""
+    connection.execute(_FORWARD)
+    return read(connection)
+
+
 def tick(connection: sa.Connection, map_id: int) -> int:
     """Give a map its next revision, inside a transaction that writes in turn."""
-    connection.execute(_FORWARD)
-    revision = read(connection)
+    revision = forward(connection)
     connection.execute(_GIVE, {"of": map_id, "given": revision})
     return revision

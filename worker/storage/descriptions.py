@@ -12,7 +12,7 @@ from schemas.description import Appearance, Description, Floats, Int8s, LocalFea
 from schemas.image import extent_of
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Changes, Sequence64
-from worker.storage import checksums, dialect, packing
+from worker.storage import checksums, clock, dialect, packing
 from worker.storage.damage import description_fault, vectors_size
 from worker.storage.part import Part
 from worker.storage.rows import batches, find_map, find_recipe, inserting
@@ -61,13 +61,15 @@ class Descriptions(Part):
     def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
         """Changes to a map's searchable views since a revision (0: all views); raises NotFound, Damaged.
 
-        `recipe`: all views described by this one instead of the map's, whatever the revision.
+        `recipe`: of the views described by this one, whether or not the map is searched by it. Where it is not, they
+        are as of the clock's last revision.
         """
         with self._database.reading() as connection:
             row = find_map(connection, name)
             by: str = row.recipe if recipe is None else recipe
             # An index from before the last change of recipe has none of the present vectors: it needs all of them.
-            known = int(revision) if recipe is None and revision >= row.anew else -1
+            known = int(revision) if recipe is not None or revision >= row.anew else -1
+            as_of = int(row.revision) if by == row.recipe else clock.read(connection)
             described = (
                 sa.select(DESCRIPTIONS.c.seq, VECTORS.c.body, VECTORS.c.checksum)
                 .outerjoin(VECTORS, (VECTORS.c.seq == DESCRIPTIONS.c.seq) & (VECTORS.c.recipe == DESCRIPTIONS.c.recipe))
@@ -103,7 +105,7 @@ class Descriptions(Part):
             damaged |= dict.fromkeys(numbers[~finite].tolist(), VECTORS.name)
             numbers, rows = numbers[finite], rows[finite]
         self._quarantine.descriptions(damaged, by)
-        return Changes(row.revision, by, numbers, rows, np.array(gone, np.int64))
+        return Changes(as_of, by, numbers, rows, np.array(gone, np.int64))
 
     def described(self, name: str, recipe: str) -> Sequence64:
         """Sequence numbers of a map's views that a recipe describes, ascending; raises NotFound."""

@@ -86,13 +86,15 @@ class Jobs(Part):
         with self._database.writing() as connection:
             job = self._held(connection, claim)
             owner = connection.execute(_MAP, {"of": job.map_id}).one()
-            # One of a recipe switch is not searchable before the switch ends.
-            revision = clock.tick(connection, job.map_id) if job.recipe == owner.recipe else int(owner.revision)
-            keep_description(connection, job, claim.recipe, description, revision)
-            revision = self.settle(connection, job, "done", now) or revision
+            if job.recipe == owner.recipe:
+                described = searchable = clock.tick(connection, job.map_id)
+            else:  # one of a recipe switch: it is not searchable before the switch ends
+                described, searchable = clock.forward(connection), int(owner.revision)
+            keep_description(connection, job, claim.recipe, description, described)
+            searchable = self.settle(connection, job, "done", now) or searchable
         if owner.drop_images:
             self._images.discard([claim.view.image.sha256])
-        return revision
+        return searchable
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
         """End a job as failed; its view stays, `failed`, with this reason; raises LeaseLost."""

@@ -6,7 +6,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Conflict, Damaged, NotFound
 from schemas.map_changes import MapChanges
-from schemas.recipe import MapRecipe
+from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import MapCounts, MapRecord, Position, ViewState
 from worker.storage import clock, forgetting, map_settings, switching
 from worker.storage.image_store import needs_image
@@ -15,6 +15,7 @@ from worker.storage.rows import (
     COORDINATES,
     blur_of,
     find_map,
+    find_recipe,
     keep_recipe,
     log,
     map_by,
@@ -61,6 +62,11 @@ class Maps(Part):
         """One map; raises NotFound."""
         with self._database.reading() as connection:
             return map_record(connection, find_map(connection, name))
+
+    def description(self, recipe: str) -> DescriptionRecipe:
+        """A description recipe by its id; raises Damaged, also when no map or view uses it any more."""
+        with self._database.reading() as connection:
+            return find_recipe(connection, recipe)
 
     def labels(self, recipe: str) -> tuple[str, ...]:
         """Labels of a recipe, to which the shares of its descriptions refer; empty once no map or view uses it."""

@@ -139,6 +139,7 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
         keep_images=keep_images,
         shadow=shadow,
         blur=blur_of(row),
+        following=row.next_recipe,
     )
 
 
