@@ -5,14 +5,20 @@ from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
+import numpy as np
 import pytest
+import sqlalchemy as sa
+from hypothesis import given
+from hypothesis import strategies as st
 
 from schemas.errors import InvalidParameters
 from schemas.records import Filters, Position, ViewAttributes
 from schemas.where import condition
 from tests.storage.material import NOW, describe_all, enroll
+from worker.storage import filter_cache, filter_columns
 from worker.storage.filter_cache import FilterCache
 from worker.storage.store import SqlStore
+from worker.storage.tables import VIEWS
 
 FILTERS: Sequence[Filters] = [
     Filters(near=(3.0, 0.0, 2.0)),
@@ -96,12 +102,86 @@ def test_near_on_the_globe_is_the_same_from_memory(store: SqlStore) -> None:
             store.listings.select("campus", Filters(near=(91.0, 0.0, 5.0)))
 
 
-def test_a_map_that_keeps_changing_is_left_to_the_database_and_queries_never_wait(store: SqlStore) -> None:
+def test_a_map_that_grows_is_followed_and_read_once(walk: SqlStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    for filters in FILTERS:
+        chosen(walk, filters)
+    columns = walk.listings._columns
+    from_memory: list[bool] = []
+    of_columns = columns.only
+
+    def only(*of: Any) -> Any:
+        found = of_columns(*of)
+        from_memory.append(found is not None)
+        return found
+
+    monkeypatch.setattr(columns, "only", only)
+    monkeypatch.setattr(columns, "_begin_reading", lambda *of: pytest.fail("all is read anew"))
+    for number in range(9, 14):
+        enroll(walk, f"image {number}", attributes=replace(attributes(number), place=f"{'ab yz'[number - 9]}/{number}"))
+        if number % 2:
+            describe_all(walk)
+        else:
+            walk.removals.delete_view(walk.views.list("campus", Filters())[0][number % 5].id)
+        found = [chosen(walk, filters) for filters in FILTERS]
+        assert all(from_memory)
+        assert found == [by_database(walk, filters) for filters in FILTERS]
+
+
+def test_a_map_that_grew_much_is_read_anew_and_queries_never_wait(
+    walk: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(filter_cache, "MOST_FURTHER", 1)
+    chosen(walk, FILTERS[0])
+    for number in range(9, 13):
+        enroll(walk, f"image {number}", attributes=attributes(number))
+        if number > 9:
+            assert chosen(walk, FILTERS[0]) == chosen(walk, FILTERS[0]) == by_database(walk, FILTERS[0])
+    assert walk.listings._columns.size > 0
+
+
+def test_a_map_whose_views_keep_changing_is_left_to_the_database(store: SqlStore) -> None:
+    enroll(store, "image", attributes=attributes(1))
     store.listings._columns = settling = cache(store, settled_s=1e9)
-    for number in range(3):
-        enroll(store, f"image {number}", attributes=attributes(number))
+    for _ in range(3):
+        changed(store)
         assert chosen(store, FILTERS[0]) == chosen(store, FILTERS[0]) == by_database(store, FILTERS[0])
         assert settling.size == 0
+
+
+def test_what_an_earlier_version_changed_beside_is_seen_in_the_end(walk: SqlStore) -> None:
+    walk.listings._columns = cache(walk, kept_s=0.0)
+    chosen(walk, FILTERS[0])
+    with walk._database.writing() as connection:  # without saying so
+        connection.execute(sa.update(VIEWS).values(x=3.0, checksum=VIEWS.c.checksum))
+    for _ in range(2):
+        assert chosen(walk, FILTERS[0]) == by_database(walk, FILTERS[0])
+
+
+FIELDS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 3),
+    st.floats(-2, 2),
+    st.sampled_from(["", "a", "ab", "b", "\u00e9", "z"]),
+    st.lists(st.integers(), max_size=1),
+)
+
+
+@given(st.lists(FIELDS, max_size=6), st.lists(FIELDS, max_size=6), st.lists(st.booleans(), min_size=12, max_size=12))
+def test_a_column_that_grew_and_shrank_is_that_of_what_is_left(
+    known: list[object], further: list[object], left: list[bool]
+) -> None:
+    every = [*known, *further]
+    gone = np.array(left[: len(every)], np.bool_)
+    grown = filter_columns._mixed(known).with_further(filter_columns._mixed(further)).without(gone)
+    whole = filter_columns._mixed([one for one, out in zip(every, gone.tolist(), strict=True) if not out])
+
+    assert grown.exists.tolist() == whole.exists.tolist()
+    for value in (True, False, 0, 1.5, "", "a", "ab", "\u00e9", "none of them"):
+        assert grown.equal(value).tolist() == whole.equal(value).tolist()
+    for prefix in ("", "a", "b", "\u00e9", "y"):
+        assert grown.begins(prefix).tolist() == whole.begins(prefix).tolist()
+    assert grown.compared("$gte", 0.5).tolist() == whole.compared("$gte", 0.5).tolist()
 
 
 def changed(store: SqlStore) -> None:
@@ -121,6 +201,16 @@ def described(store: SqlStore) -> None:
     describe_all(store)
 
 
+def enrolled_again_after_damage(store: SqlStore) -> None:
+    """What is sent again is what there is, under the number that it had."""
+    with store._database.writing() as connection:
+        lost = sa.update(VIEWS).where(VIEWS.c.place == "Hall/5").values(place="Hall/6")
+        connection.execute(lost.values(checksum=VIEWS.c.checksum))
+    store.views.list("campus", Filters())
+    enroll(store, "image 5", attributes=replace(attributes(5), place="hall/5"))
+    describe_all(store)
+
+
 def pending_deleted(store: SqlStore) -> None:
     pending = enroll(store, "yet one more", attributes=replace(attributes(4), place="hall/10")).view
     for _ in range(2):
@@ -134,7 +224,15 @@ def made_anew(store: SqlStore) -> None:
 
 
 def test_what_happens_to_a_map_is_seen_by_the_next_filter(walk: SqlStore) -> None:
-    for happens in (changed, deleted, grown, described, pending_deleted, made_anew):
+    for happens in (
+        changed,
+        deleted,
+        grown,
+        described,
+        enrolled_again_after_damage,
+        pending_deleted,
+        made_anew,
+    ):
         for _ in range(2):
             for filters in FILTERS:
                 chosen(walk, filters)

@@ -315,6 +315,7 @@ def without_later(connection: sa.Connection) -> None:
         "maps.keep_matches",
         "maps.shadow",
         "maps.blur",
+        "maps.edited",
         "views.sent_sha256",
     ):
         table, name = column.split(".")

@@ -4,6 +4,11 @@ import sqlalchemy as sa
 
 from worker.storage.tables import CLOCK, MAPS
 
+_EDIT = (
+    sa.update(MAPS)
+    .where(MAPS.c.id == sa.bindparam("of"))
+    .values(edited=MAPS.c.revision, checksum=MAPS.c.checksum)  # which covers neither
+)
 _LAST = sa.select(CLOCK.c.revision)
 _FORWARD = sa.update(CLOCK).values(revision=CLOCK.c.revision + 1)
 _GIVE = (
@@ -28,4 +33,11 @@ def tick(connection: sa.Connection, map_id: int) -> int:
     """Give a map its next revision, inside a transaction that writes in turn."""
     revision = forward(connection)
     connection.execute(_GIVE, {"of": map_id, "given": revision})
+    return revision
+
+
+def tick_edited(connection: sa.Connection, map_id: int) -> int:
+    """The same, for a change of attributes of views that the map has already."""
+    revision = tick(connection, map_id)
+    connection.execute(_EDIT, {"of": map_id})
     return revision

@@ -11,7 +11,7 @@ from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
 from schemas.records import Covered, Submitted, ViewAttributes, ViewRecord
-from worker.storage import checksums, switching
+from worker.storage import checksums, clock, switching
 from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
@@ -215,6 +215,7 @@ class Enrolment(Part):
             changed |= {"state": "failed", "checksum": checksums.of_row(VIEWS, columns)}
             connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == view.seq).values(**changed))
             keep_pairs(connection, view.seq, attributes)
+            clock.tick_edited(connection, row.id)
             view = find_view(connection, view.id)
         elif view.sha256 != image["sha256"] and (view.state == "failed" or not self._is_readable(view.sha256)):
             # Blurred anew, by another network or on another machine, it came out otherwise.

@@ -6,8 +6,9 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from worker.storage.database import Database
 from worker.storage.filter_columns import Column, Mask, NotExact, Path, read
 from worker.storage.filtering import EARTH_RADIUS_M, are_in_degrees
 from worker.storage.rows import unit_vector
-from worker.storage.tables import MAPS, VIEWS
+from worker.storage.tables import MAPS, TOMBSTONES, VIEWS
 
 log = logging.getLogger("revisit")
 
@@ -27,27 +28,35 @@ MOST_BYTES = 128 << 20
 """Of all columns together; those of the map that was filtered least lately go first."""
 
 MOST_MAPS = 100
-"""Maps of which it is known at which revision they were filtered."""
+"""Maps of which it is known since when their views' attributes stand."""
 
 SETTLED_S = 2.0
-"""Seconds for which a map has to stay as it is before columns are read, which takes longer than some filters in SQL."""
+"""Seconds for which no attribute of a map's views may have changed before columns are read: that takes longer than
+some filters in SQL."""
+
+KEPT_S = 600.0
+"""Seconds after which columns are read anew: a process of an earlier version, which may run beside this one, does not
+say that it changed attributes."""
+
+MOST_FURTHER = 2000
+"""Views enrolled since columns were last used that a query reads itself; where there are more, all are read anew."""
 
 Doubles = npt.NDArray[np.float64]
 
 METRES, GLOBE = ("x", "y"), ("globe_z", "globe_x", "globe_y")
 
-State = tuple[int, int]
-"""Revision of a map, and sequence number of its newest view."""
 
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Columns of a map's views as of a revision, None for one that is not to be had.
 
-@dataclass(eq=False)
-class _Held:
-    """The columns of a map in a state that was first met at `since`; None for one that is not to be had."""
+    `newest` is the greatest sequence number that was read, of a view that may be gone.
+    """
 
-    state: State
-    since: float
-    seqs: Sequence64 | None = None
-    columns: dict[Path, Column | None] = field(default_factory=dict)
+    revision: int
+    newest: int
+    seqs: Sequence64
+    columns: Mapping[Path, Column | None]
 
     @property
     def size(self) -> int:
@@ -55,21 +64,41 @@ class _Held:
         return sum(column.size for column in self.columns.values() if column is not None)
 
 
-class FilterCache:
-    """Answers filters from columns in memory, where a map stays as it is. Safe to use from several threads.
+@dataclass(eq=False)
+class _Held:
+    """What is known of a map whose views' attributes stand since the revision `edited`, first met at `since`."""
 
-    Columns are read in a thread of their own, so that no query waits for them.
+    edited: int
+    since: float
+    known: _Known | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return 0 if self.known is None else self.known.size
+
+
+class FilterCache:
+    """Answers filters from columns in memory. Safe to use from several threads.
+
+    Columns are read in a thread of their own, so that no query waits for them. A query adds what was enrolled since and
+    takes out what was deleted. Where attributes of a view changed, all are read anew.
 
     Parameters
     ----------
     database : Database
     most_bytes : int
     settled_s : float
-        Seconds for which a map has to stay as it is before columns are read.
+        Seconds for which no attribute may have changed before columns are read.
+    kept_s : float
+        Seconds after which columns are read anew.
     """
 
-    def __init__(self, database: Database, most_bytes: int = MOST_BYTES, settled_s: float = SETTLED_S) -> None:
+    def __init__(
+        self, database: Database, most_bytes: int = MOST_BYTES, settled_s: float = SETTLED_S, kept_s: float = KEPT_S
+    ) -> None:
         self._database, self._most_bytes, self._settled_s = database, most_bytes, settled_s
+        self._kept_s = kept_s
         self._held: OrderedDict[int, _Held] = OrderedDict()
         self._lock = threading.Lock()
         self._reading: threading.Thread | None = None
@@ -87,14 +116,14 @@ class FilterCache:
         if reading is not None:
             reading.join()
 
-    def only(self, connection: sa.Connection, map_id: int, revision: int, filters: Filters) -> Sequence64 | None:
+    def only(self, connection: sa.Connection, of: sa.Row[Any], filters: Filters) -> Sequence64 | None:
         """The views that fulfil all filters but the exclusions, ascending; None: ask the database.
 
         Parameters
         ----------
         connection : Connection
             In a transaction that sees one snapshot.
-        map_id, revision : int
+        of : Row
             Of a map, as this transaction sees it.
         filters : Filters
             At least one of them.
@@ -104,78 +133,143 @@ class FilterCache:
         InvalidParameters
             As `filtering.allowing`.
         """
-        state = revision, _newest(connection, map_id)
         geographic = filters.geographic
         if filters.near is not None and geographic is None:
             first, second, _ = map(float, filters.near)
-            geographic = are_in_degrees(connection, first, second, [VIEWS.c.map_id == map_id])
+            geographic = are_in_degrees(connection, first, second, [VIEWS.c.map_id == of.id])
         paths = set(_paths(filters, geographic=bool(geographic)))
+        held = self._of(of)
+        before = held.known
+        if held.edited != of.edited or (before is not None and before.revision > of.revision):
+            return None  # a transaction from before what is known
+        known = None if before is None else _up_to(connection, of, before)
         with self._lock:
-            held = self._held.get(map_id)
-            if held is None or held.state != state:
-                held = self._held[map_id] = _Held(state, time.monotonic())
+            if held.known is before:  # which another query may have brought further
+                held.known = known
+                self._keep_to_bound()
+            missing = paths if known is None else paths - known.columns.keys()
+            if missing:
+                self._begin_reading(of.id, held, sorted(missing))
+                return None
+        assert known is not None
+        columns = {path: column for path in paths if (column := known.columns[path]) is not None}
+        if len(columns) < len(paths):
+            return None
+        return known.seqs[_mask(filters, columns, geographic=bool(geographic))]
+
+    def _of(self, of: sa.Row[Any]) -> _Held:
+        """What is held of a map; nothing yet of one whose views' attributes changed."""
+        now = time.monotonic()
+        with self._lock:
+            held = self._held.get(of.id)
+            if held is None or held.edited < of.edited or now - held.since > self._kept_s:
+                held = self._held[of.id] = _Held(int(of.edited), now)
                 while len(self._held) > MOST_MAPS:
                     self._held.popitem(last=False)
-            self._held.move_to_end(map_id)
-            missing = sorted(paths - held.columns.keys())
-            if missing:
-                if self._reading is None and time.monotonic() - held.since >= self._settled_s:
-                    self._reading = threading.Thread(
-                        target=self._read, args=(map_id, held, missing), name="revisit-filters", daemon=True
-                    )
-                    self._reading.start()
-                return None
-            seqs = held.seqs
-            columns = {path: column for path in paths if (column := held.columns[path]) is not None}
-        if seqs is None or len(columns) < len(paths):
-            return None
-        return seqs[_mask(filters, columns, geographic=bool(geographic))]
+            self._held.move_to_end(of.id)
+            return held
+
+    def _begin_reading(self, map_id: int, held: _Held, paths: Sequence[Path]) -> None:
+        """Read columns in the background, unless some are read or attributes changed a moment ago."""
+        if self._reading is None and time.monotonic() - held.since >= self._settled_s:
+            self._reading = threading.Thread(
+                target=self._read, args=(map_id, held, paths), name="revisit-filters", daemon=True
+            )
+            self._reading.start()
 
     def _read(self, map_id: int, held: _Held, paths: Sequence[Path]) -> None:
-        """Read columns of a map, unless it has changed; what goes wrong is left to the database to say."""
+        """Read columns of a map, unless attributes changed; what goes wrong is left to the database to say."""
         try:
             with self._database.reading() as connection:
-                revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.id == map_id))
-                found = {}
-                if (revision, _newest(connection, map_id)) == held.state:
-                    found = {path: _column(connection, map_id, path) for path in paths}
+                of = connection.execute(sa.select(MAPS).where(MAPS.c.id == map_id)).one_or_none()
+                if of is None or of.edited != held.edited:
+                    return
+                before = held.known
+                known = None if before is None else _up_to(connection, of, before)
+                known = _with(connection, of, known, paths)
             with self._lock:
-                if self._held.get(map_id) is held and found:
-                    self._keep(map_id, held, found)
+                if self._held.get(map_id) is held:
+                    held.known = known
+                    self._keep_to_bound()
         except Exception as error:
             log.warning("what views are filtered by is not kept in memory: %s", error)
             held.since = time.monotonic()
         finally:
             self._reading = None
 
-    def _keep(self, map_id: int, held: _Held, found: Mapping[Path, tuple[Sequence64, Column] | None]) -> None:
-        for path, read_now in found.items():
-            if read_now is None:
-                held.columns[path] = None
-                continue
-            seqs, held.columns[path] = read_now
-            if held.seqs is None:
-                held.seqs = seqs
-            elif not np.array_equal(seqs, held.seqs):  # one that was never found is gone, without a new revision
-                del self._held[map_id]
-                return
+    def _keep_to_bound(self) -> None:
+        """Forget the maps that were filtered least lately, and of the last one the columns."""
         while self._size() > self._most_bytes:
             if len(self._held) > 1:
                 self._held.popitem(last=False)
-            else:
-                held.columns = dict.fromkeys(held.columns)
+                continue
+            for held in self._held.values():
+                assert held.known is not None
+                held.known = replace(held.known, columns=dict.fromkeys(held.known.columns))
 
     def _size(self) -> int:
         return sum(held.size for held in self._held.values())
+
+
+def _up_to(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known | None:
+    """What is known, up to the revision of a transaction: with what was enrolled, without what was deleted.
+
+    None where so much was enrolled that all is to be read anew.
+    """
+    newest = _newest(connection, of.id)
+    if newest > known.newest:
+        later = VIEWS.c.map_id == of.id, VIEWS.c.seq > known.newest
+        if int(connection.scalar(sa.select(sa.func.count()).select_from(VIEWS).where(*later)) or 0) > MOST_FURTHER:
+            return None
+        known = _with_further(connection, of, known)
+    if of.revision > known.revision:
+        known = _without_gone(connection, of, known)
+    return replace(known, revision=int(of.revision), newest=max(newest, known.newest))
+
+
+def _with_further(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known:
+    """What is known, with the views behind the newest that was read."""
+    columns = dict(known.columns)
+    further: Sequence64 | None = None
+    for path, column in known.columns.items():
+        found = None if column is None else _column(connection, of.id, path, known.newest)
+        if found is None or column is None:
+            columns[path] = None
+        else:
+            further, columns[path] = found[0], column.with_further(found[1])
+    return known if further is None else replace(known, seqs=np.concatenate([known.seqs, further]), columns=columns)
+
+
+def _without_gone(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known:
+    """What is known, without the views that are gone since."""
+    buried = TOMBSTONES.c.map_id == of.id, TOMBSTONES.c.revision > known.revision
+    left = sa.select(TOMBSTONES.c.seq).where(*buried).where(~sa.exists().where(VIEWS.c.seq == TOMBSTONES.c.seq))
+    gone = np.isin(known.seqs, np.fromiter(connection.scalars(left), np.int64))
+    if not gone.any():
+        return known
+    columns = {path: None if column is None else column.without(gone) for path, column in known.columns.items()}
+    return replace(known, seqs=known.seqs[~gone], columns=columns)
+
+
+def _with(connection: sa.Connection, of: sa.Row[Any], known: _Known | None, paths: Sequence[Path]) -> _Known:
+    """What is known as of a transaction's revision, and further columns."""
+    found = {path: _column(connection, of.id, path) for path in paths}
+    seqs = next((one[0] for one in found.values() if one is not None), None)
+    columns = {path: None if one is None else one[1] for path, one in found.items()}
+    if known is not None and (seqs is None or np.array_equal(seqs, known.seqs)):
+        return replace(known, columns={**known.columns, **columns})
+    if seqs is None:
+        seqs = np.zeros(0, np.int64)
+    return _Known(int(of.revision), _newest(connection, of.id), seqs, columns)
 
 
 def _newest(connection: sa.Connection, map_id: int) -> int:
     return int(connection.scalar(sa.select(sa.func.max(VIEWS.c.seq)).where(VIEWS.c.map_id == map_id)) or 0)
 
 
-def _column(connection: sa.Connection, map_id: int, path: Path) -> tuple[Sequence64, Column] | None:
+def _column(connection: sa.Connection, map_id: int, path: Path, after: int = 0) -> tuple[Sequence64, Column] | None:
     try:
-        return read(connection, map_id, path)
+        return read(connection, map_id, path, after)
     except NotExact:
         return None
 

@@ -1,8 +1,8 @@
 """What views are filtered by, in memory: one column for each field that filters named, as of one revision of a map.
 
 A condition reads every view of a map. In SQL that takes longer than the search of a large map; over arrays it does not.
-The database stays the truth: columns are of one revision and one newest view, are read when a field is filtered by
-while the map stays as it is, and are gone with the next change.
+The database stays the truth: columns are read when a field is filtered by, follow what is enrolled and deleted, and are
+gone when attributes of a view change.
 """
 
 import json
@@ -70,6 +70,32 @@ class Column:
         arrays = (self.exists, self.numbers, self.is_number, self.is_true, self.is_false, self.codes)
         return sum(one.nbytes for one in arrays if one is not None) + sum(map(sys.getsizeof, self.texts))
 
+    def without(self, gone: Mask) -> "Column":
+        """The column of the other views."""
+        kept = ~gone
+        return Column(
+            self.exists[kept],
+            _of(self.numbers, kept),
+            _of(self.is_number, kept),
+            _of(self.is_true, kept),
+            _of(self.is_false, kept),
+            _of(self.codes, kept),
+            self.texts,
+        )
+
+    def with_further(self, other: "Column") -> "Column":
+        """The column of these views and of others behind them; of one field."""
+        texts, old, new = _merged(self.texts, other.texts)
+        return Column(
+            np.concatenate([self.exists, other.exists]),
+            _joined(self.numbers, other.numbers),
+            _joined(self.is_number, other.is_number),
+            _joined(self.is_true, other.is_true),
+            _joined(self.is_false, other.is_false),
+            _joined(_coded(self.codes, old), _coded(other.codes, new)),
+            texts,
+        )
+
     def known_numbers(self) -> "npt.NDArray[Any]":
         """The numbers, NaN where there is none; of a column of numbers."""
         assert self.numbers is not None
@@ -108,12 +134,46 @@ class Column:
         return found
 
 
-def read(connection: sa.Connection, map_id: int, path: Path) -> tuple[Sequence64, Column]:
-    """A field of a map's views, and their sequence numbers, ascending; raises NotExact."""
+def _of(part: "npt.NDArray[Any] | None", kept: Mask) -> "npt.NDArray[Any] | None":
+    return None if part is None else part[kept]
+
+
+def _joined(first: "npt.NDArray[Any] | None", second: "npt.NDArray[Any] | None") -> "npt.NDArray[Any] | None":
+    return None if first is None or second is None else np.concatenate([first, second])
+
+
+Codes = npt.NDArray[np.int64]
+
+
+def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str], Codes, Codes]:
+    """All texts by code point, and the codes that those of either list have among them.
+
+    Only what is not known yet is sorted in: a field may have as many texts as there are views.
+    """
+    at = [bisect_left(known, text) for text in others]
+    new = [not (place < len(known) and known[place] == text) for place, text in zip(at, others, strict=True)]
+    texts: list[str] = []
+    start = 0
+    for place, text in [(place, text) for place, text, is_new in zip(at, others, new, strict=True) if is_new]:
+        texts += known[start:place]
+        texts.append(text)
+        start = place
+    texts += known[start:]
+    places, fresh = np.array(at, np.int64), np.array(new, np.bool_)
+    before = np.searchsorted(places[fresh], np.arange(len(known)), side="right") + np.arange(len(known))
+    return texts, before, places + np.cumsum(fresh) - fresh
+
+
+def _coded(codes: "npt.NDArray[np.int32] | None", to: Codes) -> "npt.NDArray[np.int32] | None":
+    """The codes that texts have in another list; -1 stays."""
+    return None if codes is None else np.append(to, -1).astype(np.int32)[codes]
+
+
+def read(connection: sa.Connection, map_id: int, path: Path, after: int = 0) -> tuple[Sequence64, Column]:
+    """A field of a map's views behind the sequence number `after`, and their numbers, ascending; raises NotExact."""
     name = path[0] if path[0] in VIEWS.c else "metadata"
-    rows = connection.execute(
-        sa.select(VIEWS.c.seq, VIEWS.c[name]).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq)
-    ).all()
+    wanted = sa.select(VIEWS.c.seq, VIEWS.c[name]).where(VIEWS.c.map_id == map_id, VIEWS.c.seq > after)
+    rows = connection.execute(wanted.order_by(VIEWS.c.seq)).all()
     seqs = np.fromiter((row[0] for row in rows), np.int64, len(rows))
     fields: list[Any] = [row[1] for row in rows]
     if path[0] in TIMES:

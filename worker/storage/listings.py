@@ -43,7 +43,7 @@ class Listings(Part):
             plain = replace(filters, exclude_last=None, exclude=())
             only = None
             if plain not in (Filters(), Filters(geographic=filters.geographic)):
-                only = self._columns.only(connection, row.id, row.revision, plain)
+                only = self._columns.only(connection, row, plain)
             if only is None:
                 return selected(connection, row.id, filters)
             rest = selected(connection, row.id, Filters(exclude_last=filters.exclude_last, exclude=filters.exclude))

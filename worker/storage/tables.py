@@ -63,6 +63,7 @@ MAPS = sa.Table(
     sa.Column("previous_recipe", sa.Text),  # its descriptions are kept, for switching back
     sa.Column("revision", sa.BigInteger, nullable=False),
     sa.Column("anew", sa.BigInteger, nullable=False),  # an index older than this revision is rebuilt
+    sa.Column("edited", sa.BigInteger, nullable=False, server_default="0"),  # since when its views' attributes stand
     sa.Column("created_at", UtcDateTime, nullable=False),
     sa.Column("calibration", sa.Text),  # JSON; NULL: the shipped one
     sa.Column("keep_queries", sa.Integer),  # how many queries that matched nothing are kept at most; NULL: none

@@ -161,7 +161,7 @@ class Views(Part):
                 connection.execute(sa.update(VIEWS).where(VIEWS.c.seq == before.seq).values(**sealed))
                 keep_pairs(connection, before.seq, attributes)
                 connection.execute(sa.delete(COMPARISONS).where(COMPARISONS.c.seq == before.seq))
-                clock.tick(connection, before.map_id)
+                clock.tick_edited(connection, before.map_id)
             return view_record(find_view(connection, view_id))
 
     def image(self, view_id: str) -> bytes:
