@@ -26,7 +26,7 @@ class Store:
     def description(self, recipe: str) -> DescriptionRecipe:
         return self.record.description
 
-    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
+    def since(self, name: str, revision: int, recipe: DescriptionRecipe | None = None) -> Changes:
         if self._changes:
             self.record = self._changes.pop(0)
         nothing = np.zeros(0, np.int64)

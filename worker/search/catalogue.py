@@ -106,7 +106,7 @@ class Catalogue:
             known = self._prepared.get(name)
             if known is None or not known.is_of(record, recipe.id):
                 known = _Held(self._make(recipe), record.created_at)
-            changes = self._descriptions.since(name, known.index.revision, recipe.id)
+            changes = self._descriptions.since(name, known.index.revision, recipe)
             known.index.apply(changes)
             known.read_at = time.monotonic()
             self._prepared[name] = known
@@ -126,7 +126,7 @@ class Catalogue:
             known = self._prepared.pop(name, None)
             if known is None or not known.is_of(record, record.description.id):
                 return None
-            known.index.apply(self._descriptions.since(name, known.index.revision, record.description.id))
+            known.index.apply(self._descriptions.since(name, known.index.revision, record.description))
             return known
 
     def _look_ahead(self, record: MapRecord) -> None:

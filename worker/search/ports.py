@@ -149,7 +149,7 @@ class MapReader(Protocol):
 class DescriptionReader(Protocol):
     """Descriptions, in the parts that an index and a ranking read. Deleted views are absent."""
 
-    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
+    def since(self, name: str, revision: int, recipe: DescriptionRecipe | None = None) -> Changes:
         """Changes to a map's searchable views since a revision (0: all views); raises NotFound.
 
         `recipe`: of the views described by this one, whether or not the map is searched by it.

@@ -12,7 +12,7 @@ from schemas.description import Description
 from schemas.errors import BadImage, EncoderAway, LeaseLost, NotFound, NothingStatic, RevisitError, SetupError
 from schemas.image import Image
 from schemas.inbox import KeptQuery
-from schemas.recipe import MapRecipe
+from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import Changes, JobProgress, JobRecord, MapClaim, MapRecord, Sequence64, ViewRecord
 from schemas.shadow import ShadowQuery, ShadowRecord, ShadowTable
 from worker.description.describer import Describer
@@ -70,7 +70,7 @@ class ShadowJobs(Protocol):
 class ShadowDescriptions(Descriptions, Protocol):
     """Descriptions by another recipe than the map's."""
 
-    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
+    def since(self, name: str, revision: int, recipe: DescriptionRecipe | None = None) -> Changes:
         """All views described by a recipe; raises NotFound."""
         ...
 
@@ -202,7 +202,7 @@ class ShadowService:
             raise LeaseLost(f"the job {claim.job_id} is no longer that of the shadow of {name}")
         index, record = self._catalogue.index(name)
         recipe, by = shadow.recipe, shadow.recipe.description
-        changes = self._descriptions.since(name, 0, by.id)
+        changes = self._descriptions.since(name, 0, by)
         following = self._make_index(by)
         following.apply(changes)
         present = self._descriptions.described(name, record.description.id)

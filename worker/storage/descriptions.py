@@ -58,7 +58,7 @@ class Descriptions(Part):
     aside before the call returns: see `worker.storage.damage`.
     """
 
-    def since(self, name: str, revision: int, recipe: str | None = None) -> Changes:
+    def since(self, name: str, revision: int, recipe: DescriptionRecipe | None = None) -> Changes:
         """Changes to a map's searchable views since a revision (0: all views); raises NotFound, Damaged.
 
         `recipe`: of the views described by this one, whether or not the map is searched by it. Where it is not, they
@@ -66,7 +66,7 @@ class Descriptions(Part):
         """
         with self._database.reading() as connection:
             row = find_map(connection, name)
-            by: str = row.recipe if recipe is None else recipe
+            by: str = row.recipe if recipe is None else recipe.id
             # An index from before the last change of recipe has none of the present vectors: it needs all of them.
             known = int(revision) if recipe is not None or revision >= row.anew else -1
             as_of = int(row.revision) if by == row.recipe else clock.read(connection)
@@ -79,7 +79,7 @@ class Descriptions(Part):
                     DESCRIPTIONS.c.revision > known,
                 )
             )
-            size = vectors_size(find_recipe(connection, by))
+            size = vectors_size(find_recipe(connection, by) if recipe is None else recipe)
             of = by.encode()
             seqs: list[int] = []
             damaged: dict[int, str] = {}

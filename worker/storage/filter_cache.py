@@ -244,9 +244,10 @@ def _without_gone(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> 
     """What is known, without the views that are gone since."""
     buried = TOMBSTONES.c.map_id == of.id, TOMBSTONES.c.revision > known.revision
     left = sa.select(TOMBSTONES.c.seq).where(*buried).where(~sa.exists().where(VIEWS.c.seq == TOMBSTONES.c.seq))
-    gone = np.isin(known.seqs, np.fromiter(connection.scalars(left), np.int64))
-    if not gone.any():
+    seqs = np.fromiter(connection.scalars(left), np.int64)
+    if len(seqs) == 0:
         return known
+    gone = np.isin(known.seqs, seqs)
     columns = {path: None if column is None else column.without(gone) for path, column in known.columns.items()}
     return replace(known, seqs=known.seqs[~gone], columns=columns)
 

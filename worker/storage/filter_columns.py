@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,8 @@ class Column:
         Indices into `texts`, -1 where it is no text.
     texts : list of str
         Different ones, by code point.
+    texts_size : int
+        Bytes that these take.
     """
 
     exists: Mask
@@ -63,12 +66,13 @@ class Column:
     is_false: Mask | None = None
     codes: npt.NDArray[np.int32] | None = None
     texts: Sequence[str] = ()
+    texts_size: int = 0
 
     @cached_property
     def size(self) -> int:
         """Bytes in memory."""
         arrays = (self.exists, self.numbers, self.is_number, self.is_true, self.is_false, self.codes)
-        return sum(one.nbytes for one in arrays if one is not None) + sum(map(sys.getsizeof, self.texts))
+        return sum(one.nbytes for one in arrays if one is not None) + self.texts_size
 
     def without(self, gone: Mask) -> "Column":
         """The column of the other views."""
@@ -81,11 +85,12 @@ class Column:
             _of(self.is_false, kept),
             _of(self.codes, kept),
             self.texts,
+            self.texts_size,
         )
 
     def with_further(self, other: "Column") -> "Column":
         """The column of these views and of others behind them; of one field."""
-        texts, old, new = _merged(self.texts, other.texts)
+        texts, old, new, more = _merged(self.texts, other.texts)
         return Column(
             np.concatenate([self.exists, other.exists]),
             _joined(self.numbers, other.numbers),
@@ -94,6 +99,7 @@ class Column:
             _joined(self.is_false, other.is_false),
             _joined(_coded(self.codes, old), _coded(other.codes, new)),
             texts,
+            self.texts_size + more,
         )
 
     def known_numbers(self) -> "npt.NDArray[Any]":
@@ -145,28 +151,30 @@ def _joined(first: "npt.NDArray[Any] | None", second: "npt.NDArray[Any] | None")
 Codes = npt.NDArray[np.int64]
 
 
-def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str], Codes, Codes]:
-    """All texts by code point, and the codes that those of either list have among them.
+def _merged(known: Sequence[str], others: Sequence[str]) -> tuple[Sequence[str], Codes | None, Codes, int]:
+    """All texts by code point, the codes that those of either list have among them, and the bytes of what is new.
 
-    Only what is not known yet is sorted in: a field may have as many texts as there are views.
+    Only what is new is sorted in: a field may have as many texts as there are views. None: the codes stay.
     """
     at = [bisect_left(known, text) for text in others]
-    new = [not (place < len(known) and known[place] == text) for place, text in zip(at, others, strict=True)]
+    is_new = [not (place < len(known) and known[place] == text) for place, text in zip(at, others, strict=True)]
+    places, fresh = np.array(at, np.int64), np.array(is_new, np.bool_)
+    if not fresh.any():
+        return known, None, places, 0
     texts: list[str] = []
     start = 0
-    for place, text in [(place, text) for place, text, is_new in zip(at, others, new, strict=True) if is_new]:
+    for place, text in zip(places[fresh].tolist(), compress(others, is_new), strict=True):
         texts += known[start:place]
         texts.append(text)
         start = place
     texts += known[start:]
-    places, fresh = np.array(at, np.int64), np.array(new, np.bool_)
-    before = np.searchsorted(places[fresh], np.arange(len(known)), side="right") + np.arange(len(known))
-    return texts, before, places + np.cumsum(fresh) - fresh
+    before = np.arange(len(known)) + np.searchsorted(places[fresh], np.arange(len(known)), side="right")
+    return texts, before, places + np.cumsum(fresh) - fresh, sum(map(sys.getsizeof, compress(others, is_new)))
 
 
-def _coded(codes: "npt.NDArray[np.int32] | None", to: Codes) -> "npt.NDArray[np.int32] | None":
+def _coded(codes: "npt.NDArray[np.int32] | None", to: Codes | None) -> "npt.NDArray[np.int32] | None":
     """The codes that texts have in another list; -1 stays."""
-    return None if codes is None else np.append(to, -1).astype(np.int32)[codes]
+    return codes if codes is None or to is None else np.append(to, -1).astype(np.int32)[codes]
 
 
 def read(connection: sa.Connection, map_id: int, path: Path, after: int = 0) -> tuple[Sequence64, Column]:
@@ -239,7 +247,7 @@ def _texts(fields: Sequence[object]) -> Column:
     texts = sorted({one for one in fields if isinstance(one, str)})
     at = {text: code for code, text in enumerate(texts)}
     codes = np.fromiter((at[one] if isinstance(one, str) else -1 for one in fields), np.int32, len(fields))
-    return Column(codes >= 0, codes=codes, texts=texts)
+    return Column(codes >= 0, codes=codes, texts=texts, texts_size=sum(map(sys.getsizeof, texts)))
 
 
 def _mixed(fields: Sequence[object]) -> Column:
@@ -254,4 +262,4 @@ def _mixed(fields: Sequence[object]) -> Column:
         numbers[row] = number
     texts = _texts(fields)
     is_true, is_false = (np.array([one is truth for one in fields], np.bool_) for truth in (True, False))
-    return Column(exists, numbers, is_number, is_true, is_false, texts.codes, texts.texts)
+    return Column(exists, numbers, is_number, is_true, is_false, texts.codes, texts.texts, texts.texts_size)
