@@ -1,8 +1,10 @@
 """Filters from columns in memory choose the same views as the database, whatever happens to the map meanwhile."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,10 @@ from schemas.records import Filters, Position, ViewAttributes
 from schemas.where import condition
 from tests.storage.material import NOW, describe_all, enroll
 from worker.storage import filter_cache, filter_columns
+from worker.storage.examining import examine
 from worker.storage.filter_cache import FilterCache
 from worker.storage.store import SqlStore
-from worker.storage.tables import VIEWS
+from worker.storage.tables import MAPS, VIEWS
 
 FILTERS: Sequence[Filters] = [
     Filters(near=(3.0, 0.0, 2.0)),
@@ -155,6 +158,23 @@ def test_what_an_earlier_version_changed_beside_is_seen_in_the_end(walk: SqlStor
         connection.execute(sa.update(VIEWS).values(x=3.0, checksum=VIEWS.c.checksum))
     for _ in range(2):
         assert chosen(walk, FILTERS[0]) == by_database(walk, FILTERS[0])
+
+
+def test_damaged_revisions_are_found_and_mended_and_leave_the_database_to_choose(
+    walk: SqlStore, database_url: str, data: Path
+) -> None:
+    for wrong in (-1, 1 << 40):
+        chosen(walk, FILTERS[0])
+        with walk._database.writing() as connection:
+            connection.execute(sa.update(MAPS).values(edited=wrong, checksum=MAPS.c.checksum))
+        assert chosen(walk, FILTERS[0]) == chosen(walk, FILTERS[0]) == by_database(walk, FILTERS[0])
+        [finding] = examine(database_url, data, running=True)
+        assert re.search(r"map 'campus': its revisions \d+, \d+ and -?\d+ cannot be", str(finding))
+        with walk._database.writing() as connection:
+            assert finding.mend is not None
+            finding.mend(connection)
+        assert list(examine(database_url, data, running=True)) == []
+        assert chosen(walk, FILTERS[0]) == chosen(walk, FILTERS[0]) == by_database(walk, FILTERS[0])
 
 
 FIELDS = st.one_of(

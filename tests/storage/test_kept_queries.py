@@ -10,7 +10,7 @@ from schemas.errors import NotFound
 from schemas.map_changes import MapChanges
 from tests.storage.material import NOW, RECIPE, description, enroll
 from worker.storage.database import Database
-from worker.storage.examining import Finding
+from worker.storage.finding import Finding
 from worker.storage.store import SqlStore
 from worker.storage.tables import KEPT_QUERIES
 

@@ -5,17 +5,18 @@ Nothing that lies in the folder makes an examination raise: what cannot be read 
 
 import os
 import sqlite3
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from schemas.errors import RevisitError
 from worker.storage import dialect, migrating, wal
-
-BACKUP = "restore a backup, or enrol again what is missing"
-REPAIR = "./revisit doctor --repair"
+from worker.storage.examining_images import image_findings
+from worker.storage.examining_objects import object_findings
+from worker.storage.examining_rows import row_findings
+from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
+from worker.storage.tables import METADATA
 
 STOP = f"stop the service, then {REPAIR}; if that cannot, {BACKUP}"
 
@@ -23,34 +24,6 @@ ELSEWHERE = "is the disk read-only? Copy the data folder to one that can be writ
 
 MOST_LINES = 20
 """Lines of SQLite's own check that are reported."""
-
-Mend = Callable[[sa.Connection], str]
-"""Mends a finding in a writing transaction, and says what it did."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that is wrong with a data folder.
-
-    Parameters
-    ----------
-    where : str
-        File, map, view or row.
-    what : str
-        What is wrong there.
-    remedy : str
-        What to do about it.
-    mend : function or None
-        Mends it; None for what `worker.storage.repairing` handles otherwise, or nothing can.
-    """
-
-    where: str
-    what: str
-    remedy: str
-    mend: Mend | None = field(default=None, compare=False, repr=False)
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.what}; {self.remedy}"
 
 
 def examine(url: str, data: Path, *, running: bool = False, images: str | None = None) -> Iterator[Finding]:
@@ -67,9 +40,6 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
     images : str or None
         ``s3://bucket/prefix`` where the images do not lie in the folder.
     """
-    from worker.storage.examining_images import image_findings
-    from worker.storage.examining_rows import row_findings
-
     if not data.is_dir() or not os.access(data, os.R_OK | os.X_OK):
         yield Finding(str(data), "is no folder that can be read", "see REVISIT_DATA, or restore a backup")
         return
@@ -97,10 +67,8 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
             engine.dispose()
     if images is None:
         yield from image_findings(data / "pictures", owners, running=running)
-        return
-    from worker.storage.examining_objects import object_findings
-
-    yield from object_findings(images, owners, running=running)
+    else:
+        yield from object_findings(images, owners, running=running)
 
 
 def database_file(url: str) -> Path | None:
@@ -176,8 +144,6 @@ def _deletion(table: str, rowid: int) -> Mend:
 
 
 def _table_findings(engine: sa.Engine) -> Iterator[Finding]:
-    from worker.storage.tables import METADATA
-
     with engine.connect() as connection:
         found = migrating.current(connection)
         if found != migrating.newest():

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from worker.storage.examining import REPAIR, Finding
+from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST, UNFINISHED
 
 AGAIN = "enrol the image again, or restore the file from a backup"

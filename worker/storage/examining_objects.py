@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 
 from schemas.errors import Damaged, RevisitError, SetupError
-from worker.storage.examining import REPAIR, Finding
 from worker.storage.examining_images import AGAIN, ORPHAN
+from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
 from worker.storage.snapshot_places import SNAPSHOTS

@@ -13,8 +13,8 @@ from schemas.errors import Damaged
 from schemas.recipe import RankingConfig
 from worker.storage import checksums, clock, damage, switching
 from worker.storage.enrolment import keep_pairs
-from worker.storage.examining import BACKUP, REPAIR, Finding, Mend
 from worker.storage.filtering import metadata_pairs
+from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
 from worker.storage.image_store import forgets
 from worker.storage.rows import (
     VIEW_STATES,
@@ -138,10 +138,17 @@ def _maps(connection: sa.Connection) -> Iterator[Finding]:
         where = f"map {row.name!r}"
         if row.checksum is None or not checksums.is_whole(MAPS, row, row.checksum):
             yield Finding(where, "its settings do not fit their checksum", REPAIR, _mend_map(row))
-        elif not (isinstance(row.revision, int) and isinstance(row.anew, int) and 0 <= row.anew <= row.revision <= now):
-            yield Finding(where, f"its revisions {row.revision} and {row.anew} cannot be", REPAIR, _mend_revision(row))
+        elif not _are_in_order(row.anew, row.revision, now) or not _are_in_order(row.edited, row.revision):
+            of = f"{row.revision}, {row.anew} and {row.edited}"
+            yield Finding(where, f"its revisions {of} cannot be", REPAIR, _mend_revision(row))
         elif row.shadow is not None and not _has_job(connection, row):
             yield Finding(where, "its shadow has no job", REPAIR, _mend_shadow(row))
+
+
+def _are_in_order(*revisions: object) -> bool:
+    """Whether what was read are revisions, none before the one it follows."""
+    known = [0, *(one for one in revisions if isinstance(one, int))]
+    return len(known) > len(revisions) and known == sorted(known)
 
 
 def _has_job(connection: sa.Connection, row: sa.Row[Any]) -> bool:
@@ -185,7 +192,7 @@ def _mend_map(row: sa.Row[Any]) -> Mend:
 def _mend_revision(row: sa.Row[Any]) -> Mend:
     def mend(connection: sa.Connection) -> str:
         revision = clock.tick(connection, row.id)
-        values = {"anew": revision, "checksum": MAPS.c.checksum}
+        values = {"anew": revision, "edited": revision, "checksum": MAPS.c.checksum}
         connection.execute(sa.update(MAPS).where(MAPS.c.id == row.id).values(**values))
         return f"is at revision {revision} now"
 

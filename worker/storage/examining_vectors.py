@@ -3,7 +3,7 @@
 import sqlalchemy as sa
 
 from worker.storage import dialect, vector_tables
-from worker.storage.examining import Finding
+from worker.storage.finding import Finding
 from worker.storage.rows import find_recipe
 from worker.storage.tables import DESCRIPTIONS, MAPS
 from worker.storage.vector_tables import SEARCHED_MAPS, SEARCHED_VECTORS

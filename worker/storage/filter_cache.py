@@ -137,6 +137,8 @@ class FilterCache:
         if filters.near is not None and geographic is None:
             first, second, _ = map(float, filters.near)
             geographic = are_in_degrees(connection, first, second, [VIEWS.c.map_id == of.id])
+        if not isinstance(of.edited, int):
+            return None  # damaged
         paths = set(_paths(filters, geographic=bool(geographic)))
         held = self._of(of)
         before = held.known
