@@ -25,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
-from lab.benchmarks.filling import EPOCH, describe_anew, fill
+from lab.benchmarks.filling import EPOCH, Keep, describe_anew, fill
 from lab.benchmarks.stages import drawn
 from schemas.description import Description
 from schemas.records import Filters, ViewAttributes
@@ -35,15 +35,13 @@ from worker.description.presets import Wanted, make_recipe
 from worker.method.decision import GROUPED, decide
 from worker.runtime import Runtime, build
 from worker.service.drives import DRIVEN, Drives
+from worker.storage.filter_cache import SETTLED_S
 from worker.storage.image_files import Images
 
 MAP = "default"
 IMAGE_BYTES = 50_000
 CHUNK = 1 << 20
 PATIENCE_S = 600.0
-READ_S = 2.5
-"""Seconds after which what a filter reads is in memory (`worker.storage.filter_cache`)."""
-
 PARTS = ("filters", "drive", "switch", "snapshot", "health")
 
 
@@ -69,6 +67,8 @@ class Bench:
     descriptions : sequence of Description
         By the map's recipe; the first is that of the image.
     views, repeats : int
+    keep : function or None
+        Stores what stands for the image of each view; None: there is none.
     """
 
     runtime: Runtime
@@ -76,6 +76,7 @@ class Bench:
     descriptions: Sequence[Description]
     views: int
     repeats: int
+    keep: Keep | None = None
     drives: Drives = field(default_factory=Drives)
 
     def search(self, filters: Filters | None = None, top: int = GROUPED) -> object:
@@ -98,9 +99,9 @@ class Bench:
 
     def grow(self) -> None:
         """Add a view, which is found from then on."""
-        fill(
-            self.runtime.settings.database_url, MAP, self.runtime.store.maps.get(MAP).description, self.descriptions, 1
-        )
+        self.views += 1
+        url, recipe = self.runtime.settings.database_url, self.runtime.store.maps.get(MAP).description
+        fill(url, MAP, recipe, self.descriptions, 1, self.views, self.keep, IMAGE_BYTES)
 
     def query(self) -> float:
         """Milliseconds of a whole query, the network included."""
@@ -157,9 +158,10 @@ def filters(bench: Bench) -> list[Row]:
     """A filtered search against the unfiltered one, in a map at rest and in one that is enrolled into all the while."""
     chosen = filters_of(bench.views)
     works = {name: partial(bench.search, one) for name, one in chosen.items()}
-    for work in works.values():  # columns are read once they were wanted
+    time.sleep(SETTLED_S)
+    for work in works.values():  # what a filter reads is read once it was wanted
         work()
-        time.sleep(READ_S)
+        bench.runtime.store.listings.close()
     rows = []
     for state, first in (("", lambda: None), (", a view more each time", bench.grow)):
         times = in_turns(works, bench.repeats, first=first)
@@ -303,7 +305,7 @@ def opened(
         descriptions = [searcher.describe(runtime.decode(photo), describer).value for photo in photos]
         keep = None if image_bytes is None else Images(settings.data / "pictures", set).add
         fill(settings.database_url, MAP, recipe, descriptions, views - images, views, keep, image_bytes or IMAGE_BYTES)
-        bench = Bench(runtime, photos[0], descriptions, views, repeats)
+        bench = Bench(runtime, photos[0], descriptions, views, repeats, keep)
         bench.query()
         yield bench
     finally:
