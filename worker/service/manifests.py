@@ -142,11 +142,11 @@ def attributes(row: Row, name: str) -> ViewAttributes:
         there = [half for half in halves if half in given]
         if there and (lacking := [half for half in whole if half not in given]):
             wrong.append(f"{' and '.join(lacking)} is missing: {', '.join(there)} alone is half a position")
-    place, moment = given.get("place"), None
-    if isinstance(place, bool | list | dict):
-        wrong.append(f"place is {str(place)[:40]!r}, which is no text")
+    named, moment = given.get("place"), None
+    place = None if named is None else str(named)
+    if isinstance(named, bool | list | dict):
+        wrong.append(f"place is {str(named)[:40]!r}, which is no text")
     elif place is not None:
-        place = str(place)
         try:
             values.plain_text(place)
         except ValueError as error:
