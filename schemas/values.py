@@ -24,6 +24,7 @@ _DIRECTIONS = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\
 
 _RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)")
 _LOST_PLUS = re.compile(r".*[\d.] \d\d:\d\d")
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 _LONGEST_S = 1_000_000_000
 
 
@@ -134,6 +135,11 @@ def metadata(value: object) -> dict[str, Any]:
         if len(value.encode("utf-8", "surrogatepass")) > METADATA_BYTES:
             raise ValueError(f"must not be longer than {METADATA_BYTES} bytes")
         value = strict_json(value)
+    return metadata_object(value)
+
+
+def metadata_object(value: object) -> dict[str, Any]:
+    """Check metadata that is part of a JSON document: text with an object in it is none."""
     if not isinstance(value, dict):
         raise ValueError("needs a JSON object")
     check_metadata(value)
@@ -144,9 +150,8 @@ def check_metadata(value: dict[str, Any]) -> None:
     """Raise ValueError when parsed JSON is nested too deeply, too long, or has text that no database keeps."""
     if not within_depth(value, METADATA_DEPTH):
         raise ValueError(f"must not be nested deeper than {METADATA_DEPTH} levels")
-    text = json.dumps(value, ensure_ascii=False)
     try:
-        size = len(text.encode())
+        size = len(json.dumps(value, ensure_ascii=False).encode())
     except UnicodeEncodeError:
         raise ValueError("contains half of a surrogate pair") from None
     if size > METADATA_BYTES:
@@ -157,9 +162,16 @@ def check_metadata(value: dict[str, Any]) -> None:
 
 
 def strict_json(text: str | bytes) -> Any:
-    """Parse JSON as in RFC 8259: no NaN, no number beyond float64, no name twice in an object."""
+    """Parse JSON as in RFC 8259: no NaN, no number beyond float64, no name twice in an object, whole characters.
+
+    Half of a surrogate pair, which an escape can write and no encoding has, could be neither kept nor shown again.
+    """
     try:
-        return json.loads(text, parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique)
+        whole = text if isinstance(text, str) else text.decode(json.detect_encoding(text))
+        value = json.loads(whole, parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique)
+        if _SURROGATE.search(whole) and not all(map(_is_unicode, _texts(value))):
+            raise ValueError("contains half of a surrogate pair")
+        return value
     except json.JSONDecodeError as error:
         raise ValueError(f"is not JSON: {error.msg} at character {error.pos}") from None
     except RecursionError:
@@ -195,6 +207,10 @@ def within_depth(value: object, levels: int) -> bool:
     if isinstance(value, list):
         return levels > 0 and all(within_depth(inner, levels - 1) for inner in value)
     return True
+
+
+def _is_unicode(text: str) -> bool:
+    return not any("\ud800" <= c <= "\udfff" for c in text)
 
 
 def _texts(value: object) -> Iterator[str]:

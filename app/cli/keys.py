@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.console import DONE, Verbs, say, show, show_json, table, wrong_use
+from app.cli.console import DONE, Failure, Verbs, say, show, show_json, table, wrong_use
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
@@ -64,8 +64,14 @@ def _count(text: str) -> int:
 
 
 @contextmanager
-def _keys(arguments: argparse.Namespace) -> "Iterator[KeyService]":
+def _keys(arguments: argparse.Namespace, *, new: bool = False) -> "Iterator[KeyService]":
+    """The keys of a data folder; `new`: a folder without a database gets one, otherwise it is refused."""
     settings = settings_of(arguments, "data")
+    if not new and settings.database is None and not (settings.data / "revisit.db").exists():
+        raise Failure(
+            f"{settings.data.resolve()} has no database of a service: --data or REVISIT_DATA names its data folder; "
+            "`keys create` begins a new one"
+        )
     from worker.service.keys import KeyService
     from worker.storage.store import open_store
 
@@ -84,7 +90,7 @@ def run_create(arguments: argparse.Namespace) -> int:
     now = datetime.now(UTC)
     rates = Rates(arguments.requests_per_minute, arguments.images_per_minute, arguments.mb_per_minute)
     expires = None if arguments.expires is None else now + _span(arguments.expires)
-    with _keys(arguments) as keys:
+    with _keys(arguments, new=True) as keys:
         try:
             record, key = keys.create(
                 arguments.name, arguments.scope, now, maps=arguments.map, expires_at=expires, rates=rates

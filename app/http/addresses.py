@@ -1,7 +1,12 @@
 """Middleware that lets every address be asked for in the ways that HTTP libraries and people use."""
 
+from urllib.parse import unquote_to_bytes
+
 import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.http.refusing import refuse
+from schemas.errors import InvalidParameters, ParameterError
 
 NO_MAP, DEFAULT_MAP = "/compat/compreface/api/", "/compat/compreface/default/api/"
 """Beginnings of addresses of a service that knows no maps, and what they mean here."""
@@ -14,7 +19,8 @@ class Addresses:
 
     A body that would be streamed is ended at once: HEAD of a snapshot reads no file, that of events does not last.
 
-    A slash is not answered with a redirect, for which a client would have to send its image again.
+    A slash is not answered with a redirect, for which a client would have to send its image again. Parameters that are
+    not UTF-8 are refused: frameworks put other characters in the place of such bytes, and would keep a name so.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -32,6 +38,9 @@ class Addresses:
         if path.startswith(NO_MAP) and not path.startswith(f"{NO_MAP}api/"):
             scope["path"] = DEFAULT_MAP + scope["path"].removeprefix(NO_MAP)
             scope["raw_path"] = DEFAULT_MAP.encode() + scope.get("raw_path", b"").removeprefix(NO_MAP.encode())
+        if errors := _unreadable(scope["query_string"]):
+            await refuse(InvalidParameters(errors), scope, receive, send)
+            return
         if scope["method"] != "HEAD":
             await self._app(scope, receive, send)
             return
@@ -50,3 +59,18 @@ class Addresses:
                 await self._app(inner, receive, send_head)
         finally:
             scope.update({name: inner[name] for name in ("route", "path_params") if name in inner})  # for the log
+
+
+def _unreadable(query: bytes) -> list[ParameterError]:
+    """The parameters of a URL whose name or value is not UTF-8."""
+    if query.isascii() and b"%" not in query:
+        return []
+    found = []
+    for pair in query.split(b"&"):
+        plain = unquote_to_bytes(pair.replace(b"+", b" "))
+        try:
+            plain.decode()
+        except UnicodeDecodeError:
+            name = plain.partition(b"=")[0].decode(errors="replace")
+            found.append(ParameterError(name, "is not UTF-8; percent-encode it in UTF-8"))
+    return found

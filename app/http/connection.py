@@ -70,6 +70,10 @@ def _in_origin_form(request: h11.Request) -> h11.Request:
     path = unquote_to_bytes(target.partition(b"?")[0])
     if any(byte < 0x20 or byte == 0x7F for byte in path):
         raise _RefusedPath("the path has control characters", path)
+    try:
+        path.decode()
+    except UnicodeDecodeError:
+        raise _RefusedPath("the path is not UTF-8", path) from None
     if target == request.target:
         return request
     return h11.Request(method=request.method, headers=request.headers, target=target, http_version=request.http_version)

@@ -21,7 +21,8 @@ class ImportParameters(Parameters):
     """Parameters of `POST /maps/{map}/imports`."""
 
     exif: bool = Field(
-        False, description="Take place and time of an image from its EXIF where the manifest says nothing of them."
+        False,
+        description="Take place and time of an image from its EXIF where no manifest tells them. Not with a video.",
     )
     panorama: bool = Field(
         False, description="Every image is an equirectangular panorama: it is enrolled as eight views, 45° apart."

@@ -226,6 +226,14 @@ class ListViews(FilterParameters):
         return found
 
 
+def _leaves_out(text: object) -> bool:
+    """Whether `exclude_last` leaves out any view: 0 leaves out none, 0s the newest; True where it cannot be read."""
+    try:
+        return values.exclude_last(text) != 0
+    except ValueError:
+        return True
+
+
 class DeleteViews(FilterParameters):
     """Parameters of `DELETE /views`: a map, and a filter or all=true, so that a typing mistake empties nothing."""
 
@@ -237,7 +245,8 @@ class DeleteViews(FilterParameters):
         """Mistakes: neither a filter nor all=true, or both."""
         found = super().contradictions(given)
         everything = str(given.get("all", "")).lower() in _TRUE
-        filtered = any(given.get(name) for name in given if name not in ("map", "all", "frame"))
+        filtered = any(given.get(name) for name in given if name not in ("map", "all", "frame", "exclude_last"))
+        filtered = filtered or _leaves_out(given.get("exclude_last", "0"))
         if everything and filtered:
             found.append(ParameterError("all", "contradicts the filters: give one or the other"))
         elif not everything and not filtered:
@@ -324,7 +333,7 @@ class AttributesDocument(PositionParameters):
 
     place: PlaceName | None = None
     captured_at: Annotated[datetime, BeforeValidator(values.moment)] | None = None
-    metadata: Annotated[dict[str, Any], BeforeValidator(values.metadata)] = Field(default_factory=dict)
+    metadata: Annotated[dict[str, Any], BeforeValidator(values.metadata_object)] = Field(default_factory=dict)
 
     def attributes(self) -> ViewAttributes:
         """The attributes as a record."""

@@ -64,6 +64,18 @@ def test_revoking_and_clearing(tmp_path: Path, capsys: Out) -> None:
     assert listed(tmp_path, capsys) == []
 
 
+@pytest.mark.parametrize("verb", [("list",), ("revoke", "robot"), ("clear", "--yes")])
+def test_a_folder_that_is_none_of_a_service_is_told_and_not_made(
+    tmp_path: Path, verb: Sequence[str], capsys: Out
+) -> None:
+    """A mistyped folder has no keys, which says nothing of the service that was meant."""
+    folder = tmp_path / "dta"
+    assert keys(folder, *verb) == 1
+    said = capsys.readouterr()
+    assert (said.out, folder.exists()) == ("", False)
+    assert f"{folder} has no database of a service" in said.err
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -76,7 +88,7 @@ def test_revoking_and_clearing(tmp_path: Path, capsys: Out) -> None:
 )
 def test_what_cannot_be_used_is_wrong_use(tmp_path: Path, wrong: Sequence[str], capsys: Out) -> None:
     assert keys(tmp_path, "create", *wrong) == 2
-    assert listed(tmp_path, capsys) == []
+    assert not (tmp_path / "revisit.db").exists() or listed(tmp_path, capsys) == []
 
 
 def test_a_key_that_could_not_be_printed_is_forgotten(

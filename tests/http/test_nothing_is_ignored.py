@@ -81,3 +81,12 @@ def test_all_operations_promise_the_refusals() -> None:
     for methods in DOCUMENT["paths"].values():
         for operation in methods.values():
             assert {"400", "408", "422", "431"} <= operation["responses"].keys()
+
+
+def test_parameters_that_are_not_utf_8_are_named(client: CheckedClient) -> None:
+    """No bytes become other characters: a place would be kept under a name that nobody gave it."""
+    for method, path in OPERATIONS:
+        for query, name in (("place=%ff%fe", "place"), ("map=a&place=caf%E9", "place"), ("%E9t%E9=1", "\ufffdt\ufffd")):
+            answer = client.request(method, f"{address(path)}?{query}")
+            assert (answer.status_code, answer.json()["type"]) == (422, "urn:revisit:problem:invalid-parameter")
+            assert [error["parameter"] for error in answer.json()["errors"]] == [name]

@@ -94,6 +94,11 @@ def test_a_condition_arrives_and_one_that_cannot_be_is_told(client: CheckedClien
     assert recogniser.given["filters"] == Filters(where=condition(where))
     assert client.post("/query", data={"where": where}, files={"image": photo()}).status_code == 404  # there is no map
 
+    for half_a_character in (r'{"place": "\ud800"}', r'{"metadata.\udc00": {"$in": ["x"]}}'):
+        refused = client.get("/views", params={"where": half_a_character})
+        assert (refused.status_code, "half of a surrogate pair" in refused.json()["detail"]) == (422, True)
+    assert client.get("/views", params={"where": r'{"place": "\ud83d\ude00"}'}).status_code == 200  # a whole one
+
     refused = client.get("/views", params={"where": '{"place": {"$like": "hall%"}}'})
     assert refused.status_code == 422
     assert "where: place: $like is no operator: $eq, $ne" in refused.json()["detail"]
@@ -108,6 +113,8 @@ def test_a_condition_arrives_and_one_that_cannot_be_is_told(client: CheckedClien
         ("place=hall", ["map"]),
         ("map=default&all=false", ["all"]),
         ("map=default&all=true&place=hall", ["all"]),
+        ("map=default&exclude_last=0", ["all"]),  # leaves out none: it would empty the map
+        ("map=default&exclude_last=000", ["all"]),
         ("all=true", ["map"]),
         ("map=default&plaice=hall", ["all", "plaice"]),
     ],
@@ -126,6 +133,8 @@ def test_deleting_many_needs_a_map_and_a_filter_or_all(
 def test_deleting_many_by_a_filter_and_all(client: CheckedClient, recogniser: FakeRecogniser, view: str) -> None:
     assert client.delete("/views?map=other&metadata.camera=front").json()["views"] == 0
     assert recogniser.given["filters"] == Filters(metadata={"camera": "front"})
+    for but_the_newest in ("exclude_last=1", "exclude_last=0s", "exclude_last=0&place=hall"):
+        assert client.delete(f"/views?map=other&{but_the_newest}").status_code == 200
     assert client.delete("/views?map=default&all=true").json()["views"] == 1
 
 
@@ -196,6 +205,7 @@ def test_a_patch_changes_what_it_names_and_nothing_else(
         ({"captured_at": 17}, ["captured_at"]),
         ({"captured_at": "noon"}, ["captured_at"]),
         ({"metadata": []}, ["metadata"]),
+        ({"metadata": '{"floor": 2}'}, ["metadata"]),
         ({"metadata": {"long": "x" * 17_000}}, ["metadata"]),
         ({"metadata": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": 1}}}}}}}}}}, ["metadata"]),
         ({"place": 7, "position": {"heading": -1}, "oops": 1}, ["oops", "place", "position.heading"]),
@@ -212,7 +222,19 @@ def test_a_patch_that_cannot_be_used_changes_nothing(
 
 
 @pytest.mark.parametrize(
-    "body", [b"{", b"[1]", b'"x"', b'{"place": NaN}', b'{"a":1,"a":2}', b"\xff\xfe{}", b"[" * 9999]
+    "body",
+    [
+        b"{",
+        b"[1]",
+        b'"x"',
+        b'{"place": NaN}',
+        b'{"a":1,"a":2}',
+        b"\xff\xfe{}",
+        b"[" * 9999,
+        b'{"\\ud800": 1}',
+        b'{"metadata": {"a": ["\\udfff"]}}',
+        b'{"place": "\xed\xa0\x80"}',
+    ],
 )
 def test_a_patch_that_is_no_json_object_is_malformed(client: CheckedClient, view: str, body: bytes) -> None:
     answer = client.patch(f"/views/{view}", content=body, headers={"content-type": "application/json"})

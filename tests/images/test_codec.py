@@ -185,6 +185,13 @@ def test_an_image_of_rubbish_behind_true_magic_bytes_is_undecodable() -> None:
         assert refusal(magic + rubbish).code == "undecodable-picture", magic
 
 
+def test_what_cannot_be_read_is_said_in_words_of_the_file() -> None:
+    """Not by the objects inside the service: ``<_io.BytesIO object at 0x7f...>``."""
+    for data in (PNG_MAGIC, b"II*\x00" + bytes(90), b"BM" + bytes(90)):
+        assert "object at" not in refusal(data).detail
+    assert refusal(b"").detail.startswith("this seems to be an empty file; send an image as jpeg")
+
+
 def iso(brand: bytes) -> bytes:
     return b"\x00\x00\x00\x18ftyp" + brand + b"\x00\x00\x00\x00mif1" + brand + b"\x00" * 400
 

@@ -1,6 +1,7 @@
 """What a store promises about jobs of whole maps: durable, with progress, cancelled cleanly, pruned after."""
 
 from datetime import timedelta
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
@@ -12,6 +13,7 @@ from tests.storage.material import NOW, RECIPE, describe_all, enroll, finish, gi
 from worker.storage.jobs import ATTEMPTS
 from worker.storage.store import SqlStore
 
+IMPORT = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b93"
 PAPER = recipe("paper")
 LEARNED = RECIPE.description.model_copy(update={"vocabulary": "1" * 64})
 LATER = NOW + timedelta(seconds=61)
@@ -102,6 +104,30 @@ def test_training_whose_worker_died_is_taken_up_by_another_thrice(store: SqlStor
         assert claim is not None
         with pytest.raises(LeaseLost):
             store.jobs.report(claim, JobProgress(0, 2))
+
+
+def test_files_of_a_job_go_when_it_fails_because_its_workers_died(store: SqlStore, data: Path) -> None:
+    """A recording has photos in it, and a snapshot may be large: neither waits for the next start."""
+    campus_of_two(store)
+    upload = store.uploads.receive(5)
+    upload.write(b"photo")
+    upload.end()
+    store.uploads.keep(upload, IMPORT, {})
+    store.jobs.queue_import(IMPORT, "campus", RECIPE, NOW)
+    snapshot = store.jobs.queue_snapshot("campus", NOW).id
+    (data / "snapshots").mkdir()
+    draft = data / "snapshots" / f".writing-{snapshot}"
+    draft.write_bytes(b"half")
+    for _ in range(ATTEMPTS):
+        assert {store.jobs.claim_map_job("worker", NOW) is None for _ in range(2)} == {False}
+        assert draft.exists()
+        assert (data / "imports" / IMPORT / "upload").exists()
+        store.workers.bury(["worker"], NOW)
+    assert [store.jobs.claim_map_job("worker", NOW) for _ in range(2)] == [None, None]
+
+    assert [store.jobs.get(job).state for job in (IMPORT, snapshot)] == ["failed", "failed"]
+    assert not draft.exists()
+    assert not any((data / "imports").iterdir())
 
 
 def test_a_claim_whose_worker_gives_signs_of_life_stays_its_own(store: SqlStore) -> None:

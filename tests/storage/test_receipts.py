@@ -141,6 +141,28 @@ def test_a_snapshot_that_begins_just_before_the_deletion_is_named(
     assert receipt.snapshots == (Holding(job.id, None, None, None),)
 
 
+def test_a_snapshot_that_is_kept_while_its_map_is_deleted_is_named(
+    campus: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was written whole, and gets its name when the receipt has looked for it."""
+    job = campus.jobs.queue_snapshot("campus", NOW)
+    assert campus.jobs.claim_map_job("worker", NOW) is not None
+    keep = campus.snapshots._place.keep
+    receipts = []
+
+    def deleted_first(draft: Path, snapshot_id: str, tell: Callable[[], None]) -> None:
+        receipts.append(campus.removals.delete_map("campus"))
+        keep(draft, snapshot_id, tell)
+
+    monkeypatch.setattr(campus.snapshots._place, "keep", deleted_first)
+    campus.snapshots.make("campus", job.id, NOW, quiet)
+
+    (receipt,) = receipts
+    assert receipt.snapshots == (Holding(job.id, None, None, None),)
+    assert campus.snapshots.get(job.id).facts.views == receipt.views == 3
+    campus.snapshots.delete(job.id)
+
+
 def test_an_image_is_told_as_it_was_when_it_was_removed_or_kept(
     campus: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:

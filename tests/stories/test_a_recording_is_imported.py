@@ -50,6 +50,7 @@ def test_a_recording_with_a_manifest_is_enrolled_and_each_fault_is_told(
         "0009.jpg;5;6;;;\n"
     )
     files = {**photos(4), "walk/broken.png": photo(9, "png")[:-30], "notes.txt": "a fine day", "manifest.csv": manifest}
+    files |= {"walk/positions.csv": "file,x,y\n0000.jpg,1,2\n"}
 
     job = sent(client, "walk", files)
 
@@ -70,7 +71,9 @@ def test_a_recording_with_a_manifest_is_enrolled_and_each_fault_is_told(
         ("walk/broken.png", "no-row"),
         ("walk/broken.png", "undecodable-picture"),
         ("notes.txt", "no-image"),
+        ("walk/positions.csv", "no-image"),
     }
+    assert told["walk/positions.csv", "no-image"].endswith("; a manifest is named manifest.csv or manifest.ndjson")
     assert "line 4: x is 'far', which is no number" in told["walk/0002.jpg", "bad-row"]
     views = client.get("/views?map=walk").json()["views"]
     assert [view["state"] for view in views] == ["ready"] * 3
@@ -160,7 +163,7 @@ def test_a_trajectory_says_where_the_images_were_taken(client: httpx.Client) -> 
     assert [(view["position"] or {}).get("y") for view in views] == [0, 2, 4, None]
     assert views[1]["position"]["heading"] == pytest.approx(0, abs=1e-3)
     assert broken.status_code == 400
-    assert "poses.txt, line 1: has 3 finite numbers" in broken.json()["detail"]
+    assert "poses.txt, line 1: has 3 numbers" in broken.json()["detail"]
 
 
 def test_a_panorama_becomes_eight_views_with_their_headings(client: httpx.Client) -> None:
@@ -285,7 +288,7 @@ def of_many_files() -> bytes:
 @pytest.mark.parametrize(
     ("body", "status", "words"),
     [
-        (b"", 400, "no zip archive"),
+        (b"", 400, "it is empty"),
         (b"hello", 400, "no zip archive"),
         (photo(1), 400, "no zip archive"),
         (zipped(photos(2))[:-30], 400, "breaks off"),

@@ -78,7 +78,7 @@ def test_a_video_that_breaks_off_is_enrolled_up_to_there(client: httpx.Client, t
 
 def test_a_360_video_becomes_eight_views_of_each_frame(client: httpx.Client, tmp_path: Path) -> None:
     wide = [cv2.resize(image, (256, 128)) for image in frames(4)]
-    result = sent(client, "round", video(tmp_path / "a.avi", wide, 1), every="2s", panorama="true", exif="true")
+    result = sent(client, "round", video(tmp_path / "a.avi", wide, 1), every="2s", panorama="true")
     assert (result["images"], result["failed"]) == (16, 0)
 
 
@@ -86,6 +86,8 @@ def test_a_360_video_becomes_eight_views_of_each_frame(client: httpx.Client, tmp
     ("params", "detail"),
     [
         ({"every": "1m"}, "a video does not say where it was taken"),
+        ({"exif": "true"}, "exif: is of no use with a video"),
+        ({"exif": "true", "every": "1m"}, "every: a video does not say where"),
         ({"every": "0s"}, "needs seconds such as 2s"),
         ({"image_topic": "/camera"}, "image_topic: is of use only with a recording of ROS 2"),
         ({"every": "2"}, "needs seconds such as 2s"),

@@ -31,6 +31,7 @@ REFUSED = {
     "CR in a header": b"GET /livez HTTP/1.1\r\nHost: a\r\nX-A: b\rX-B: c\r\n\r\n",
     "NUL in the path": b"GET /views/a\0b HTTP/1.1\r\nHost: a\r\n\r\n",
     "an encoded NUL in the path": b"GET /views/a%00b HTTP/1.1\r\nHost: a\r\n\r\n",
+    "an encoded byte that is no UTF-8 in the path": b"GET /maps/caf%e9 HTTP/1.1\r\nHost: a\r\n\r\n",
     "an encoded line end in the path": b"GET /views/a%0d%0ab HTTP/1.1\r\nHost: a\r\n\r\n",
     "bytes beyond ASCII in the path": b"GET /views/\xff HTTP/1.1\r\nHost: a\r\n\r\n",
     "no Host in HTTP/1.1": b"GET /livez HTTP/1.1\r\n\r\n",

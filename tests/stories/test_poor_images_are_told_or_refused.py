@@ -2,17 +2,24 @@
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
+from app.http.application import create_app
 from schemas.image import Bytes2D
+from schemas.records import ViewRecord
+from tests.openapi import CheckedClient
 from tests.sample_images import drawn, encoded
 from tests.stories.importing import ZIP, ended, zipped
-from tests.stories.running import RunningService
+from tests.stories.running import RunningService, settings
 from worker.encoders.color import COLORS
+from worker.runtime import build
+from worker.service.attendance import Attendance
+from worker.service.duplicates import NearDuplicates
 
 JPEG = {"content-type": "image/jpeg"}
 DARK = encoded((drawn(96, 64, 3) // 16).astype(np.uint8))
@@ -146,6 +153,24 @@ def test_an_image_that_adds_nothing_is_told_or_refused(client: httpx.Client) -> 
     told = client.post("/enroll?map=wall&refuse_poor=false", content=wall(70), headers=JPEG)
     assert (told.status_code, [one["code"] for one in told.json()["warnings"]]) == (201, ["duplicate"])
     assert client.post("/enroll?map=wall", content=sharp(5), headers=JPEG).status_code == 201
+
+
+@pytest.mark.parametrize(("workers", "refuse", "looked"), [(1, "true", 1), (1, "false", 1), (2, "true", 2)])
+def test_near_duplicates_are_looked_for_once_unless_another_worker_may_keep_one_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, refuse: str, looked: int
+) -> None:
+    looks: list[str] = []
+    look = NearDuplicates.of
+
+    def counted(self: NearDuplicates, name: str, *said: Any, **how: Any) -> ViewRecord | None:
+        looks.append(name)
+        return look(self, name, *said, **how)
+
+    monkeypatch.setattr(NearDuplicates, "of", counted)
+    monkeypatch.setattr(Attendance, "alive", workers)
+    with CheckedClient(create_app(build(settings(tmp_path, compare=False)))) as client:
+        answer = client.post(f"/enroll?map=wall&refuse_poor={refuse}", content=sharp(5), headers=JPEG)
+    assert (answer.status_code, looks) == (201, ["wall"] * looked)
 
 
 def settled(client: httpx.Client, view_id: str, within_s: float = 30) -> dict[str, Any]:

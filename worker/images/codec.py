@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import simplejpeg
 from PIL import Image as PilImage
+from PIL import UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
 from schemas.errors import BadImage, BodyTooLarge
@@ -173,6 +174,8 @@ class _Header:
                 animated = kind == "webp" and getattr(pil_image, "n_frames", 1) > 1
                 tile = _tile(pil_image)
                 plain = kind in _QUICKER and pil_image.mode in _PLAIN_MODES and "transparency" not in pil_image.info
+        except UnidentifiedImageError as error:
+            raise _undecodable(kind, "its header is damaged, or of a variant that is not read") from error
         except Exception as error:
             # Pillow's parsers raise errors of struct, zlib and others; the type is already checked.
             raise _undecodable(kind, f"its header cannot be read ({error})") from error

@@ -77,6 +77,8 @@ def image_type(data: bytes) -> str:
 
 def _guess(data: bytes) -> str:
     """A name for a file that is not accepted, for the error's text."""
+    if not data:
+        return "an empty file"
     for magic, name in _OTHERS:
         if data.startswith(magic):
             return name

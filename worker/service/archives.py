@@ -163,6 +163,8 @@ def _check_entry(info: zipfile.ZipInfo, name: str) -> None:
 def _check_directory(file: BinaryIO) -> None:
     """Raise unless the directory is small: `zipfile` reads all of it into memory, whatever its end says."""
     size = file.seek(0, os.SEEK_END)
+    if size == 0:
+        raise _refused("it is empty")
     tail = min(size, _LOCATOR.size + _END.size + 0xFFFF)
     file.seek(size - tail)
     data = file.read(tail)

@@ -42,6 +42,8 @@ class Accepted:
     problem : str or None
         What may keep it from being recognised, in words.
     timing_ms : mapping of stage to milliseconds
+    judged : bool
+        Whether the only worker refuses near-duplicates, so that no other can have kept one meanwhile.
     """
 
     submitted: Submitted
@@ -49,6 +51,7 @@ class Accepted:
     expected_s: float
     problem: str | None
     timing_ms: dict[str, float]
+    judged: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ class EnrollService:
     workers : function
         Returns how many workers are alive.
     resembles : function
-        What a described view resembles in its map.
+        What a described view resembles in its map, and whether near-duplicates of it are known to be none.
     describer : function
         Raises SetupError where the running encoder cannot describe the views of a map, NotFound where there is none.
     """
@@ -132,7 +135,7 @@ class EnrollService:
         pace_s: Callable[[], float],
         wake: Callable[[], None],
         workers: Callable[[], int] = lambda: 1,
-        resembles: Callable[[ViewRecord], tuple[Resemblance, ...]] = lambda view: (),
+        resembles: Callable[[ViewRecord, bool], tuple[Resemblance, ...]] = lambda view, judged: (),
         describer: Callable[[str], object] = lambda name: None,
     ) -> None:
         self._maps, self._enrolment, self._views, self._removals = maps, enrolment, views, removals
@@ -201,7 +204,7 @@ class EnrollService:
             self._wake()
         expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
         timing_ms = {"decode": (decoded - began) * 1000, "store": _since(decoded)}
-        return Accepted(submitted, began, expected_s, problem, timing_ms)
+        return Accepted(submitted, began, expected_s, problem, timing_ms, refuses_poor and workers <= 1)
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
         """The outcome of an accepted image.
@@ -248,7 +251,7 @@ class EnrollService:
         timing_ms = accepted.timing_ms
         if record.state == "ready" and submitted.created:
             comparing = time.perf_counter()
-            resembles = self._resembles(record)
+            resembles = self._resembles(record, accepted.judged)
             timing_ms = {**timing_ms, "compare": _since(comparing)}
         if record.state == "ready":
             revision = self._maps.get(record.map).revision

@@ -1,6 +1,7 @@
 """Manifests: what is known of the images of a recording, as CSV (commas, semicolons or tabs) or as lines of JSON."""
 
 import csv
+import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -141,9 +142,11 @@ def attributes(row: Row, name: str) -> ViewAttributes:
         there = [half for half in halves if half in given]
         if there and (lacking := [half for half in whole if half not in given]):
             wrong.append(f"{' and '.join(lacking)} is missing: {', '.join(there)} alone is half a position")
-    place, moment = given.get("place"), None
-    if place is not None:
-        place = str(place)
+    named, moment = given.get("place"), None
+    place = None if named is None else str(named)
+    if isinstance(named, bool | list | dict):
+        wrong.append(f"place is {str(named)[:40]!r}, which is no text")
+    elif place is not None:
         try:
             values.plain_text(place)
         except ValueError as error:
@@ -215,10 +218,9 @@ def _row(line: int, named: Mapping[str, Any]) -> Row:
 
 
 def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
-    lines = text.splitlines()
-    first = next((line for line in lines if line.strip()), "")
+    first = next((line for line in _lines(text) if line.strip()), "")
     delimiter = max(",;\t", key=first.count)
-    reader = csv.reader(lines, delimiter=delimiter)
+    reader = csv.reader(_lines(text), delimiter=delimiter)
     rows: list[Row] = []
     columns: list[str] = []
     named: dict[str, str] = {}
@@ -240,6 +242,7 @@ def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
                 raise ValueError(f"{name}, line {reader.line_num}: names no file")
             rows.append(_row(reader.line_num, filled))
             _count(name, rows)
+        _check_quotes(text, delimiter)
     except csv.Error as error:
         raise ValueError(f"{name}, line {reader.line_num}: {error}") from None
     if not columns:
@@ -247,10 +250,25 @@ def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
     return [*named.values()], rows
 
 
+def _lines(text: str) -> io.StringIO:
+    """Lines that end with LF, CR or both, each with its end: other characters that break lines are text."""
+    return io.StringIO(text, newline="")
+
+
+def _check_quotes(text: str, delimiter: str) -> None:
+    """Raise csv.Error when the last value is quoted and never ends: it would hold all rows behind its quote."""
+    try:
+        for _ in csv.reader(_lines(text), delimiter=delimiter, strict=True):
+            pass
+    except csv.Error as error:
+        if "end of data" in str(error):
+            raise csv.Error("a quoted value that begins on an earlier line, or here, is not closed") from None
+
+
 def _json_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
     rows: list[Row] = []
     columns: dict[str, None] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(_lines(text), start=1):
         if not line.strip():
             continue
         try:

@@ -58,12 +58,14 @@ def _bag(path: Path, limits: Limits, options: ImportOptions) -> Recording:
 
 
 def _video(path: Path, limits: Limits, options: ImportOptions) -> Recording:
+    wrong = []
+    if options.exif:
+        wrong.append(ParameterError("exif", "is of no use with a video, whose frames have no EXIF"))
     if options.every_m is not None:
-        raise InvalidParameters.of(
-            "every",
-            "a video does not say where it was taken: choose by time, such as every=2s, or send its frames as images "
-            "with a trajectory",
-        )
+        detail = "choose by time, such as every=2s, or send its frames as images with a trajectory"
+        wrong.append(ParameterError("every", f"a video does not say where it was taken: {detail}"))
+    if wrong:
+        raise InvalidParameters(wrong)
     every_s = options.every_s or VIDEO_EVERY_S
     video = Video(path, every_s, limits.image, limits.frame_s, path.with_name(LISTING))
     if len(video.times_s) > MOST_FILES:

@@ -16,6 +16,9 @@ from worker.service.archives import MOST_MANIFEST_BYTES, Archive, Entry
 from worker.service.manifests import Manifest, attributes, read_manifest
 from worker.service.trajectories import Pose
 
+_LISTS = (".csv", ".tsv", ".json", ".jsonl", ".ndjson", ".xlsx", ".xls")
+"""Endings of files that may be meant as manifests."""
+
 
 @dataclass(frozen=True)
 class Note:
@@ -137,7 +140,8 @@ def open_archive(path: Path, limits: Limits) -> Recording:
     for entry in archive.others:
         if entry.name in used:
             continue
-        recording.notes.append(Note(entry.name, "no-image", "is no image by its name, and was left out"))
+        hint = "; a manifest is named manifest.csv or manifest.ndjson" if entry.name.lower().endswith(_LISTS) else ""
+        recording.notes.append(Note(entry.name, "no-image", f"is no image by its name, and was left out{hint}"))
     if manifest is not None:
         for row in manifest.unused():
             detail = f"{manifest.name}, line {row.line}: no image of the recording has this name"

@@ -53,8 +53,11 @@ class Resemblances:
     def __init__(self, maps: Maps, descriptions: Descriptions, searcher: Searcher, duplicates: NearDuplicates) -> None:
         self._maps, self._descriptions, self._searcher, self._duplicates = maps, descriptions, searcher, duplicates
 
-    def of(self, view: ViewRecord) -> tuple[Resemblance, ...]:
-        """What a described view resembles; empty also when that cannot be told: the view is enrolled all the same."""
+    def of(self, view: ViewRecord, judged: bool = False) -> tuple[Resemblance, ...]:
+        """What a described view resembles; empty also when that cannot be told: the view is enrolled all the same.
+
+        `judged`: the quality gate has looked for near-duplicates and found none, so that none are looked for here.
+        """
         try:
             recipe = self._maps.get(view.map).description
             description = self._descriptions.whole(view.seq, recipe)
@@ -62,7 +65,7 @@ class Resemblances:
                 return ()
             others = {view.map: Filters(exclude=(view.id,))}
             found = self._searcher.search(others, recipe, description, top=TOP)
-            same = self._duplicates.of(view.map, recipe.id, description, but=view.seq)
+            same = None if judged else self._duplicates.of(view.map, recipe.id, description, but=view.seq)
         except (NotFound, RecipeChanged, Unavailable):  # the view, or its map, changes too fast to tell
             return ()
         except RevisitError as error:

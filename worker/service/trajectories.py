@@ -28,6 +28,9 @@ TOLERANCE_S = 0.05
 LEAST_UNIX_S = 1e8
 """Smallest time that counts as Unix time: others are counted from the start of a recording."""
 
+MOST_UNIX_S = 253_402_300_799
+"""The end of the year 9999, the last that can be written."""
+
 MOST_POSES = 1_000_000
 
 
@@ -78,9 +81,10 @@ def read_poses(name: str, data: bytes) -> list[Pose]:
             values = [float(word) for word in words]
         except ValueError:
             raise ValueError(f"{name}, line {number}: holds something that is no number") from None
-        if not all(map(math.isfinite, values)) or len(values) not in (8, 12):
-            wanted = "TUM has 8 numbers a line, KITTI 12"
-            raise ValueError(f"{name}, line {number}: has {len(values)} finite numbers; {wanted}")
+        if not all(map(math.isfinite, values)):
+            raise ValueError(f"{name}, line {number}: holds {next(v for v in values if not math.isfinite(v))}")
+        if len(values) not in (8, 12):
+            raise ValueError(f"{name}, line {number}: has {len(values)} numbers; TUM has 8 numbers a line, KITTI 12")
         if poses and (poses[0].time is None) != (len(values) == 12):
             raise ValueError(f"{name}, line {number}: has {len(values)} numbers, other than the first")
         poses.append(_of_tum(name, number, values) if len(values) == 8 else _of_kitti(values))
@@ -167,6 +171,8 @@ def _of_tum(name: str, number: int, values: Sequence[float]) -> Pose:
     length = qx * qx + qy * qy + qz * qz + qw * qw
     if length < 1e-6:
         raise ValueError(f"{name}, line {number}: its quaternion is 0")
+    if time > MOST_UNIX_S:
+        raise ValueError(f"{name}, line {number}: its time is {time:g} s, beyond the year 9999; times are seconds")
     # The third column of the rotation's matrix: where the camera's z points.
     east, north = 2 * (qx * qz + qy * qw) / length, 2 * (qy * qz - qx * qw) / length
     return Pose(x, y, z, _heading(east, north), time)

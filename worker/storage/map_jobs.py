@@ -9,7 +9,7 @@ first claimed by a worker, which trains the vocabulary, and then runs like one o
 
 import json
 import secrets
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from functools import cache
 from typing import Any, get_args
@@ -33,6 +33,9 @@ WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before 
 
 class MapJobs(Jobs):
     """Jobs of all kinds."""
+
+    drop_files: Callable[[str], None] | None = None
+    """Removes the files of a job, by its id, that fails because its workers died: none of them can."""
 
     # recipe
 
@@ -151,16 +154,18 @@ class MapJobs(Jobs):
             job = connection.execute(mine.with_for_update(skip_locked=True)).one_or_none()
             if job is None:
                 return None
-            if job.attempts >= ATTEMPTS:
-                _fail(connection, job, now, ("worker-died", WORKER_DIED))
-                return None
-            token = secrets.token_hex(16)
-            held = {"state": "running", "worker": worker, "token": token}
-            connection.execute(
-                sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
-            )
-            name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
-            return MapClaim(job.id, job.kind, token, str(name))
+            if job.attempts < ATTEMPTS:
+                token = secrets.token_hex(16)
+                held = {"state": "running", "worker": worker, "token": token}
+                connection.execute(
+                    sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
+                )
+                name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
+                return MapClaim(job.id, job.kind, token, str(name))
+            _fail(connection, job, now, ("worker-died", WORKER_DIED))
+        if self.drop_files is not None:
+            self.drop_files(job.id)
+        return None
 
     def report(self, claim: MapClaim, progress: JobProgress) -> None:
         """Report the progress of a claimed job; raises LeaseLost, also when it was cancelled."""

@@ -66,16 +66,18 @@ class Removals(Part):
     def delete_map(self, name: str) -> Removal:
         """Remove a map, its views and their images; raises NotFound."""
 
-        def take_name(connection: sa.Connection) -> int:
+        def take_name(connection: sa.Connection) -> tuple[int, list[str]]:
             map_id = int(find_map(connection, name).id)
             # So that a later map of this name begins after every index of this one.
             clock.tick(connection, map_id)
             # Without a name no call finds it; its views are deleted next, or by recovery after a crash.
             connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(name=None))
-            connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))  # a snapshot that is being made ends
-            return map_id
+            making = _being_made(connection, map_id)
+            # A snapshot that is being made ends, unless it is written already and about to be kept.
+            connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
+            return map_id, making
 
-        return self.clear(self._database.freeing(take_name))
+        return self.clear(*self._database.freeing(take_name))
 
     def clear_deleted_maps(self) -> None:
         """Finish deletions of maps that a crash interrupted."""
@@ -84,8 +86,8 @@ class Removals(Part):
         for map_id in left:
             self.clear(map_id)
 
-    def clear(self, map_id: int) -> Removal:
-        """Remove a map without a name, by its number."""
+    def clear(self, map_id: int, making: Sequence[str] = ()) -> Removal:
+        """Remove a map without a name, by its number; `making`: its snapshots that were being made until now."""
         portions = []
         queries = 0
         while portion_of := self._database.freeing(
@@ -100,12 +102,12 @@ class Removals(Part):
                 break
             portions.append(self._remove(map_id, seqs))
         self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
-        return replace(self._receipt(portions, None), queries=queries)
+        return replace(self._receipt(portions, None, making), queries=queries)
 
-    def _receipt(self, portions: Sequence["_Gone"], revision: int | None) -> Removal:
+    def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
         """What the portions deleted, each as it was in its own transaction, and what snapshots have."""
         digests = [digest for portion in portions for digest in portion.digests]
-        started = list(dict.fromkeys(one for portion in portions for one in portion.being_made))
+        started = list(dict.fromkeys([*making, *(one for portion in portions for one in portion.being_made)]))
         shared = frozenset[str]().union(*(portion.images.needed for portion in portions))
         return Removal(
             views=sum(portion.views for portion in portions),

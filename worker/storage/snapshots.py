@@ -231,6 +231,10 @@ class Snapshots(Part, again=False):
             if state not in ("waiting", "running"):
                 path.unlink(missing_ok=True)
 
+    def drop_draft(self, snapshot_id: str) -> None:
+        """Remove the unfinished file of a snapshot, if there is one."""
+        (self._folder / f"{WRITING}{snapshot_id}").unlink(missing_ok=True)
+
     def admit(self, size: int) -> None:
         """Raise DiskFull unless there is room for a file of `size` bytes."""
         if self._database.space is not None:

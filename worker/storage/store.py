@@ -109,9 +109,15 @@ class SqlStore:
         self.restoring = Restoring(database, images, self.removals)
         here = data / IMPORTS, database.space
         self.uploads = Uploads(*here) if files is None else SharedUploads(*here, files, scratch)
+        self.jobs.drop_files = self._drop_files
         self.leftovers = None if files is None else Leftovers(database, files)
         self.vectors = None if index == "faiss" else VectorSearch(database, images)
         self.indexing = VectorIndexing(database, images) if index == "pgvector-hnsw" else None
+
+    def _drop_files(self, job_id: str) -> None:
+        """Remove the recording of an import, and what there is of a snapshot."""
+        self.uploads.discard(job_id)
+        self.snapshots.drop_draft(job_id)
 
     def recover(self) -> None:
         """Clean up after a crash: delete unfinished calls, maps, snapshots and images, and uploads without a job;
