@@ -32,6 +32,9 @@ class Store:
         nothing = np.zeros(0, np.int64)
         return Changes(self.record.revision, self.record.description.id, nothing, np.zeros((0, 8), np.float32), nothing)
 
+    def count_described(self, name: str, recipe: str) -> int:
+        return 0
+
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
         return {}
 

@@ -6,6 +6,7 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 
 from schemas.errors import StorageFailed
 from schemas.recipe import DescriptionRecipe
@@ -14,7 +15,9 @@ from tests.storage.material import NOW, RECIPE, describe_all, enroll, finish, re
 from worker.search import catalogue as module
 from worker.search.catalogue import Catalogue
 from worker.search.flat_index import FlatIndex
+from worker.storage import checksums
 from worker.storage.store import SqlStore
+from worker.storage.tables import DESCRIPTIONS
 
 NEXT = recipe("paper")
 
@@ -117,6 +120,23 @@ def test_a_change_back_is_read_before_it_is_told(walk: SqlStore) -> None:
 
     assert [views for views, _ in counting.read[3:]] == [0]
     assert found == contents(walk, Catalogue(walk.maps, walk.descriptions, FlatIndex.of))
+
+
+def test_what_an_earlier_version_described_under_an_older_revision_is_there_too(walk: SqlStore) -> None:
+    catalogue = Catalogue(walk.maps, walk.descriptions, FlatIndex.of)
+    walk.jobs.switch_recipe("campus", NEXT, NOW)
+    first, *others = walk.jobs.claim("worker", 6)
+    catalogue.prepare("campus", NEXT.description)
+    finish(walk, first)
+    with walk._database.writing() as connection:
+        of_next = DESCRIPTIONS.c.recipe == NEXT.description.id
+        older = {**connection.execute(sa.select(DESCRIPTIONS).where(of_next)).one()._mapping, "revision": 0}
+        older |= {"checksum": checksums.of_row(DESCRIPTIONS, older)}
+        connection.execute(sa.update(DESCRIPTIONS).where(of_next).values(**older))
+    for claim in others:
+        finish(walk, claim)
+
+    assert len(contents(walk, catalogue)) == 6
 
 
 def test_a_map_made_anew_under_the_name_takes_nothing_that_was_read_ahead(walk: SqlStore) -> None:

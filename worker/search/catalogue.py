@@ -127,6 +127,8 @@ class Catalogue:
             if known is None or not known.is_of(record, record.description.id):
                 return None
             known.index.apply(self._descriptions.since(name, known.index.revision, record.description))
+            if len(known.index) != self._descriptions.count_described(name, record.description.id):
+                return None  # a worker of an earlier version described some of them under an older revision
             return known
 
     def _look_ahead(self, record: MapRecord) -> None:

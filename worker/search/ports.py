@@ -156,6 +156,10 @@ class DescriptionReader(Protocol):
         """
         ...
 
+    def count_described(self, name: str, recipe: str) -> int:
+        """How many views of a map a recipe describes; raises NotFound."""
+        ...
+
     def appearances(self, seqs: Sequence[int], recipe: str) -> dict[int, Appearance]:
         """Cells at half size, graphs and extents."""
         ...

@@ -113,6 +113,12 @@ class Descriptions(Part):
             of = DESCRIPTIONS.c.map_id == find_map(connection, name).id, DESCRIPTIONS.c.recipe == recipe
             return np.array(sorted(connection.scalars(sa.select(DESCRIPTIONS.c.seq).where(*of))), np.int64)
 
+    def count_described(self, name: str, recipe: str) -> int:
+        """How many views of a map a recipe describes; raises NotFound."""
+        with self._database.reading() as connection:
+            of = DESCRIPTIONS.c.map_id == find_map(connection, name).id, DESCRIPTIONS.c.recipe == recipe
+            return int(connection.scalar(sa.select(sa.func.count()).select_from(DESCRIPTIONS).where(*of)) or 0)
+
     def vectors(self, seqs: Sequence[int], recipe: str) -> dict[int, Floats]:
         """Histogram vectors, the channels concatenated, by sequence number; deleted views are absent."""
         return self._parts(VECTORS, seqs, recipe, packing.unpack_floats)
