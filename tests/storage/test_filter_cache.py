@@ -1,6 +1,8 @@
 """Filters from columns in memory choose the same views as the database, whatever happens to the map meanwhile."""
 
+import random
 import re
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
@@ -20,6 +22,8 @@ from tests.storage.material import NOW, describe_all, enroll
 from worker.storage import filter_cache, filter_columns
 from worker.storage.examining import examine
 from worker.storage.filter_cache import FilterCache
+from worker.storage.listings import selected
+from worker.storage.rows import find_map
 from worker.storage.store import SqlStore
 from worker.storage.tables import MAPS, VIEWS
 
@@ -128,6 +132,55 @@ def test_a_map_that_grows_is_followed_and_read_once(walk: SqlStore, monkeypatch:
         found = [chosen(walk, filters) for filters in FILTERS]
         assert all(from_memory)
         assert found == [by_database(walk, filters) for filters in FILTERS]
+
+
+def test_a_transaction_from_before_an_enrolment_sees_nothing_of_it(walk: SqlStore) -> None:
+    """What is enrolled gets no revision before it is described."""
+    filters = FILTERS[3]
+    chosen(walk, filters)
+    with walk._database.reading() as older:
+        of = find_map(older, "campus")
+        before = selected(older, of.id, filters).only
+        enroll(walk, "one more", attributes=attributes(9))
+        found, _ = chosen(walk, filters)
+        assert before is not None
+        assert found is not None
+        assert len(found) == len(before) + 1
+        only = walk.listings._columns.only(older, of, filters)
+        assert only is None or only.tolist() == before.tolist()
+
+
+def test_whoever_writes_meanwhile_each_transaction_gets_what_its_own_snapshot_holds(walk: SqlStore) -> None:
+    columns = cache(walk)
+    done, from_memory, wrong = threading.Event(), [0, 0], list[object]()
+
+    def read(seed: int) -> None:
+        chance = random.Random(seed)
+        while not done.is_set():
+            filters = replace(chance.choice(FILTERS), exclude_last=None)
+            with walk._database.reading() as connection:
+                of = find_map(connection, "campus")
+                found, expected = columns.only(connection, of, filters), selected(connection, of.id, filters).only
+            from_memory[found is not None] += 1
+            if found is not None and found.tolist() != (expected.tolist() if expected is not None else None):
+                wrong.append((filters, found, expected))
+
+    readers = [threading.Thread(target=read, args=(seed,)) for seed in range(3)]
+    for reader in readers:
+        reader.start()
+    for number in range(9, 60):
+        enroll(walk, f"image {number}", attributes=attributes(number % 30))
+        if number % 3 == 0:
+            describe_all(walk)
+        elif number % 5 == 0:
+            walk.removals.delete_view(walk.views.list("campus", Filters())[0][0].id)
+        elif number == 40:
+            changed(walk)
+    done.set()
+    for reader in readers:
+        reader.join()
+    assert wrong == []
+    assert min(from_memory) > 0
 
 
 def test_a_map_that_grew_much_is_read_anew_and_queries_never_wait(

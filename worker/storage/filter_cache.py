@@ -48,15 +48,17 @@ METRES, GLOBE = ("x", "y"), ("globe_z", "globe_x", "globe_y")
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """Columns of a map's views as of a revision, None for one that is not to be had.
-
-    `newest` is the greatest sequence number that was read, of a view that may be gone.
-    """
+    """Columns of a map's views as of a revision and a newest view, None for one that is not to be had."""
 
     revision: int
     newest: int
     seqs: Sequence64
     columns: Mapping[Path, Column | None]
+
+    @property
+    def state(self) -> tuple[int, int]:
+        """Later states are greater: what is enrolled gets no revision before it is described."""
+        return self.revision, self.newest
 
     @property
     def size(self) -> int:
@@ -142,7 +144,8 @@ class FilterCache:
         paths = set(_paths(filters, geographic=bool(geographic)))
         held = self._of(of)
         before = held.known
-        if held.edited != of.edited or (before is not None and before.revision > of.revision):
+        state = int(of.revision), _newest(connection, of.id)
+        if held.edited != of.edited or (before is not None and state < before.state):
             return None  # a transaction from before what is known
         known = None if before is None else _up_to(connection, of, before)
         with self._lock:
@@ -226,7 +229,7 @@ def _up_to(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known 
         known = _with_further(connection, of, known)
     if of.revision > known.revision:
         known = _without_gone(connection, of, known)
-    return replace(known, revision=int(of.revision), newest=max(newest, known.newest))
+    return replace(known, revision=int(of.revision), newest=newest)
 
 
 def _with_further(connection: sa.Connection, of: sa.Row[Any], known: _Known) -> _Known:
