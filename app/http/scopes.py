@@ -115,7 +115,11 @@ class Demand:
 
 
 # By Starlette's own expressions: a path must not mean one route here and another one there.
-_COMPILED = [(method, path, compile_path(path)[0], scope) for (method, path), scope in ROUTES.items()]
+# The name of a subject may have slashes in it.
+_COMPILED = [
+    (method, path, compile_path(path.replace("{subject}", "{subject:path}"))[0], scope)
+    for (method, path), scope in ROUTES.items()
+]
 
 
 def demand(method: str, path: str) -> Demand:

@@ -65,7 +65,7 @@ class Locked:
             "snapshot_id": "s1",
             "proposal_id": "p1",
         }
-        path = path.format(map="belfry", subject="hall", **ids)
+        path = path.format(map="belfry", subject="hall/lift", **ids)
         options: dict[str, Any] = {"headers": {} if key is None else {"authorization": f"Bearer {key}"}}
         if path in ("/enroll", "/query"):
             path += "?map=belfry"

@@ -126,6 +126,9 @@ def test_subjects_are_renamed_merged_and_deleted(app: App) -> None:
     assert renamed.json() == {"updated": True}
     assert app.json("GET", "/faces?subject=gate 2").json()["total_elements"] == 4
     assert app.json("PUT", "/subjects/gate 1", {"subject": "gate 2"}).json() == {"updated": False}
+    assert app.json("PUT", "/subjects/gate 2", {"subject": "yard/gate 2"}).json() == {"updated": True}
+    assert app.json("PUT", "/subjects/yard%2Fgate 2", {"subject": "yard/gate%2F"}).json() == {"updated": True}
+    assert app.json("PUT", "/subjects/yard/gate%252F", {"subject": "gate 2"}).json() == {"updated": True}
     assert app.json("DELETE", "/subjects/gate 2").json() == {"subject": "gate 2"}
     assert app.json("DELETE", "/subjects/gate 2").status_code == 404
     assert subjects(app) == ["gate 0"]

@@ -51,8 +51,8 @@ def taken(source: Path | BinaryIO) -> Known:
 
 def _point(gps: Mapping[int, Any]) -> tuple[float, float] | None:
     """Latitude and longitude in degrees; None where they are no point on the earth."""
-    latitude = _degrees(gps.get(2), gps.get(1), "S")
-    longitude = _degrees(gps.get(4), gps.get(3), "W")
+    latitude = _degrees(gps.get(2), gps.get(1), "NS")
+    longitude = _degrees(gps.get(4), gps.get(3), "EW")
     # Cameras without a GPS fix write 0, 0, which is a point in the sea.
     if latitude is None or longitude is None or (latitude, longitude) == (0.0, 0.0):
         return None
@@ -67,15 +67,20 @@ def _number(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _degrees(value: Any, reference: Any, negative: str) -> float | None:
-    """(degrees, minutes, seconds) as degrees; negative when `reference` begins with `negative`."""
-    if not isinstance(value, Iterable):
+def _degrees(value: Any, reference: Any, sides: str) -> float | None:
+    """(degrees, minutes, seconds) as degrees, negative on the second of two sides; None where none is named.
+
+    EXIF has no default for the side: without one a photo of Sydney would lie in the sea east of Japan.
+    """
+    named = reference.decode("latin-1") if isinstance(reference, bytes) else reference
+    if not isinstance(value, Iterable) or not isinstance(named, str):
         return None
     parts = [_number(part) for part in value]
-    if len(parts) != 3 or any(part is None for part in parts):
+    side = named.strip("\0 ").upper()[:1]
+    if len(parts) != 3 or any(part is None for part in parts) or not side or side not in sides:
         return None
     degrees: float = sum(part / 60.0**i for i, part in enumerate(parts) if part is not None)
-    return -degrees if str(reference).upper().startswith(negative) else degrees
+    return -degrees if side == sides[1] else degrees
 
 
 def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:

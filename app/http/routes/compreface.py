@@ -85,7 +85,7 @@ async def add_subject(name: MapName, request: Request) -> shapes.Subject:
 
 
 @router.put(
-    "/subjects/{subject}",
+    "/subjects/{subject:path}",
     dependencies=[no_parameters],
     openapi_extra=_SUBJECT,
     responses=refusals("malformed-body", "not-found", "body-too-large", "disk-full"),
@@ -103,7 +103,7 @@ async def rename_subject(name: MapName, subject: SubjectName, request: Request, 
     return shapes.Renamed(updated=bool(found))
 
 
-@router.delete("/subjects/{subject}", dependencies=[no_parameters], responses=refusals("not-found", "conflict"))
+@router.delete("/subjects/{subject:path}", dependencies=[no_parameters], responses=refusals("not-found", "conflict"))
 async def delete_subject(name: MapName, subject: SubjectName, curator: Curates) -> shapes.Subject:
     """Delete a place: all its views."""
     if not (await curator.delete_views(name, Filters(place=subject))).views:
