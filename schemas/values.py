@@ -15,6 +15,9 @@ MOST_MAPS = 16
 METADATA_BYTES = 16 * 1024
 METADATA_DEPTH = 8
 
+FARTHEST_M = 1e9
+"""Metres from the origin of a map's frame: beyond, distances would be of numbers that are not what was meant."""
+
 LEAST_STEP = 0.01
 """Seconds or metres from one image of an import to the next."""
 

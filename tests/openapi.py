@@ -28,7 +28,10 @@ class Contract:
 
     def __init__(self, app: FastAPI) -> None:
         self.document = app.openapi()
-        self._patterns = [(re.compile(re.sub(r"\{[^/]+\}", "[^/]+", path)), path) for path in self.document["paths"]]
+        self._patterns = [
+            (re.compile(re.sub(r"\{[^/]+\}", "[^/]+", path.replace("{subject}", ".+"))), path)  # it may have slashes
+            for path in self.document["paths"]
+        ]
 
     def check(self, response: httpx.Response) -> None:
         """Raise AssertionError when an answer is not what the document promises."""

@@ -36,6 +36,7 @@ def _condition(text: str) -> str:
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
 PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Metres = Annotated[Finite, Field(ge=-values.FARTHEST_M, le=values.FARTHEST_M)]
 Time = Annotated[
     datetime, BeforeValidator(values.moment), as_text(format="date-time", examples=["2026-03-01T09:30:00Z"])
 ]
@@ -67,12 +68,12 @@ def _contradicting_positions(given: Mapping[str, Any]) -> list[ParameterError]:
 class PositionParameters(Parameters):
     """Where an image was taken: metres in the map's frame, or degrees."""
 
-    x: Finite | None = Field(None, description="Metres in the map's frame, right-handed; with y.")
-    y: Finite | None = Field(None, description="Metres; with x.")
-    z: Finite | None = Field(None, description="Metres; only with x and y.")
+    x: Metres | None = Field(None, description="Metres in the map's frame, right-handed; with y.")
+    y: Metres | None = Field(None, description="Metres; with x.")
+    z: Metres | None = Field(None, description="Metres; only with x and y.")
     lat: Annotated[Finite, Field(ge=-90, le=90)] | None = Field(None, description="Degrees, WGS 84; with lon.")
     lon: Annotated[Finite, Field(ge=-180, le=180)] | None = Field(None, description="Degrees, WGS 84; with lat.")
-    alt: Finite | None = Field(None, description="Metres above the ellipsoid; only with lat and lon.")
+    alt: Metres | None = Field(None, description="Metres above the ellipsoid; only with lat and lon.")
     heading: Annotated[Finite, Field(ge=0, le=360), AfterValidator(values.whole_turn)] | None = Field(
         None, description="Degrees clockwise from north, or from +y; 360 is 0."
     )

@@ -127,6 +127,9 @@ def in_words(one: Mapping[str, Any], path: Sequence[str | int], known: Sequence[
         detail = f"is unknown; known are {', '.join(known)}" if known and len(path) == 1 else nested
     elif one["type"] == "missing":
         detail = "is required"
+    elif one["type"] == "too_long" and isinstance(one["input"], str):
+        # pydantic counts items where text went through a validator of ours.
+        detail = f"needs at most {one['ctx']['max_length']} characters (got {_shown(one['input'])})"
     else:
         detail = f"{one['msg'].removeprefix('Value error, ')} (got {_shown(one['input'])})"
     return ParameterError(name, detail)

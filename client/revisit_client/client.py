@@ -16,7 +16,7 @@ from revisit_client.connection import Connection
 from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
 from revisit_client.jobs import JobCalls
-from revisit_client.parameters import Image, Time, filters, named, recipe_fields, texts, utc
+from revisit_client.parameters import Image, Time, address, filters, listed, named, recipe_fields, texts, utc
 from revisit_client.shadows import ShadowCalls
 from revisit_client.snapshots import SnapshotCalls
 
@@ -221,7 +221,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         options = {"map": map, "top": top, "candidates": candidates, "precision": precision, "explain": explain}
         options |= {
             "changes": changes,
-            "maps": None if maps is None else ",".join(maps),
+            "maps": listed(maps),
             "drive": drive,
             "drive_timeout": drive_timeout,
             "consistent": consistent,
@@ -264,17 +264,17 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
 
     def view(self, view_id: str) -> wire.View:
         """One view."""
-        return self._connection.receive(wire.View, "GET", f"/views/{view_id}")
+        return self._connection.receive(wire.View, "GET", address("views", view_id))
 
     def patch(self, view_id: str, **attributes: Any) -> wire.View:
         """Change `place`, `x`, `y`, `z`, `lat`, `lon`, `alt`, `heading`, `position` (a mapping of these), `captured_at`
         or `metadata` of a view; None removes a value."""
         attributes = {name: wire.rfc3339(utc(v)) if isinstance(v, datetime) else v for name, v in attributes.items()}
-        return self._connection.receive(wire.View, "PATCH", f"/views/{view_id}", json=attributes)
+        return self._connection.receive(wire.View, "PATCH", address("views", view_id), json=attributes)
 
     def delete(self, view_id: str) -> wire.Deleted:
         """Delete a view and its image; the receipt names the snapshots that still have it."""
-        return self._connection.receive(wire.Deleted, "DELETE", f"/views/{view_id}")
+        return self._connection.receive(wire.Deleted, "DELETE", address("views", view_id))
 
     def delete_views(
         self,
@@ -304,7 +304,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
 
     def map(self, name: str) -> wire.MapFacts:
         """One map."""
-        return self._connection.receive(wire.MapFacts, "GET", f"/maps/{name}")
+        return self._connection.receive(wire.MapFacts, "GET", address("maps", name))
 
     def put_map(
         self,
@@ -318,7 +318,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
     ) -> wire.MapFacts:
         """Make a map, or give an empty one other labels, preset, parameters or ranking."""
         recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
-        return self._connection.receive(wire.MapFacts, "PUT", f"/maps/{name}", json=recipe)
+        return self._connection.receive(wire.MapFacts, "PUT", address("maps", name), json=recipe)
 
     def switch_recipe(
         self,
@@ -339,12 +339,12 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
         if shadow is not None:
             recipe["shadow"] = shadow
-        return self._connection.receive(wire.Job, "POST", f"/maps/{name}/recipe", json=recipe, repeat=False)
+        return self._connection.receive(wire.Job, "POST", address("maps", name, "recipe"), json=recipe, repeat=False)
 
     def preview_dynamic(self, name: str, dynamic: Sequence[str], *, limit: int | None = None) -> wire.DynamicPreview:
         """What `switch_recipe` with these dynamic labels would leave out of a map's views; shares are upper bounds."""
-        given = texts({"dynamic": ",".join(dynamic), "limit": limit})
-        return self._connection.receive(wire.DynamicPreview, "GET", f"/maps/{name}/dynamic", params=given)
+        given = texts({"dynamic": listed(dynamic), "limit": limit})
+        return self._connection.receive(wire.DynamicPreview, "GET", address("maps", name, "dynamic"), params=given)
 
     def change_ranking(self, name: str, **ranking: Any) -> wire.MapFacts:
         """Change fields of a map's ranking config, from the next query on; the others stay."""
@@ -352,7 +352,7 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
 
     def train_vocabulary(self, name: str) -> wire.Job:
         """Train a vocabulary on the map's own views, then describe them by it."""
-        return self._connection.receive(wire.Job, "POST", f"/maps/{name}/vocabulary", repeat=False)
+        return self._connection.receive(wire.Job, "POST", address("maps", name, "vocabulary"), repeat=False)
 
     def calibrate(
         self,
@@ -365,15 +365,17 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         """Fit a map's confidences to labelled queries: answers ``{"features": answer.decision.features, "right": ...}``
         or views ``{"view": id, "place": ...}``; options as in the body of the call, such as ``dry_run=True``."""
         labels = {"observed": [*map(dict, observed)], "queries": [*map(dict, queries)], **options}
-        return self._connection.receive(wire.CalibrationReport, "POST", f"/maps/{name}/calibration", json=labels)
+        return self._connection.receive(
+            wire.CalibrationReport, "POST", address("maps", name, "calibration"), json=labels
+        )
 
     def forget_calibration(self, name: str) -> wire.MapFacts:
         """Return a map to the shipped calibration."""
-        return self._connection.receive(wire.MapFacts, "DELETE", f"/maps/{name}/calibration")
+        return self._connection.receive(wire.MapFacts, "DELETE", address("maps", name, "calibration"))
 
     def delete_map(self, name: str) -> wire.Deleted:
         """Delete a map, its views and their images."""
-        return self._connection.receive(wire.Deleted, "DELETE", f"/maps/{name}")
+        return self._connection.receive(wire.Deleted, "DELETE", address("maps", name))
 
     def places(self, map: str | None = None) -> Iterator[wire.Place]:
         """Iterate over all places, fetched in pages as needed."""

@@ -44,9 +44,10 @@ class RevisitProblem(ClientError):
     """
 
     def __init__(self, problem: wire.Problem, retry_after_s: float | None = None) -> None:
-        lines = [f"{problem.title}: {problem.detail}" if problem.detail else problem.title]
-        lines += [f"  {error.parameter}: {error.detail}" for error in problem.errors]
-        super().__init__("\n".join(lines))
+        # The detail of several parameters is all of theirs in one line: here each has a line of its own.
+        several = [f"  {error.parameter}: {error.detail}" for error in problem.errors if len(problem.errors) > 1]
+        text = problem.title if several or not problem.detail else f"{problem.title}: {problem.detail}"
+        super().__init__("\n".join([text, *several]))
         self.type = problem.type
         self.code = problem.type.rpartition(":")[2]
         self.title = problem.title

@@ -5,7 +5,7 @@ from typing import Any
 
 from revisit_client import wire
 from revisit_client.connection import Connection
-from revisit_client.parameters import texts
+from revisit_client.parameters import address, texts
 
 
 class HealthCalls:
@@ -16,7 +16,7 @@ class HealthCalls:
     def health(self, name: str, *, code: str | None = None, limit: int | None = None) -> wire.MapHealth:
         """What makes a map's answers wrong or missing: `limit` findings of each kind, or of the kind `code` alone."""
         params = texts({"code": code, "limit": limit})
-        return self._connection.receive(wire.MapHealth, "GET", f"/maps/{name}/health", params=params)
+        return self._connection.receive(wire.MapHealth, "GET", address("maps", name, "health"), params=params)
 
     def change_map(
         self,
@@ -54,7 +54,7 @@ class HealthCalls:
             "refuse_poor": refuse_poor,
         }
         changes = {field: value for field, value in given.items() if value is not None}
-        return self._connection.receive(wire.MapFacts, "PATCH", f"/maps/{name}", json=changes)
+        return self._connection.receive(wire.MapFacts, "PATCH", address("maps", name), json=changes)
 
     def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
         """Keep a map's images, or remove them for good: all now, and each later one once its view is described."""
@@ -79,42 +79,42 @@ class HealthCalls:
     def proposals(self, name: str, *, limit: int | None = None) -> wire.Proposals:
         """Queries that would refresh places: they matched one although they look unlike its views."""
         return self._connection.receive(
-            wire.Proposals, "GET", f"/maps/{name}/proposals", params=texts({"limit": limit})
+            wire.Proposals, "GET", address("maps", name, "proposals"), params=texts({"limit": limit})
         )
 
     def proposal_image(self, name: str, query_id: str) -> bytes:
         """A small JPEG of a query of a proposal."""
-        return self._connection.send("GET", f"/maps/{name}/proposals/{query_id}/image").content
+        return self._connection.send("GET", address("maps", name, "proposals", query_id, "image")).content
 
     def accept_proposal(
         self, name: str, proposal_id: str, *, views: int = 3, unconfirmed: bool = False
     ) -> wire.NamedPlace:
         """Take at most `views` images of a proposal as views of its place, which are described in the background."""
-        body, path = {"views": views, "unconfirmed": unconfirmed}, f"/maps/{name}/proposals/{proposal_id}"
+        body, path = {"views": views, "unconfirmed": unconfirmed}, address("maps", name, "proposals", proposal_id)
         return self._connection.receive(wire.NamedPlace, "POST", path, json=body, repeat=False)
 
     def dismiss_proposal(self, name: str, proposal_id: str) -> wire.DismissedPlace:
         """Delete the queries of a proposal, and their images."""
-        return self._connection.receive(wire.DismissedPlace, "DELETE", f"/maps/{name}/proposals/{proposal_id}")
+        return self._connection.receive(wire.DismissedPlace, "DELETE", address("maps", name, "proposals", proposal_id))
 
     def unknown(self, name: str, *, limit: int | None = None) -> wire.UnknownPlaces:
         """Queries that matched nothing, by spot."""
         return self._connection.receive(
-            wire.UnknownPlaces, "GET", f"/maps/{name}/unknown", params=texts({"limit": limit})
+            wire.UnknownPlaces, "GET", address("maps", name, "unknown"), params=texts({"limit": limit})
         )
 
     def unknown_image(self, name: str, query_id: str) -> bytes:
         """A small JPEG of a query that matched nothing."""
-        return self._connection.send("GET", f"/maps/{name}/unknown/{query_id}/image").content
+        return self._connection.send("GET", address("maps", name, "unknown", query_id, "image")).content
 
     def name_unknown(
         self, name: str, place_id: str, place: str, *, position: Mapping[str, float] | None = None
     ) -> wire.NamedPlace:
         """Name an unknown place: its images become views, which are described in the background."""
         body = {"place": place, "position": None if position is None else dict(position)}
-        path = f"/maps/{name}/unknown/{place_id}"
+        path = address("maps", name, "unknown", place_id)
         return self._connection.receive(wire.NamedPlace, "POST", path, json=body, repeat=False)
 
     def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
         """Delete the queries of an unknown place, and their images."""
-        return self._connection.receive(wire.DismissedPlace, "DELETE", f"/maps/{name}/unknown/{place_id}")
+        return self._connection.receive(wire.DismissedPlace, "DELETE", address("maps", name, "unknown", place_id))

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from revisit_client import wire
 from revisit_client.connection import Connection
 from revisit_client.errors import JobFailed, RevisitProblem, Unreachable
-from revisit_client.parameters import texts
+from revisit_client.parameters import address, texts
 from revisit_client.recordings import folder_as_zip, pieces_of
 
 SILENCE_S = 20.0
@@ -82,7 +82,7 @@ class JobCalls:
         return self._connection.receive(
             wire.Job,
             "POST",
-            f"/maps/{map}/imports",
+            address("maps", map, "imports"),
             params=texts(
                 {
                     "exif": exif or None,
@@ -101,7 +101,7 @@ class JobCalls:
 
     def job(self, job_id: str) -> wire.Job:
         """One job."""
-        return self._connection.receive(wire.Job, "GET", f"/jobs/{job_id}")
+        return self._connection.receive(wire.Job, "GET", address("jobs", job_id))
 
     def jobs(self, map: str | None = None, *, kind: str | None = None, state: str | None = None) -> Iterator[wire.Job]:
         """Iterate over jobs, newest first, fetched in pages as needed."""
@@ -110,7 +110,7 @@ class JobCalls:
 
     def cancel_job(self, job_id: str) -> wire.Job:
         """Cancel a describe job that is waiting, or a recipe, vocabulary or import job that has not finished."""
-        return self._connection.receive(wire.Job, "DELETE", f"/jobs/{job_id}")
+        return self._connection.receive(wire.Job, "DELETE", address("jobs", job_id))
 
     def wait_for_job(
         self, job_id: str, *, timeout: float = 600.0, follow: Callable[[wire.Job], None] = lambda job: None
@@ -144,7 +144,7 @@ class JobCalls:
             yield job
             silence = max(0.1, min(SILENCE_S, deadline - self._clock()))
             try:
-                for now in self._connection.events(wire.Job, f"/jobs/{job_id}/events", silence):
+                for now in self._connection.events(wire.Job, address("jobs", job_id, "events"), silence):
                     job = now or job
                     yield job
             except RevisitProblem as problem:

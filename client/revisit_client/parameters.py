@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from revisit_client import wire
 
@@ -28,6 +29,22 @@ def utc(moment: datetime) -> datetime:
     return moment.astimezone(UTC)
 
 
+def address(*parts: str) -> str:
+    """The path of a call; raises ValueError for a name or id that is none.
+
+    Names and ids come from anywhere: one with slashes or dots must not lead to another address.
+    """
+    for part in parts:
+        if str(part) in ("", ".", ".."):
+            raise ValueError(f"{part!r} is neither a name nor an id")
+    return "".join(f"/{quote(str(part), safe='')}" for part in parts)
+
+
+def listed(values: Sequence[object] | str | None) -> str | None:
+    """Values with commas between them, as text; text is taken as it is, and None stays None."""
+    return values if values is None or isinstance(values, str) else ",".join(map(str, values))
+
+
 def texts(values: Mapping[str, Any]) -> dict[str, str]:
     """Parameters as text; those that are None are left out."""
     written: dict[str, str] = {}
@@ -46,7 +63,7 @@ def texts(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def filters(
-    near: tuple[float, float, float] | None,
+    near: tuple[float, float, float] | str | None,
     geographic: bool | None,
     after: Time | None,
     before: Time | None,
@@ -54,20 +71,20 @@ def filters(
     metadata: Mapping[str, str] | None,
     where: Mapping[str, Any] | str | None,
     exclude_last: int | str | timedelta | None,
-    exclude: Sequence[str],
+    exclude: Sequence[str] | str,
 ) -> dict[str, Any]:
     """Filters as parameters by name; None where not given."""
     if isinstance(exclude_last, timedelta):
-        exclude_last = f"{exclude_last.total_seconds():g}s"
+        exclude_last = f"{exclude_last.total_seconds():.6f}".rstrip("0").rstrip(".") + "s"
     chosen: dict[str, Any] = {
-        "near": None if near is None else ",".join(map(str, near)),
+        "near": listed(near),
         "frame": None if near is None or geographic is None else "geo" if geographic else "map",
         "after": after,
         "before": before,
         "place": place,
         "where": where,
         "exclude_last": exclude_last,
-        "exclude": ",".join(exclude) or None,
+        "exclude": listed(exclude) or None,
     }
     return chosen | {f"metadata.{key}": value for key, value in (metadata or {}).items()}
 

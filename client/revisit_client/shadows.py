@@ -2,6 +2,7 @@
 
 from revisit_client import wire
 from revisit_client.connection import Connection
+from revisit_client.parameters import address
 
 
 class ShadowCalls:
@@ -11,15 +12,15 @@ class ShadowCalls:
 
     def shadow(self, name: str) -> wire.Shadow:
         """The shadow of a map, with its table when it is ready; a problem `not-found` when there is none."""
-        return self._connection.receive(wire.Shadow, "GET", f"/maps/{name}/shadow")
+        return self._connection.receive(wire.Shadow, "GET", address("maps", name, "shadow"))
 
     def switch_to_shadow(self, name: str) -> wire.Job:
         """Change a map over to its shadow, which is ready; the job is done at once, or when the last view is described.
 
         `switch_recipe` with the fields of the old recipe changes it back.
         """
-        return self._connection.receive(wire.Job, "POST", f"/maps/{name}/shadow/switch", repeat=False)
+        return self._connection.receive(wire.Job, "POST", address("maps", name, "shadow", "switch"), repeat=False)
 
     def discard_shadow(self, name: str) -> wire.Job:
         """Discard the shadow of a map, ready or not: the map keeps its recipe."""
-        return self._connection.receive(wire.Job, "DELETE", f"/maps/{name}/shadow", repeat=False)
+        return self._connection.receive(wire.Job, "DELETE", address("maps", name, "shadow"), repeat=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from revisit_client import wire
 from revisit_client.connection import Connection
-from revisit_client.parameters import texts
+from revisit_client.parameters import address, texts
 
 CHUNK = 1 << 20
 
@@ -20,7 +20,7 @@ class SnapshotCalls:
 
     def make_snapshot(self, map: str) -> wire.Job:
         """Make a snapshot of a map in the background; `download_snapshot` fetches it under the id of the job."""
-        return self._connection.receive(wire.Job, "POST", f"/maps/{map}/snapshots", repeat=False)
+        return self._connection.receive(wire.Job, "POST", address("maps", map, "snapshots"), repeat=False)
 
     def snapshots(self) -> list[wire.Snapshot]:
         """All snapshots that the service keeps, newest first."""
@@ -39,7 +39,7 @@ class SnapshotCalls:
         unfinished = target.with_name(f".{target.name}.unfinished")
         try:
             with unfinished.open("wb") as file:
-                for chunk in self._connection.stream(f"/snapshots/{snapshot_id}", CHUNK):
+                for chunk in self._connection.stream(address("snapshots", snapshot_id), CHUNK):
                     file.write(chunk)
                 file.flush()
                 os.fsync(file.fileno())
@@ -50,7 +50,7 @@ class SnapshotCalls:
 
     def delete_snapshot(self, snapshot_id: str) -> wire.Snapshot:
         """Remove a snapshot from the service."""
-        return self._connection.receive(wire.Snapshot, "DELETE", f"/snapshots/{snapshot_id}")
+        return self._connection.receive(wire.Snapshot, "DELETE", address("snapshots", snapshot_id))
 
     def restore(self, path: str | os.PathLike[str], *, name: str | None = None) -> wire.RestoredMap:
         """Make a map from the file of a snapshot.

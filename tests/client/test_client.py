@@ -130,7 +130,16 @@ def test_a_refusal_lists_every_parameter() -> None:
         client(lambda _: httpx.Response(422, json=answers.problem("invalid-parameter", 422, errors=errors))).query(b"x")
 
     assert [e.parameter for e in caught.value.errors] == ["x", "top"]
-    assert "top: too large" in str(caught.value)
+    assert str(caught.value).splitlines()[1:] == ["  x: is missing", "  top: too large"]
+    assert str(caught.value).count("is missing") == 1
+
+
+def test_a_refusal_of_one_parameter_is_said_once() -> None:
+    problem = answers.problem("invalid-parameter", 422, errors=[{"parameter": "x", "detail": "is missing"}])
+    with pytest.raises(RevisitProblem) as caught:
+        client(lambda _: httpx.Response(422, json={**problem, "detail": "x: is missing"})).query(b"x")
+    assert str(caught.value).endswith(": x: is missing")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_page_of_a_proxy_is_a_problem_too() -> None:

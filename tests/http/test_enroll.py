@@ -261,6 +261,8 @@ ERRORS: list[tuple[dict[str, str], list[str]]] = [
     ({"alt": "1"}, ["lat", "lon"]),
     ({"x": "1", "y": "1", "lat": "1", "lon": "1"}, ["x"]),
     ({"x": "nan", "y": "1"}, ["x"]),
+    ({"x": "1e10", "y": "-1e308", "z": "1000000001"}, ["x", "y", "z"]),
+    ({"lat": "1", "lon": "1", "alt": "-2e9"}, ["alt"]),
     ({"x": "inf", "y": "-Infinity"}, ["x", "y"]),
     ({"x": "a", "y": "1"}, ["x"]),
     ({"lat": "90.1", "lon": "-180.1"}, ["lat", "lon"]),
@@ -344,3 +346,8 @@ def test_an_error_of_the_use_case_becomes_its_problem(
     assert answer.status_code == status
     assert answer.headers.get("retry-after") == retry
     assert "secret" not in answer.text
+
+
+def test_a_text_that_is_too_long_is_told_in_characters(client: CheckedClient) -> None:
+    answer = client.post("/enroll", data={"place": "ü" * 201}, files={"image": photo()})
+    assert answer.json()["detail"].startswith("place: needs at most 200 characters (got 'üüü")

@@ -45,3 +45,12 @@ def test_a_place_is_text(place: str) -> None:
 def test_a_place_may_be_a_number() -> None:
     (row,) = read_manifest("manifest.ndjson", b'{"file": "a.jpg", "place": 12}').rows
     assert attributes(row, "manifest.ndjson").place == "12"
+
+
+@pytest.mark.parametrize("column", ["x", "y", "z", "alt"])
+def test_a_position_lies_where_distances_can_be_told(column: str) -> None:
+    others = {"x": "y", "y": "x", "z": "x,y", "alt": "lat,lon"}[column]
+    text = f"file,{column},{others}\na.jpg,1e10{',1' * (others.count(',') + 1)}\n"
+    (row,) = read_manifest("manifest.csv", text.encode()).rows
+    with pytest.raises(ValueError, match=f"line 2: {column} is 1e[+]10; it needs to be between .* metres"):
+        attributes(row, "manifest.csv")

@@ -86,6 +86,8 @@ def test_poses_without_times_go_by_number_or_in_order() -> None:
         ("1 2 3\n", "line 1: has 3 numbers"),
         (f"1 0 0 0 {LEVEL}\n1 0 0 3 0 1 0 0 0 0 1 4\n", "line 2: has 12 numbers, other than the first"),
         ("1 0 0 nan 0 0 0 1\n", "line 1: holds nan"),
+        ("1 0 -1e300 0 0 0 0 1\n", "line 1: is further than 1e[+]09 metres from the origin"),
+        ("1 0 0 0 0 1 0 0 0 0 1 1e10\n", "line 1: is further than 1e[+]09 metres from the origin"),
         ("1403636579763555584 0 0 0 0 0 0 1\n", "line 1: its time is .* s, beyond the year 9999"),
         ("1 0 0 north 0 0 0 1\n", "line 1: holds something that is no number"),
         ("1 0 0 0 0 0 0 0\n", "quaternion is 0"),

@@ -34,7 +34,7 @@ LONGEST_PLACE = 200
 _MEANT = {other: ours for ours, others in NAMES.items() for other in (ours, *others)}
 _UNIX = re.compile(r"\d{9,19}(\.\d+)?", re.ASCII)
 _COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
-_RANGES = {"lat": 90.0, "lon": 180.0, "heading": 360.0}
+_RANGES = {"lat": 90.0, "lon": 180.0, "heading": 360.0} | dict.fromkeys(("x", "y", "z", "alt"), values.FARTHEST_M)
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,8 @@ def _number(column: str, value: object) -> float:
         raise ValueError(f"is {text[:40]!r}, which is no number")
     limit = _RANGES.get(column)
     if limit is not None and abs(number) > limit:
-        raise ValueError(f"is {number:g}; it needs to be between -{limit:g} and {limit:g} degrees")
+        unit = "metres" if limit == values.FARTHEST_M else "degrees"
+        raise ValueError(f"is {number:g}; it needs to be between -{limit:g} and {limit:g} {unit}")
     return number % 360 if column == "heading" else number
 
 

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import PurePosixPath
 
 from schemas.records import Position, ViewAttributes
+from schemas.values import FARTHEST_M
 
 NAMES = frozenset(
     {"groundtruth.txt", "trajectory.txt", "poses.txt", "pose.txt", "cameratrajectory.txt", "keyframetrajectory.txt"}
@@ -83,6 +84,8 @@ def read_poses(name: str, data: bytes) -> list[Pose]:
             raise ValueError(f"{name}, line {number}: holds something that is no number") from None
         if not all(map(math.isfinite, values)):
             raise ValueError(f"{name}, line {number}: holds {next(v for v in values if not math.isfinite(v))}")
+        if len(values) in (8, 12) and max(map(abs, _moved(values))) > FARTHEST_M:
+            raise ValueError(f"{name}, line {number}: is further than {FARTHEST_M:g} metres from the origin")
         if len(values) not in (8, 12):
             raise ValueError(f"{name}, line {number}: has {len(values)} numbers; TUM has 8 numbers a line, KITTI 12")
         if poses and (poses[0].time is None) != (len(values) == 12):
@@ -176,6 +179,11 @@ def _of_tum(name: str, number: int, values: Sequence[float]) -> Pose:
     # The third column of the rotation's matrix: where the camera's z points.
     east, north = 2 * (qx * qz + qy * qw) / length, 2 * (qy * qz - qx * qw) / length
     return Pose(x, y, z, _heading(east, north), time)
+
+
+def _moved(values: Sequence[float]) -> Sequence[float]:
+    """The position of a pose, metres."""
+    return values[1:4] if len(values) == 8 else values[3::4]
 
 
 def _of_kitti(values: Sequence[float]) -> Pose:

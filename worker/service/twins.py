@@ -121,7 +121,8 @@ def would_match(
 
 
 def _one_spot(count: int) -> str:
-    return f"its own comparison says {count} times that a view of each show one spot" if count else ""
+    times = "once" if count == 1 else f"{count} times"
+    return f"its own comparison says {times} that views of both show one spot" if count else ""
 
 
 def _fooled(count: int) -> str:
