@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.method.drive import FARTHEST, KNOWN, Drive, Single, follow, kernel, predict, spread
+from worker.method.drive import FARTHEST, KNOWN, Drive, Single, follow, kernel, predict, spread, supposed
 
 VIEWS = 100
 DOUBTFUL = 0.35
@@ -107,9 +107,9 @@ def test_moving_changes_no_total(one: Single, where: int) -> None:
 
 
 def test_moves_sum_to_one_and_end() -> None:
-    steps = np.abs(np.arange(-2 * FARTHEST, 2 * FARTHEST + 1))
-    assert kernel(steps).sum() == pytest.approx(1)
-    assert kernel(np.array([FARTHEST + 1])).sum() == 0
+    steps = np.arange(-2 * FARTHEST, 2 * FARTHEST + 1)
+    assert kernel(supposed(), steps).sum() == pytest.approx(1)
+    assert kernel(supposed(), np.array([FARTHEST + 1, -FARTHEST - 1])).sum() == 0
 
 
 def test_the_probability_of_a_place_is_shared_by_its_views() -> None:
