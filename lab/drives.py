@@ -1,8 +1,9 @@
-"""Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order, shuffled, and with
-stops.
+"""Measure drives: what is ``matched`` when the images of a walk are queried as one drive, in order and otherwise.
 
 ``python -m lab.drives pairs --root DIR``. Maps are made in the order of the path: of everything, and of every other
-stretch. SeqSLAM stands beside them, which knows nothing but the order; with ``--no-service`` it stands alone.
+stretch. Each image is queried once, and what it says alone is followed in every order: shuffled, backwards, every
+second one, and with stops. SeqSLAM stands beside them, which knows nothing but the order; with ``--no-service`` it
+stands alone.
 """
 
 import argparse
@@ -10,7 +11,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,10 +29,13 @@ from lab.metrics.recall import Booleans, Doubles
 from schemas.errors import RevisitError
 from schemas.settings import read_settings
 from worker.description.presets import Wanted, make_recipe
+from worker.service.drives import Drives
+from worker.service.query import QueryResult
 
 FOREVER_S = 86400.0
 HEADING = (
-    "| walk | single images | as a drive | shuffled | with stops: single images | as a drive "
+    "| walk | single images | as a drive | shuffled | backwards | every second: single images | as a drive "
+    "| with stops: single images | as a drive "
     "| SeqSLAM | without local contrast | shuffled |"
 )
 PRECISION = 0.97
@@ -57,41 +61,48 @@ class Counts:
     first: int
 
     def __str__(self) -> str:
-        return f"{self.right} of {self.matched} matched right, share {self.right / max(self.first, 1):.2f}"
+        share = f"share {self.right / max(self.first, 1):.2f}"
+        return f"{self.right} of {self.matched} matched right, {share}, first {self.first}"
+
+    def __add__(self, other: "Counts") -> "Counts":
+        return Counts(self.matched + other.matched, self.right + other.right, self.first + other.first)
+
+
+def alone(trial: Trial, service: ServiceRetriever) -> list[QueryResult]:
+    """What the service says of each query as the first image of a drive of its own."""
+    query = service.runtime.services.query
+    return [
+        query.query(one.image.read_bytes(), service.map_name, drive=f"image-{index}", keep=False)
+        for index, one in enumerate(trial.queries)
+    ]
 
 
 def drive(
-    trial: Trial, service: ServiceRetriever, images: Mapping[str, set[int]], order: Sequence[int], name: str
+    trial: Trial, answers: Sequence[QueryResult], images: Mapping[str, set[int]], order: Sequence[int]
 ) -> tuple[Counts, Counts]:
-    """Query in some order: counts of the single images' verdicts, and of the drive's.
+    """Follow the images in some order: counts of their verdicts alone, and of the drive's.
 
     Parameters
     ----------
     trial : Trial
         Whose images are enrolled.
-    service : ServiceRetriever
+    answers : sequence of QueryResult
+        As `alone` gives them.
     images : mapping of view id to set of int
         As `enrolled_in_order` gives them.
     order : sequence of int
         Indices of the trial's queries.
-    name : str
-        Of the drive.
     """
-    tally: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
-    query = service.runtime.services.query
+    followed, counts = Drives(), [Counts(0, 0, 0), Counts(0, 0, 0)]
     for index in order:
-        one = trial.queries[index]
-        data = one.image.read_bytes()
-        single = query.query(data, service.map_name)
-        driven = query.query(data, service.map_name, drive=name, drive_timeout_s=FOREVER_S)
-        for kind, result in (("single", single), ("drive", driven)):
-            right = is_right(result, one, images, trial.dataset)
-            tally[kind].append((result.decision.status == "matched", right))
-    single_counts, driven_counts = (
-        Counts(sum(m for m, _ in rows), sum(m and r for m, r in rows), sum(r for _, r in rows))
-        for rows in (tally["single"], tally["drive"])
-    )
-    return single_counts, driven_counts
+        single = answers[index]
+        results, decision, _ = followed.follow(("map", "drive"), FOREVER_S, single.results, single.decision)
+        driven = replace(single, found=(replace(single.leading, results=results),), decision=decision)
+        for kind, result in enumerate((single, driven)):
+            right = is_right(result, trial.queries[index], images, trial.dataset)
+            sure = result.decision.status == "matched"
+            counts[kind] += Counts(int(sure), int(sure and right), int(right))
+    return counts[0], counts[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,16 +176,17 @@ def enrolled_in_order(trial: Trial, service: ServiceRetriever) -> dict[str, set[
 
 
 def drives(service: ServiceRetriever, trial: Trial, seed: int) -> list[Counts]:
-    """Counts of one map: single images and as a drive, as a drive that is shuffled, and both again with stops."""
+    """Counts of one map, for the columns of `HEADING` up to SeqSLAM's."""
     images = enrolled_in_order(trial, service)
     service.runtime.comparer.all()
+    answers = alone(trial, service)
     in_order, jumble = orders(trial, seed)
     stops = stop_and_go(len(in_order), np.random.default_rng(seed))
-    ways = {"in-order": in_order, "shuffled": jumble, "stop-and-go": stops}
-    (single, driven), (_, jumbled), (standing, stopping) = (
-        drive(trial, service, images, order, name) for name, order in ways.items()
+    ways = (in_order, jumble, in_order[::-1], in_order[::2], stops)
+    (single, driven), (_, jumbled), (_, back), second, standing = (
+        drive(trial, answers, images, order) for order in ways
     )
-    return [single, driven, jumbled, standing, stopping]
+    return [single, driven, jumbled, back, *second, *standing]
 
 
 def orders(trial: Trial, seed: int) -> tuple[list[int], list[int]]:
@@ -183,10 +195,15 @@ def orders(trial: Trial, seed: int) -> tuple[list[int], list[int]]:
     return list(range(count)), np.random.default_rng(seed).permutation(count).tolist()
 
 
-def row(trial: Trial, counts: Sequence[Counts | None]) -> str:
+def row(name: str, counts: Sequence[Counts | None]) -> str:
     """A row of the table; nothing stands where nothing was measured."""
     cells = ["" if one is None else str(one) for one in counts]
-    return f"| {trial.dataset.name}, {trial.protocol} | {' | '.join(cells)} |"
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def summed(rows: Sequence[Sequence[Counts | None]]) -> list[Counts | None]:
+    """Counts of some maps together."""
+    return [sum(filter(None, column[1:]), column[0]) if column[0] else None for column in zip(*rows, strict=True)]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -203,15 +220,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(HEADING + "\n" + "|---" * (HEADING.count("|") - 1) + "|")
             published, plain = SeqSlam(), SeqSlam(local_contrast=False)
             claims: dict[str, list[Claims]] = defaultdict(list)
+            rows: dict[str, list[list[Counts | None]]] = defaultdict(list)
             for trial in trials:
                 in_order, jumble = orders(trial, options.seed)
                 first, second = (sequences(trial, in_order, one) for one in (published, plain))
                 claims[published.name].append(first)
                 claims[plain.name].append(second)
                 others = [one.counts() for one in (first, second, sequences(trial, jumble, plain))]
-                print(row(trial, [*measured(trial), *others]), flush=True)
-        for name, some in claims.items():
-            print(told(name, some))
+                rows[trial.protocol].append([*measured(trial), *others])
+                print(row(f"{trial.dataset.name}, {trial.protocol}", rows[trial.protocol][-1]), flush=True)
+            for protocol, some in rows.items():
+                print(row(f"all, {protocol}", summed(some)))
+        for name, made in claims.items():
+            print(told(name, made))
     except (RevisitError, ValueError) as refusal:
         print(refusal, file=sys.stderr)
         return 2
@@ -222,7 +243,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def served(options: argparse.Namespace) -> Iterator[Callable[[Trial], Sequence[Counts | None]]]:
     """What measures the service on one map, as `drives` does; nothing with ``--no-service``."""
     if options.no_service:
-        yield lambda _: [None] * 5
+        yield lambda _: [None] * (HEADING.count("|") - 5)
         return
     with runtime_for_measuring(read_settings(), options.device, make_scheduler=DescribeOnce) as runtime:
         recipe = make_recipe(runtime.encoder, Wanted(), preset="default")

@@ -65,7 +65,7 @@ def claims(*rows: tuple[float, bool]) -> Claims:
 
 def test_thresholds_by_hand() -> None:
     some = claims((0.5, True), (0.7, True), (0.8, False), (0.9, True), (0.95, True))
-    assert str(some.counts()) == "3 of 4 matched right, share 0.75"
+    assert str(some.counts()) == "3 of 4 matched right, share 0.75, first 4"
     assert best_threshold([some], 1.0) == 0.7
     assert best_threshold([some], 0.75) == 0.95, "four of five are right"
     assert best_threshold([claims((0.1, False))], 0.97) == 0.0
@@ -77,10 +77,13 @@ def test_the_command_prints_a_row_for_each_map(tmp_path: Path, capsys: pytest.Ca
     assert main(["pairs", "--root", str(street(tmp_path)), "--no-service"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("| SeqSLAM | without local contrast | shuffled |")
-    assert {line.count("|") for line in lines[:-2]} == {10}
+    assert {line.count("|") for line in lines[:-2]} == {13}
     maps = [line.split(" |")[0].rpartition(", ")[2] for line in lines[2:-2]]
-    assert maps == ["everything", "half of the places", "half of the places"]
+    assert maps == ["everything", "half of the places", "half of the places", "everything", "half of the places"]
     assert "matched right, share" in lines[2]
+    whole_map, *half_maps = [int(line.rpartition("first ")[2].rstrip(" |")) for line in lines[2:5]]
+    assert lines[5].endswith(f"first {whole_map} |")
+    assert lines[6].endswith(f"first {sum(half_maps)} |")
     assert lines[-2].startswith("seqslam, all maps: ")
     assert lines[-1].startswith("seqslam without local contrast, all maps: ")
 

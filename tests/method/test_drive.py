@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.method.drive import FARTHEST, KNOWN, Drive, Single, follow, kernel, predict, spread
+from worker.method.drive import FARTHEST, KNOWN, Drive, Single, follow, kernel, predict, spread, supposed
 
 VIEWS = 100
 DOUBTFUL = 0.35
@@ -65,6 +65,23 @@ def test_a_robot_that_is_carried_away_is_found_again() -> None:
     assert together[list(moved[-1].seqs).index(85)] > DOUBTFUL + 0.3
 
 
+@pytest.mark.parametrize("step", [1, -2, 4])
+def test_the_pace_of_a_drive_is_learnt(step: int) -> None:
+    walk = [image(50 + step * i, (37 * i + 3) % VIEWS, (61 * i + 8) % VIEWS) for i in range(10)]
+    drive, _ = after(*walk)
+    expected, _, _ = predict(drive, np.arange(VIEWS), VIEWS)
+    assert int(expected.argmax()) == 50 + step * 10
+    assert expected[50 + step * 10] > 5 * expected[50 + step * 8]
+
+
+def test_what_looks_like_one_view_for_long_is_no_stretch_of_the_map() -> None:
+    walk = [image(10 + i, (37 * i + 60) % VIEWS, sure=0.7) for i in range(12)]
+    _, ahead = after(*walk, *(image(22 + i, (37 * i) % VIEWS, sure=0.7, none=0.25) for i in range(8)))
+    _, stuck = after(*walk, *(image(40, (37 * i) % VIEWS, sure=0.7, none=0.25) for i in range(8)))
+    assert ahead.max() > 0.95
+    assert stuck.max() < 0.9
+
+
 def test_off_the_map_it_becomes_nowhere() -> None:
     walk = [image(10 + i, sure=0.6, none=0.1) for i in range(5)]
     off = [image((i * 41) % VIEWS, (i * 17 + 9) % VIEWS, sure=0.02, none=0.96) for i in range(8)]
@@ -107,9 +124,9 @@ def test_moving_changes_no_total(one: Single, where: int) -> None:
 
 
 def test_moves_sum_to_one_and_end() -> None:
-    steps = np.abs(np.arange(-2 * FARTHEST, 2 * FARTHEST + 1))
-    assert kernel(steps).sum() == pytest.approx(1)
-    assert kernel(np.array([FARTHEST + 1])).sum() == 0
+    steps = np.arange(-2 * FARTHEST, 2 * FARTHEST + 1)
+    assert kernel(supposed(), steps).sum() == pytest.approx(1)
+    assert kernel(supposed(), np.array([FARTHEST + 1, -FARTHEST - 1])).sum() == 0
 
 
 def test_the_probability_of_a_place_is_shared_by_its_views() -> None:

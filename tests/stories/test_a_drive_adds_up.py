@@ -67,6 +67,18 @@ def test_what_the_drive_is_sure_of_comes_first_everywhere_in_the_answer(client: 
         assert [match["rank"] for match in answer["matches"]] == list(range(1, len(answer["matches"]) + 1))
 
 
+def test_what_the_drive_only_leans_to_comes_first_too_and_is_ambiguous(client: CheckedClient) -> None:
+    answers = [put(client, ahead, drive="robot-7", precision=0.999) for ahead in STREET]
+    leaning = [answer for answer in answers if answer["reason"]["detail"].endswith("not sure of it yet")]
+    assert leaning
+    for answer in leaning:
+        assert (answer["status"], answer["reason"]["code"]) == ("ambiguous", "weak")
+        assert answer["drive"]["single_frame_status"] != "matched"
+        likeliest = answer["drive"]["posterior"][0]
+        assert answer["matches"][0]["view"]["place"] == answer["places"][0]["place"] == likeliest["place"]
+        assert answer["confidence"] == likeliest["probability"] >= 0.5
+
+
 def test_a_drive_is_forgotten_and_others_go_their_own_way(client: CheckedClient) -> None:
     put(client, 3.0, drive="robot-3")
     assert put(client, 6.0, drive="robot-3", drive_timeout=600)["drive"]["images"] == 2

@@ -1,12 +1,17 @@
 """Drives: evidence of consecutive images adds up, by a Bayes filter over the views of a map and "nowhere".
 
 The discrete filter of Markov localisation (Thrun, Burgard, Fox: Probabilistic Robotics, 2005, section 8.2), with two
-models of motion beside each other. By the first, the next image is taken a few views further along the order of
+models of motion beside each other. By the first, the next image is taken some views further along the order of
 enrolment; by the second, anywhere. How well each foretold the images so far decides how much it counts: on a walk the
 first soon has nearly all the weight, and with shuffled images the answer is that of the single image.
+
+Two things tell a walk on the map from one beside it. How far a robot moves on between two images is learnt from the
+drive itself (expectation maximisation as it goes), so that a path at a steady pace soon counts for more than a jumpy
+one. And what is not on the map may look like some view of it, for many images in a row: such a likeness stays where it
+is, while a path moves on.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,23 +23,40 @@ KNOWN = 0.7
 """Probability that an image shows something of the map, before anything is known."""
 
 REACH = 3.0
-"""Views by which a robot moves on between two images, about."""
+"""Views by which a robot moves on between two images, about, before its drive tells."""
 
 FARTHEST = 30
 """Views beyond which a move counts as a jump."""
 
-JUMP, LEAVE, ENTER = 0.02, 0.3, 0.05
+SUPPOSED, REMEMBERED = 2.0, 0.95
+"""Moves that what is supposed of a robot is worth, and how much of what was learnt of its moves is kept an image."""
+
+JUMP, LEAVE, ENTER = 0.02, 0.2, 0.05
 """Probability between two images of a jump to anywhere on the map, of leaving it, and of coming onto it. That of
 leaving is high so that a drive soon stops vouching for images that do not vouch for themselves."""
 
-CHANGE = 0.05
+LIKENESS, LASTING = 0.3, 0.9
+"""Probability that what is not on the map looks like a view of it, and that it still does in the next image."""
+
+CHANGE = 0.02
 """Probability between two images that a walk becomes a jumble of images, or the other way round."""
 
 SHARPNESS = 2.0
 """By how many gaps of wrong answers a score must be higher for the view to be e times as likely."""
 
-KEPT = 256
-"""Views whose probability is kept one by one; all others share what is left evenly."""
+KEPT, LEAST = 256, 1e-5
+"""Views whose probability is kept one by one, at most, and the least that is kept; all others share what is left
+evenly."""
+
+
+def supposed() -> Doubles:
+    """Weights of moves by -FARTHEST..FARTHEST views before anything is known, float64 (2 FARTHEST + 1,).
+
+    A Cauchy distribution, so that a robot that stands, one that races, and one that turns round are all followed.
+    """
+    whole = np.arange(-FARTHEST, FARTHEST + 1)
+    weights = 1 / (1 + (whole / REACH) ** 2)
+    return np.asarray(SUPPOSED * weights / weights.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +72,11 @@ class Drive:
     walked : float64 of shape (n,)
         That the newest image shows what each view does, if the drive is a walk. The rest to 1: another view of the map
         (`elsewhere`), or none (`nowhere`).
+    alike : float64 of shape (n,)
+        Of `nowhere`: that what the image shows is not on the map, and looks like each view.
     elsewhere, nowhere : float
+    moves : float64 of shape (2 FARTHEST + 1,)
+        How often the robot moved on by -FARTHEST..FARTHEST views, as far as that is known.
     coherence : float
         Probability that the drive is a walk.
     images : int
@@ -59,6 +85,8 @@ class Drive:
     seqs: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
     order: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
     walked: Doubles = field(default_factory=lambda: np.zeros(0))
+    alike: Doubles = field(default_factory=lambda: np.zeros(0))
+    moves: Doubles = field(default_factory=supposed)
     elsewhere: float = KNOWN
     nowhere: float = 1 - KNOWN
     coherence: float = 0.5
@@ -132,28 +160,59 @@ def follow(drive: Drive, single: Single) -> tuple[Drive, Doubles]:
     count = max(single.searched, len(single.seqs), 1)
     alone = np.full(len(single.seqs), KNOWN / count)
     ratios = single.probabilities / alone / (single.none / (1 - float(alone.sum())))
-    kept = np.argsort(-drive.walked, kind="stable")[:KEPT]
-    seqs, rows = np.unique(np.concatenate([single.seqs, drive.seqs[kept]]), return_index=True)
-    order = np.concatenate([single.order, drive.order[kept]])[rows]
-    ratio = np.ones(len(seqs))
-    ratio[np.searchsorted(seqs, single.seqs)] = ratios
+    drive = shortened(drive)
+    seqs, rows = np.unique(np.concatenate([single.seqs, drive.seqs]), return_index=True)
+    order = np.concatenate([single.order, drive.order])[rows]
+    here, before = np.searchsorted(seqs, single.seqs), np.searchsorted(seqs, drive.seqs)
+    ratio, likeness, alike = np.ones(len(seqs)), np.zeros(len(seqs)), np.zeros(len(seqs))
+    ratio[here] = ratios
+    likeness[here] = count * single.probabilities / max(float(single.probabilities.sum()), 1e-12)
     if drive.images == 0:
         arrived, elsewhere, nowhere = np.full(len(seqs), KNOWN / count), KNOWN - KNOWN / count * len(seqs), 1 - KNOWN
     else:
         arrived, elsewhere, nowhere = predict(drive, order, count)
+        alike[before] = (1 - ENTER) * LASTING * drive.alike
     weighed = arrived * ratio
+    unlike = nowhere - float(alike.sum())
+    alike = (alike + unlike * LIKENESS / count) * likeness
+    nowhere = unlike * (1 - LIKENESS) + float(alike.sum())
     foretold = float(weighed.sum()) + elsewhere + nowhere
-    coherence = drive.coherence
+    coherence, moves = drive.coherence, drive.moves
     if drive.images:
         by_chance = float((alone * ratios).sum()) + 1 - float(alone.sum())
         walks = coherence * (1 - CHANGE) + (1 - coherence) * CHANGE
         coherence = walks * foretold / (walks * foretold + (1 - walks) * by_chance)
+        moves = learnt(drive, order, coherence * ratio / foretold)
     walked = weighed / foretold
     followed = Drive(
-        seqs, order, walked, max(elsewhere, 0.0) / foretold, nowhere / foretold, coherence, drive.images + 1
+        seqs,
+        order,
+        walked,
+        alike / foretold,
+        moves,
+        max(elsewhere, 0.0) / foretold,
+        nowhere / foretold,
+        coherence,
+        drive.images + 1,
     )
-    together = coherence * walked[np.searchsorted(seqs, single.seqs)] + (1 - coherence) * single.probabilities
+    together = coherence * walked[here] + (1 - coherence) * single.probabilities
     return followed, together
+
+
+def shortened(drive: Drive) -> Drive:
+    """A drive without the views that hardly count."""
+    weight = drive.walked + drive.alike
+    kept = np.sort(np.argsort(-weight, kind="stable")[:KEPT])
+    kept = kept[weight[kept] > LEAST]
+    gone = float(drive.walked.sum() - drive.walked[kept].sum())
+    return replace(
+        drive,
+        seqs=drive.seqs[kept],
+        order=drive.order[kept],
+        walked=drive.walked[kept],
+        alike=drive.alike[kept],
+        elsewhere=drive.elsewhere + gone,
+    )
 
 
 def predict(drive: Drive, order: Integers, count: int) -> tuple[Doubles, float, float]:
@@ -173,7 +232,7 @@ def predict(drive: Drive, order: Integers, count: int) -> tuple[Doubles, float, 
         Probability of each view, of the others of the map together, and of none. They sum to 1.
     """
     on_map = float(drive.walked.sum()) + drive.elsewhere
-    moved = drive.walked @ kernel(np.abs(drive.order[:, None] - order[None, :]))
+    moved = drive.walked @ kernel(drive.moves, order[None, :] - drive.order[:, None])
     stays = (1 - LEAVE) * on_map + ENTER * drive.nowhere
     anywhere = (1 - LEAVE) * (JUMP * (on_map - drive.elsewhere) + drive.elsewhere) + ENTER * drive.nowhere
     arrived = (1 - LEAVE) * (1 - JUMP) * moved + anywhere / max(count, len(order))
@@ -181,11 +240,27 @@ def predict(drive: Drive, order: Integers, count: int) -> tuple[Doubles, float, 
     return arrived, stays - float(arrived.sum()), 1 - stays
 
 
-def kernel(steps: Integers) -> Doubles:
-    """Probability of a move over so many views, forwards or backwards; float64 like `steps`.
+def kernel(moves: Doubles, steps: Integers) -> Doubles:
+    """Probability of a move by so many views, float64 like `steps`; 0 beyond FARTHEST."""
+    within = np.abs(steps) <= FARTHEST
+    shares = np.append(moves / moves.sum(), 0.0)
+    return np.asarray(shares[np.where(within, steps + FARTHEST, len(moves))])
 
-    A Cauchy distribution, so that a robot that stands, one that races, and one that turns round are all followed.
+
+def learnt(drive: Drive, order: Integers, weight: Doubles) -> Doubles:
+    """How often a robot moved on by how much, one image later.
+
+    Parameters
+    ----------
+    drive : Drive
+        Before that image.
+    order : int64 of shape (n,)
+        Of the views where it may be now.
+    weight : float64 of shape (n,)
+        By how much likelier the image made each of them, times the probability that the drive is a walk.
     """
-    whole = np.arange(-FARTHEST, FARTHEST + 1)
-    total = (1 / (1 + (whole / REACH) ** 2)).sum()
-    return np.where(steps <= FARTHEST, 1 / (1 + (steps / REACH) ** 2) / total, 0.0)
+    steps = order[None, :] - drive.order[:, None]
+    taken = drive.walked[:, None] * kernel(drive.moves, steps) * ((1 - LEAVE) * (1 - JUMP) * weight)[None, :]
+    within = np.abs(steps) <= FARTHEST
+    seen = np.bincount(steps[within] + FARTHEST, weights=taken[within], minlength=len(drive.moves))
+    return REMEMBERED * drive.moves + (1 - REMEMBERED) * supposed() + seen

@@ -20,7 +20,15 @@ DRIVEN = 20
 MOST = 1000
 """Drives that are followed at once; the one that was silent longest is forgotten first."""
 
+LIKELIER = 0.5
+"""Probability from which a place is likelier than everything else together."""
+
 TOGETHER = Reason("sure", "the images of this drive together single out one place", "nothing")
+LEANING = Reason(
+    "weak",
+    "the images of this drive together make this place the likeliest, and are not sure of it yet",
+    "send the next images of the drive",
+)
 
 
 @dataclass(frozen=True)
@@ -84,8 +92,9 @@ class Drives:
         """Take one more image of a drive into account.
 
         Where the images together are as sure as the precision asks for, the decision is theirs and the views of their
-        place come first. Otherwise the image's own decision stands. With `consistent` the decision is always the
-        image's own, and `matched` only where enough images in a row agree.
+        place come first. So they do where that place is only likelier than everything else and the image by itself is
+        `matched` to none: `ambiguous`. Otherwise the image's own decision stands. With `consistent` the decision is
+        always the image's own, and `matched` only where enough images in a row agree.
 
         Parameters
         ----------
@@ -120,20 +129,11 @@ class Drives:
         driven = Driven(after.images, posterior, decision.status, row.images)
         if consistent is not None:
             return results, _consistent(decision, row.images, consistent), driven
-        if after.images == 1 or posterior[0].probability < decision.threshold:
+        together_sure = posterior[0].probability >= decision.threshold
+        leaning = decision.status != "matched" and posterior[0].probability >= LIKELIER
+        if after.images == 1 or not (together_sure or leaning):
             return results, decision, driven
-        order = [view for place in posterior for view in place.views]
-        rank = {view: i for i, view in enumerate(order)}
-        moved = tuple(PlaceProbability(p.probability, tuple(rank[view] for view in p.views)) for p in posterior)
-        decided = replace(
-            decision,
-            status="matched",
-            confidence=moved[0].probability,
-            reason=TOGETHER,
-            places=moved,
-            confidences=confidences(moved),
-        )
-        return replace(results, views=tuple(results.views[i] for i in order)), decided, replace(driven, posterior=moved)
+        return _led(results, decision, driven, together_sure)
 
     def _images(self, key: tuple[str, str]) -> int:
         with self._lock:
@@ -146,6 +146,26 @@ def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:
         return decision
     detail = f"this image alone is sure, but only {agreeing} of {wanted} images in a row of this drive agree on where"
     return replace(decision, status="ambiguous", reason=Reason("sure", detail, "send the next images of the drive"))
+
+
+def _led(
+    results: RankedResults, decision: Decision, driven: Driven, sure: bool
+) -> tuple[RankedResults, Decision, Driven]:
+    """The answer with the places of a drive in the order of their probability."""
+    order = [view for place in driven.posterior for view in place.views]
+    rank = {view: i for i, view in enumerate(order)}
+    places = tuple(PlaceProbability(p.probability, tuple(rank[view] for view in p.views)) for p in driven.posterior)
+    views = tuple(results.views[i] for i in order)
+    decided = replace(
+        decision,
+        status="matched" if sure else "ambiguous",
+        confidence=places[0].probability,
+        reason=TOGETHER if sure else LEANING,
+        places=places,
+        confidences=confidences(places),
+    )
+    rival = views[places[1].views[0]] if len(places) > 1 else None
+    return replace(results, views=views, rival=rival), decided, replace(driven, posterior=places)
 
 
 def _single(results: RankedResults, decision: Decision) -> Single:
