@@ -17,6 +17,9 @@ from schemas.errors import SetupError
 
 MEGA = 1_000_000
 
+LARGEST = 1e9
+"""Of settings that are numbers with decimals: seconds, megabytes, megapixels."""
+
 SECRET_BYTES = 16
 """Of the shortest secret that webhooks are signed with."""
 
@@ -125,6 +128,20 @@ class Settings(BaseSettings):
     mqtt_topic: str = Field("revisit", description="First levels of the topics that are published.")
     url: str = Field("http://127.0.0.1:8000", description="URL of the service that the command line calls.")
     key: SecretStr | None = Field(None, description="Key that the command line sends; a service does not read it.")
+
+    @field_validator("data", mode="before")
+    @classmethod
+    def _named(cls, folder: object) -> object:
+        if isinstance(folder, str) and not folder.strip():
+            raise ValueError("is empty; name a folder, or leave it out for `data`")
+        return folder
+
+    @field_validator("*")
+    @classmethod
+    def _finite(cls, value: object) -> object:
+        if isinstance(value, float) and value > LARGEST:
+            raise ValueError(f"is too large; at most {LARGEST:,.0f} is taken")
+        return value
 
     @field_validator("images")
     @classmethod
@@ -237,4 +254,4 @@ def read_settings(environment: Mapping[str, str] | None = None, **overrides: obj
         name = f"REVISIT_{'_'.join(map(str, first['loc']))}".upper()
         secret = "Secret" in str(Settings.model_fields[str(first["loc"][0])].annotation)
         shown = "***" if secret else repr(first["input"])
-        raise SetupError(f"{name}={shown}: {first['msg']}") from None
+        raise SetupError(f"{name}={shown}: {first['msg'].removeprefix('Value error, ')}") from None

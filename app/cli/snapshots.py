@@ -153,6 +153,8 @@ def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
     if arguments.name is not None and not re.fullmatch(MAP_NAME, arguments.name):
         wrong_use(f"--as {arguments.name!r} is no name of a map: letters, digits, . _ -, at most 64")
     settings = settings_of(arguments, "data")
+    with arguments.file.open("rb"):  # a mistyped file makes no data folder
+        pass
     from worker.storage.locks import lock_for_serving
     from worker.storage.store import open_store
 

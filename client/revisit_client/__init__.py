@@ -14,6 +14,6 @@ about the service is a `ClientError`.
 
 from revisit_client import wire
 from revisit_client.client import Revisit
-from revisit_client.errors import ClientError, JobFailed, RevisitProblem, Unreachable
+from revisit_client.errors import ClientError, JobFailed, RevisitProblem, Unreachable, Unsendable
 
-__all__ = ["ClientError", "JobFailed", "Revisit", "RevisitProblem", "Unreachable", "wire"]
+__all__ = ["ClientError", "JobFailed", "Revisit", "RevisitProblem", "Unreachable", "Unsendable", "wire"]

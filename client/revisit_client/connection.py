@@ -7,7 +7,15 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from revisit_client import wire
-from revisit_client.errors import ClientError, RevisitProblem, Unreachable, problem_of, reason, retry_after
+from revisit_client.errors import (
+    ClientError,
+    RevisitProblem,
+    Unreachable,
+    Unsendable,
+    problem_of,
+    reason,
+    retry_after,
+)
 
 USER_AGENT = "revisit-client"
 
@@ -182,8 +190,8 @@ class Connection:
 
 
 def _bearing(key: str | None) -> dict[str, str]:
-    """The header that carries a key (RFC 6750, 2.1); raises ValueError, without repeating it, for what is none."""
+    """The header that carries a key (RFC 6750, 2.1); raises Unsendable, without repeating it, for what is none."""
     key = (key or "").strip()  # a file's last line break comes along with $(cat FILE)
     if not all("!" <= letter <= "~" for letter in key):
-        raise ValueError("the key has letters that no key has; take it as `./revisit keys create` printed it")
+        raise Unsendable("the key has letters that no key has; take it as `./revisit keys create` printed it")
     return {"authorization": f"Bearer {key}"} if key else {}

@@ -13,6 +13,10 @@ class ClientError(Exception):
     """A call failed; base of the exceptions below."""
 
 
+class Unsendable(ClientError, ValueError):
+    """A name, an id or a key with which no call can be made; nothing was sent."""
+
+
 class Unreachable(ClientError):
     """No service answers at an address, or it stopped answering."""
 

@@ -54,7 +54,7 @@ class JobCalls:
         manifest : path or None
             Sent as the manifest of a folder that holds none.
         exif : bool
-            Take place and time from the images where the manifest says nothing of them.
+            Take place and time from the EXIF of images where the manifest says nothing of them; refused with a video.
         panorama : bool
             Every image is an equirectangular panorama, and is enrolled as eight views.
         refuse_poor : bool or None

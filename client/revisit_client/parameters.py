@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from revisit_client import wire
+from revisit_client.errors import Unsendable
 
 Time = datetime | str
 
@@ -30,13 +31,13 @@ def utc(moment: datetime) -> datetime:
 
 
 def address(*parts: str) -> str:
-    """The path of a call; raises ValueError for a name or id that is none.
+    """The path of a call; raises Unsendable for a name or id that is none.
 
     Names and ids come from anywhere: one with slashes or dots must not lead to another address.
     """
     for part in parts:
         if str(part) in ("", ".", ".."):
-            raise ValueError(f"{part!r} is neither a name nor an id")
+            raise Unsendable(f"{str(part)!r} is neither a name nor an id")
     return "".join(f"/{quote(str(part), safe='')}" for part in parts)
 
 

@@ -98,3 +98,18 @@ def test_the_healthcheck_tells_by_its_exit_code(
     assert main(["healthcheck"]) == code
     if not ready:
         assert "encoder: loading" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (["views", ".."], "'..' is neither a name nor an id"),
+        (["maps", ""], "'' is neither a name nor an id"),
+        (["maps", "--key", "a b"], "the key has letters that no key has"),
+    ],
+)
+def test_what_no_call_can_be_made_with_is_told_without_a_traceback(
+    argv: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*argv, "--url", "http://127.0.0.1:1"]) == 1
+    assert capsys.readouterr().err.startswith(f"revisit: {told}")

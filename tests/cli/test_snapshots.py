@@ -85,3 +85,11 @@ def test_wrong_use_is_told_before_anything_happens(wrong: list[str], nobody: Non
 def test_a_file_that_is_missing_is_named(tmp_path: Path, capsys: Out) -> None:
     assert main(["restore", str(tmp_path / "none"), "--data", str(tmp_path / "data")]) == 1
     assert "none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["nothing", "."])
+def test_a_file_that_cannot_be_read_makes_no_data_folder(tmp_path: Path, name: str, capsys: Out) -> None:
+    data = tmp_path / "data"
+    assert main(["restore", str(tmp_path / name), "--data", str(data)]) == 1
+    assert capsys.readouterr().err.startswith(f"revisit: {tmp_path / name}: ")
+    assert not data.exists()

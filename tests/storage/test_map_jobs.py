@@ -247,3 +247,9 @@ def test_jobs_go_with_their_map(store: SqlStore) -> None:
         store.jobs.get(job.id)
     with pytest.raises(LeaseLost):
         store.jobs.report(claim, JobProgress(1, 2))
+
+
+def test_a_map_that_is_none_is_said_to_be_none_with_what_to_do(store: SqlStore) -> None:
+    for ask in (store.maps.get, store.maps.revision, lambda name: store.jobs.queue_snapshot(name, NOW)):
+        with pytest.raises(NotFound, match="no map 'moon'; GET /maps lists all there are; the first enrolment"):
+            ask("moon")

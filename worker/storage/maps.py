@@ -13,6 +13,7 @@ from worker.storage.image_store import needs_image
 from worker.storage.part import Part
 from worker.storage.rows import (
     COORDINATES,
+    NO_MAP,
     blur_of,
     find_map,
     find_recipe,
@@ -79,7 +80,7 @@ class Maps(Part):
         with self._database.reading() as connection:
             revision = connection.scalar(sa.select(MAPS.c.revision).where(MAPS.c.name == name))
         if revision is None:
-            raise NotFound("map", name)
+            raise NotFound("map", name, NO_MAP)
         return int(revision)
 
     def counts(self, name: str) -> MapCounts:

@@ -59,11 +59,14 @@ def inserting(table: sa.Table) -> sa.Insert:
 # maps
 
 
+NO_MAP = "GET /maps lists all there are; the first enrolment into a map makes it"
+
+
 def find_map(connection: sa.Connection, name: str) -> sa.Row[Any]:
     """The row of a map; raises NotFound."""
     row = connection.execute(_MAP_NAMED, {"of": name}).one_or_none()
     if row is None:
-        raise NotFound("map", name)
+        raise NotFound("map", name, NO_MAP)
     return row
 
 
