@@ -35,7 +35,7 @@ JUMP, LEAVE, ENTER = 0.02, 0.2, 0.05
 """Probability between two images of a jump to anywhere on the map, of leaving it, and of coming onto it. That of
 leaving is high so that a drive soon stops vouching for images that do not vouch for themselves."""
 
-LIKENESS, LASTING = 0.3, 0.9
+RESEMBLES, LASTING = 0.3, 0.9
 """Probability that what is not on the map looks like a view of it, and that it still does in the next image."""
 
 CHANGE = 0.02
@@ -164,9 +164,9 @@ def follow(drive: Drive, single: Single) -> tuple[Drive, Doubles]:
     seqs, rows = np.unique(np.concatenate([single.seqs, drive.seqs]), return_index=True)
     order = np.concatenate([single.order, drive.order])[rows]
     here, before = np.searchsorted(seqs, single.seqs), np.searchsorted(seqs, drive.seqs)
-    ratio, likeness, alike = np.ones(len(seqs)), np.zeros(len(seqs)), np.zeros(len(seqs))
+    ratio, resemblance, alike = np.ones(len(seqs)), np.zeros(len(seqs)), np.zeros(len(seqs))
     ratio[here] = ratios
-    likeness[here] = count * single.probabilities / max(float(single.probabilities.sum()), 1e-12)
+    resemblance[here] = count * single.probabilities / max(float(single.probabilities.sum()), 1e-12)
     if drive.images == 0:
         arrived, elsewhere, nowhere = np.full(len(seqs), KNOWN / count), KNOWN - KNOWN / count * len(seqs), 1 - KNOWN
     else:
@@ -174,8 +174,8 @@ def follow(drive: Drive, single: Single) -> tuple[Drive, Doubles]:
         alike[before] = (1 - ENTER) * LASTING * drive.alike
     weighed = arrived * ratio
     unlike = nowhere - float(alike.sum())
-    alike = (alike + unlike * LIKENESS / count) * likeness
-    nowhere = unlike * (1 - LIKENESS) + float(alike.sum())
+    alike = (alike + unlike * RESEMBLES / count) * resemblance
+    nowhere = unlike * (1 - RESEMBLES) + float(alike.sum())
     foretold = float(weighed.sum()) + elsewhere + nowhere
     coherence, moves = drive.coherence, drive.moves
     if drive.images:
