@@ -10,7 +10,19 @@ from hypothesis import strategies as st
 
 from schemas.comparisons import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, floor, own_share
+from worker.method.decision import (
+    PRIOR,
+    USUAL_OWN,
+    Decision,
+    blame_image,
+    decide,
+    expected_levels,
+    features,
+    floor,
+    own_share,
+    stands_out,
+    tells_apart,
+)
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
@@ -29,6 +41,7 @@ def ranking(
     known: Mapping[int, KnownView] | None = None,
     reranked: int = 100,
     cells: Mapping[int, Sequence[float]] | None = None,
+    inliers: int | None = None,
 ) -> Ranking:
     """Views with the sequence numbers 0, 1, ... and these scores, best first."""
     n = len(scores)
@@ -48,6 +61,7 @@ def ranking(
         places,
         min(len(places.group(rivals)), 10),
         rival,
+        inliers,
         {i: np.array(weights, np.float32) for i, weights in (cells or {}).items()},
         (),
         None,
@@ -70,15 +84,42 @@ def decided(
 
 
 def test_features_by_hand() -> None:
-    usual = MapLevels(10, 0.3, 0.02)
-    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0}
-    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0}
+    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0, "peak": 0.0, "inliers": 0.0}
+    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0, **alone}
+    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0, **alone}
     broad = replace(usual, breadth=2.0)
     assert features(0.5, 0.3, broad, 6.0)["breadth"] == pytest.approx(np.log(3))
     some = features(0.5, 0.3, broad, 6.0, least=0.4875)  # of the lead of .2 a sixteenth is left, of its breadth half
     assert some["gap"] == pytest.approx(np.log1p(0.0125 / 0.04))
     assert some["breadth"] == pytest.approx(np.log(2))
     assert features(0.3, 0.5, broad, 6.0)["breadth"] == 0
+
+
+def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_shows_the_same_things() -> None:
+    usual = MapLevels(10, 0.3, 0.02, own=0.78)
+
+    def both(score: float, inliers: int | None, others: int = 10) -> tuple[float, float]:
+        found = features(score, 0.3, usual, peak=3.0, unlike=tells_apart(inliers, others))
+        return found["own"], found["peak"]
+
+    half = 1 - np.log(2), np.log(4)
+    assert both(0.38, 0) == pytest.approx(half)  # half of what they get
+    assert both(0.38, 10) == pytest.approx([one / 2 for one in half])
+    assert both(0.38, 30) == pytest.approx([one / 4 for one in half])
+    assert both(0.7, 0)[0] == both(0.95, 0)[0] == pytest.approx(0.5)
+    assert both(0.2, 0)[0] == 0  # a fourth is nothing
+    assert both(0.78, None) == (0, 0)  # nothing was verified: nobody knows whether another place shows the same
+    assert both(0.78, 0, others=0) == (0, 0)
+    of = [features(0.5, 0.3, usual, inliers=n)["inliers"] for n in (0, 30, 50, 90)]
+    assert of == pytest.approx([0, 0, np.log(2), np.log(4)])  # as many as a look-alike may have say nothing
+    assert both(0.38, 0, others=20) == both(0.38, 0) > both(0.38, 0, others=5) > both(0.38, 0, others=1)
+
+
+def test_what_views_of_one_place_get_is_taken_from_other_maps_while_few_are_known() -> None:
+    few, many = (expected_levels(MapLevels(100, 0.3, 0.02, 99, own=0.5, paired=n)).own for n in (4, 4000))
+    assert expected_levels(MapLevels(100, 0.3, 0.02, 99)).own == USUAL_OWN
+    assert few == pytest.approx((0.5 + USUAL_OWN) / 2)
+    assert many == pytest.approx(0.5, abs=0.001)
 
 
 def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:
@@ -216,3 +257,14 @@ def test_a_search_narrowed_down_in_a_map_that_knows_itself_is_judged_by_the_maps
     assert known == pytest.approx(LEVELS.level, abs=0.01)
     assert new > known + 0.1
     assert floor(10, LEVELS) == 0
+
+
+def test_a_view_stands_out_from_other_places_however_many_views_its_own_has() -> None:
+    similarity = [0.8, *np.linspace(0.1, 0.3, 21)]
+    of = ranking([0.6] + [0.2] * 21)
+    few = replace(of, terms={"dense": np.array(similarity, np.float32)})
+    assert stands_out(few) == pytest.approx((0.8 - 0.2) / 0.07, rel=1e-5)  # 85 in 100 have at most .27
+    more = ranking([0.6] * 9 + [0.2] * 21, named(*["hall"] * 9))
+    many = replace(more, terms={"dense": np.array([0.8] * 8 + similarity, np.float32)})
+    assert stands_out(many) == pytest.approx(stands_out(few))
+    assert stands_out(of) == 0  # a ranking that compares no cells

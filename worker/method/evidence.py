@@ -130,6 +130,8 @@ class Ranking:
     rival : int or None
         Index of the best re-ranked view that shows another place than the first; None when there is none. Its
         neighbours count as other places where fewer than `ENOUGH_VIEWS` views show others.
+    rival_inliers : int or None
+        Largest number of inliers of any view that could be the rival; None when none was verified.
     cells : mapping of index to float32 of shape (rows * columns,)
         Share of the largest possible weight that agrees at each cell of the query, of views compared at full
         resolution.
@@ -150,9 +152,16 @@ class Ranking:
     places: Places
     others: int
     rival: int | None
+    rival_inliers: int | None
     cells: Mapping[int, Floats]
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None
+
+    def inliers_of_first(self) -> int:
+        """The largest number of inliers of any view of the first place, 0 where none was verified."""
+        verified = np.flatnonzero(self.inliers >= 0)
+        own = (int(self.inliers[i]) for i in verified if self.places.same(int(self.seqs[0]), int(self.seqs[i])))
+        return max(own, default=0)
 
     def breadth(self, other: int | None, first: int = 0) -> float:
         """Over how much of the query a place leads over another view: `worker.method.breadth.breadth`.
