@@ -108,6 +108,8 @@ def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_sh
     assert both(0.38, 30) == pytest.approx([one / 4 for one in half])
     assert both(0.7, 0)[0] == both(0.95, 0)[0] == pytest.approx(0.5)
     assert both(0.2, 0)[0] == 0  # a fourth is nothing
+    dim = features(0.2, 0.14, usual, unlike=1.0)["own"]  # where another place gets half of what wrong answers do
+    assert dim == pytest.approx(1 + np.log(0.22 / 0.8) + np.log(2))
     assert both(0.78, None) == (0, 0)  # nothing was verified: nobody knows whether another place shows the same
     assert both(0.78, 0, others=0) == (0, 0)
     of = [features(0.5, 0.3, usual, inliers=n)["inliers"] for n in (0, 30, 50, 90)]

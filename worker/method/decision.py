@@ -9,7 +9,8 @@ little by itself. Six features say more, and mean the same in every map:
 - ``level``: by how much the score falls short of what wrong answers get in this map.
 - ``breadth``: over how much of the image the place leads (`worker.method.breadth`), in the breadths that leads of wrong
   answers have in this map.
-- ``own``: how near the score comes to what views of one place get of each other in this map.
+- ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets less than
+  wrong answers do, in other light, that much less is asked of it.
 - ``peak``: how far the best view stands out from the other candidates of the query.
 - ``inliers``: by how many more keypoints the place agrees than any other, beyond what look-alikes do.
 
@@ -50,6 +51,9 @@ NARROWING = 0.25
 
 GROUPED = 10
 """Views that are grouped into places at least; those further down the ranking never decide."""
+
+LEAST_RIVAL = 0.05
+"""Score of the rival from which on it tells how much less than the map's own views everything scores."""
 
 LEAST_OWN, MOST_OWN = -1.0, -0.5
 """Logarithms of the ratio of a score to what views of one place get, between which it is evidence: .37 to .61 of it. In
@@ -211,6 +215,8 @@ def features(
     lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
     broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
     near = float(np.log((score + SOFTENING) / ((levels.own or USUAL_OWN) + SOFTENING)))
+    # In other light everything scores less than the map's own views do: by how much, the rival tells.
+    near += max(float(np.log((levels.level + SOFTENING) / (max(rival, LEAST_RIVAL) + SOFTENING))), 0.0)
     return {
         "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
