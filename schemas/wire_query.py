@@ -167,9 +167,7 @@ class DecisionFacts(Answer):
         description="What the probability was computed from. gap: log(1 + lead over the best view of another place, in "
         "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0; breadth: log(1 + "
         "over how much of the image that lead holds, in breadths of wrong answers); own: how near the score comes to "
-        "what views of one place get of each other here, 0..0.5; peak: log(1 + how far the first view stands out from "
-        "the other candidates), these two the less, the more keypoints of another place agree too; inliers: log(1 + "
-        "lead in inliers beyond that of look-alikes)."
+        "what views of one place get of each other here, 0..0.5; the less, the more keypoints of another place agree too."
     )
     wrong_score: float = Field(description="What wrong answers score in this map.")
     wrong_gap: float = Field(description="By how much wrong answers lead over the next place in this map.")

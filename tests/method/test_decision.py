@@ -20,7 +20,6 @@ from worker.method.decision import (
     features,
     floor,
     own_share,
-    stands_out,
     tells_apart,
 )
 from worker.method.evidence import Ranking
@@ -84,7 +83,7 @@ def decided(
 
 
 def test_features_by_hand() -> None:
-    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0, "peak": 0.0, "inliers": 0.0}
+    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0}
     assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0, **alone}
     assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0, **alone}
     broad = replace(usual, breadth=2.0)
@@ -98,23 +97,18 @@ def test_features_by_hand() -> None:
 def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_shows_the_same_things() -> None:
     usual = MapLevels(10, 0.3, 0.02, own=0.78)
 
-    def both(score: float, inliers: int | None, others: int = 10) -> tuple[float, float]:
-        found = features(score, 0.3, usual, peak=3.0, unlike=tells_apart(inliers, others))
-        return found["own"], found["peak"]
+    def own(score: float, inliers: int | None, others: int = 10, rival: float = 0.3) -> float:
+        return features(score, rival, usual, unlike=tells_apart(inliers, others))["own"]
 
-    half = 1 - np.log(2), np.log(4)
-    assert both(0.38, 0) == pytest.approx(half)  # half of what they get
-    assert both(0.38, 10) == pytest.approx([one / 2 for one in half])
-    assert both(0.38, 30) == pytest.approx([one / 4 for one in half])
-    assert both(0.7, 0)[0] == both(0.95, 0)[0] == pytest.approx(0.5)
-    assert both(0.2, 0)[0] == 0  # a fourth is nothing
-    dim = features(0.2, 0.14, usual, unlike=1.0)["own"]  # where another place gets half of what wrong answers do
-    assert dim == pytest.approx(1 + np.log(0.22 / 0.8) + np.log(2))
-    assert both(0.78, None) == (0, 0)  # nothing was verified: nobody knows whether another place shows the same
-    assert both(0.78, 0, others=0) == (0, 0)
-    of = [features(0.5, 0.3, usual, inliers=n)["inliers"] for n in (0, 30, 50, 90)]
-    assert of == pytest.approx([0, 0, np.log(2), np.log(4)])  # as many as a look-alike may have say nothing
-    assert both(0.38, 0, others=20) == both(0.38, 0) > both(0.38, 0, others=5) > both(0.38, 0, others=1)
+    half = 1 - np.log(2)
+    assert own(0.38, 0) == pytest.approx(half)  # half of what they get
+    assert [own(0.38, 10), own(0.38, 30)] == pytest.approx([half / 2, half / 4])
+    assert own(0.7, 0) == own(0.95, 0) == pytest.approx(0.5)
+    assert own(0.2, 0) == 0  # a fourth is nothing
+    assert own(0.2, 0, rival=0.14) == pytest.approx(1 + np.log(0.22 / 0.8) + np.log(2))  # unless all get half of it
+    assert own(0.78, None) == 0  # nothing was verified: nobody knows whether another place shows the same
+    assert own(0.78, 0, others=0) == 0
+    assert own(0.38, 0, others=20) == own(0.38, 0) > own(0.38, 0, others=5) > own(0.38, 0, others=1)
 
 
 def test_what_views_of_one_place_get_is_taken_from_other_maps_while_few_are_known() -> None:
@@ -259,14 +253,3 @@ def test_a_search_narrowed_down_in_a_map_that_knows_itself_is_judged_by_the_maps
     assert known == pytest.approx(LEVELS.level, abs=0.01)
     assert new > known + 0.1
     assert floor(10, LEVELS) == 0
-
-
-def test_a_view_stands_out_from_other_places_however_many_views_its_own_has() -> None:
-    similarity = [0.8, *np.linspace(0.1, 0.3, 21)]
-    of = ranking([0.6] + [0.2] * 21)
-    few = replace(of, terms={"dense": np.array(similarity, np.float32)})
-    assert stands_out(few) == pytest.approx((0.8 - 0.2) / 0.07, rel=1e-5)  # 85 in 100 have at most .27
-    more = ranking([0.6] * 9 + [0.2] * 21, named(*["hall"] * 9))
-    many = replace(more, terms={"dense": np.array([0.8] * 8 + similarity, np.float32)})
-    assert stands_out(many) == pytest.approx(stands_out(few))
-    assert stands_out(of) == 0  # a ranking that compares no cells

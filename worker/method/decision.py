@@ -1,7 +1,7 @@
 """Decision: from a ranking to probabilities of places, one verdict, and the reason for it.
 
 What a wrong view scores differs from map to map: 0.2 among ten parks, 0.6 in a corridor of equal doors. A score says
-little by itself. Six features say more, and mean the same in every map:
+little by itself. Four features say more, and mean the same in every map:
 
 - ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
   wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
@@ -9,13 +9,11 @@ little by itself. Six features say more, and mean the same in every map:
 - ``level``: by how much the score falls short of what wrong answers get in this map.
 - ``breadth``: over how much of the image the place leads (`worker.method.breadth`), in the breadths that leads of wrong
   answers have in this map.
-- ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets less than
-  wrong answers do, in other light, that much less is asked of it.
-- ``peak``: how far the best view stands out from the other candidates of the query.
-- ``inliers``: by how many more keypoints the place agrees than any other, beyond what look-alikes do.
+- ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets
+  less than wrong answers do, in other light, that much less is asked of it.
 
-`own` and `peak` say that the query shows something like the place, not which of two that look alike. They count the
-less, the more keypoints of another place agree with the query too.
+`own` says that the query shows something like the place, not which of two that look alike. It counts the less, the more
+keypoints of another place agree with the query too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +24,6 @@ import numpy as np
 
 from schemas.comparisons import MapLevels
 from worker.method.calibration import Calibration, Verdict
-from worker.method.channel_fusion import REFERENCE_QUANTILE
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS
 
@@ -59,17 +56,11 @@ LEAST_OWN, MOST_OWN = -1.0, -0.5
 """Logarithms of the ratio of a score to what views of one place get, between which it is evidence: .37 to .61 of it. In
 other light a right view gets no more than that, in the same light a look-alike does."""
 
-LEAST_SPREAD = 0.01
-"""Spread of similarities that the candidates of a query are taken to have at least."""
-
 ALIKE_INLIERS = 10.0
-"""Inliers of another place that halve what `own` and `peak` are worth."""
-
-UNREMARKABLE_LEAD, LEAD_SOFTENING = 30.0, 20.0
-"""Inliers by which a place may lead over another that looks alike, and what further ones are measured in."""
+"""Inliers of another place that halve what `own` is worth."""
 
 FEW_OTHERS = 0.25
-"""Power of the share of `ENOUGH_PLACES` enrolled besides, by which they count less: unknown twins are likelier."""
+"""Power of the share of `ENOUGH_PLACES` enrolled besides, by which it counts less: unknown twins are likelier."""
 
 FEW_VIEWS = 5
 """With fewer searched views than this, an answer that stands out from nothing says so."""
@@ -187,9 +178,7 @@ def features(
     levels: MapLevels,
     breadth: float = 0.0,
     least: float = 0.0,
-    peak: float = 0.0,
     unlike: float = 0.0,
-    inliers: float = 0.0,
 ) -> dict[str, float]:
     """Features of a place; each grows with the evidence for it.
 
@@ -205,12 +194,8 @@ def features(
         Of the lead over that view, at least 0.
     least : float
         Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
-    peak : float
-        By how much the view stands out from the candidates, as `stands_out` gives it.
     unlike : float
-        What `own` and `peak` count, 0..1 (`tells_apart`): 0 for a place that is not the first.
-    inliers : float
-        By how many the place leads over any other.
+        What `own` counts, 0..1 (`tells_apart`): 0 for a place that is not the first.
     """
     lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
     broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
@@ -222,23 +207,7 @@ def features(
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
         "breadth": float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING))),
         "own": unlike * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN),
-        "peak": unlike * float(np.log1p(peak)),
-        "inliers": float(np.log1p(max(inliers - UNREMARKABLE_LEAD, 0.0) / LEAD_SOFTENING)),
     }
-
-
-def stands_out(ranking: Ranking) -> float:
-    """How far the first view stands out from the re-ranked candidates of other places: by how much the similarity of
-    its half-size cells exceeds their median, in the distance from there to their 85th percentile; at least 0."""
-    if "dense" not in ranking.terms or not ranking.reranked:
-        return 0.0
-    similarity = ranking.terms["dense"][: ranking.reranked]
-    first = int(ranking.seqs[0])
-    others = [not ranking.places.same(first, int(seq)) for seq in ranking.seqs[: ranking.reranked]]
-    if not any(others):
-        return 0.0
-    median, high = (float(q) for q in np.quantile(similarity[others], (0.5, REFERENCE_QUANTILE)))
-    return max(float(similarity[0]) - median, 0.0) / max(high - median, LEAST_SPREAD)
 
 
 def tells_apart(rival_inliers: int | None, others: int) -> float:
@@ -299,11 +268,9 @@ def decide(
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
     least = floor(ranking.others, usual)
-    peak, unlike = stands_out(ranking), tells_apart(ranking.rival_inliers, ranking.others)
+    unlike = tells_apart(ranking.rival_inliers, ranking.others)
     broad, lowest = ranking.breadth(rival), least if measured_alike else 1.0
-    ours = ranking.inliers_of_first()
-    ahead = ours - (ranking.rival_inliers or 0)
-    first = features(scores[0], _score(ranking, rival), usual, broad, lowest, peak, unlike, ahead)
+    first = features(scores[0], _score(ranking, rival), usual, broad, lowest, unlike)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
     for group, p in zip(groups, calibration.probabilities(read), strict=True):
@@ -315,12 +282,12 @@ def decide(
         status = "no_match"
     alone = ranking.breadth(None)
     unmatched = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
-    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least, peak, unmatched, ours)])
+    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least, unmatched)])
     outrivalled = rival is not None and unrivalled >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
         other = best_unlike(ranking)
         broad = ranking.breadth(other)
-        together = features(scores[0], _score(ranking, other), usual, broad, least, peak, unlike, ahead)
+        together = features(scores[0], _score(ranking, other), usual, broad, least, unlike)
         if calibration.probabilities([together])[0] >= threshold:
             status = "ambiguous"
     reason = _reason(status, outrivalled, searched)

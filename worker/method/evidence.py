@@ -157,12 +157,6 @@ class Ranking:
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None
 
-    def inliers_of_first(self) -> int:
-        """The largest number of inliers of any view of the first place, 0 where none was verified."""
-        verified = np.flatnonzero(self.inliers >= 0)
-        own = (int(self.inliers[i]) for i in verified if self.places.same(int(self.seqs[0]), int(self.seqs[i])))
-        return max(own, default=0)
-
     def breadth(self, other: int | None, first: int = 0) -> float:
         """Over how much of the query a place leads over another view: `worker.method.breadth.breadth`.
 
