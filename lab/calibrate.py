@@ -27,7 +27,7 @@ PRECISIONS = (0.5, 0.9, 0.95, 0.97, 0.98, 0.99)
 ENOUGH = 20
 """A set counts for the precision of each set when more answers than this are matched."""
 
-SLACK = 0.05
+SLACK = 0.03
 """By how much the precision of a single set may fall short."""
 
 AMBIGUOUS = 0.4

@@ -10,7 +10,18 @@ from hypothesis import strategies as st
 
 from schemas.comparisons import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, floor, own_share
+from worker.method.decision import (
+    PRIOR,
+    USUAL_OWN,
+    Decision,
+    blame_image,
+    decide,
+    expected_levels,
+    features,
+    floor,
+    own_share,
+    tells_apart,
+)
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
@@ -29,6 +40,7 @@ def ranking(
     known: Mapping[int, KnownView] | None = None,
     reranked: int = 100,
     cells: Mapping[int, Sequence[float]] | None = None,
+    inliers: int | None = None,
 ) -> Ranking:
     """Views with the sequence numbers 0, 1, ... and these scores, best first."""
     n = len(scores)
@@ -48,6 +60,7 @@ def ranking(
         places,
         min(len(places.group(rivals)), 10),
         rival,
+        inliers,
         {i: np.array(weights, np.float32) for i, weights in (cells or {}).items()},
         (),
         None,
@@ -70,15 +83,39 @@ def decided(
 
 
 def test_features_by_hand() -> None:
-    usual = MapLevels(10, 0.3, 0.02)
-    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0}
-    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0}
+    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0}
+    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0, **alone}
+    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0, **alone}
     broad = replace(usual, breadth=2.0)
     assert features(0.5, 0.3, broad, 6.0)["breadth"] == pytest.approx(np.log(3))
     some = features(0.5, 0.3, broad, 6.0, least=0.4875)  # of the lead of .2 a sixteenth is left, of its breadth half
     assert some["gap"] == pytest.approx(np.log1p(0.0125 / 0.04))
     assert some["breadth"] == pytest.approx(np.log(2))
     assert features(0.3, 0.5, broad, 6.0)["breadth"] == 0
+
+
+def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_shows_the_same_things() -> None:
+    usual = MapLevels(10, 0.3, 0.02, own=0.78)
+
+    def own(score: float, inliers: int | None, others: int = 10, rival: float = 0.3) -> float:
+        return features(score, rival, usual, unlike=tells_apart(inliers, others))["own"]
+
+    half = 1 - np.log(2)
+    assert own(0.38, 0) == pytest.approx(half)  # half of what they get
+    assert [own(0.38, 10), own(0.38, 30)] == pytest.approx([half / 2, half / 4])
+    assert own(0.7, 0) == own(0.95, 0) == pytest.approx(0.5)
+    assert own(0.2, 0) == 0  # a fourth is nothing
+    assert own(0.2, 0, rival=0.14) == pytest.approx(1 + np.log(0.22 / 0.8) + np.log(2))  # unless all get half of it
+    assert own(0.78, None) == 0  # nothing was verified: nobody knows whether another place shows the same
+    assert own(0.78, 0, others=0) == 0
+    assert own(0.38, 0, others=20) == own(0.38, 0) > own(0.38, 0, others=5) > own(0.38, 0, others=1)
+
+
+def test_what_views_of_one_place_get_is_taken_from_other_maps_while_few_are_known() -> None:
+    few, many = (expected_levels(MapLevels(100, 0.3, 0.02, 99, own=0.5, paired=n)).own for n in (4, 4000))
+    assert expected_levels(MapLevels(100, 0.3, 0.02, 99)).own == USUAL_OWN
+    assert few == pytest.approx((0.5 + USUAL_OWN) / 2)
+    assert many == pytest.approx(0.5, abs=0.001)
 
 
 def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:

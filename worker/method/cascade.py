@@ -23,6 +23,7 @@ from worker.method import channel_fusion, context_graph, dense_cells, hough, sco
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
+from worker.method.score_fusion import Rows
 
 
 class ViewGone(Exception):
@@ -272,10 +273,18 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         places=places,
         others=others,
         rival=rival,
+        rival_inliers=_most_inliers(inliers[order], rivals),
         cells={i: evidence.cells[row] for i, row in enumerate(order.tolist()) if row in evidence.cells},
         first=tuple(_candidate(evidence, score, parts, int(row), usual) for row in order[:top]),
         opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival]), usual),
     )
+
+
+def _most_inliers(inliers: Rows, some: Sequence[int]) -> int | None:
+    """The largest number of inliers of some candidates, at least 0; None where no candidate at all was verified."""
+    if not (inliers >= 0).any():
+        return None
+    return max((int(inliers[i]) for i in some if inliers[i] >= 0), default=0)
 
 
 def _candidate(

@@ -130,6 +130,8 @@ class Ranking:
     rival : int or None
         Index of the best re-ranked view that shows another place than the first; None when there is none. Its
         neighbours count as other places where fewer than `ENOUGH_VIEWS` views show others.
+    rival_inliers : int or None
+        Largest number of inliers of any view that could be the rival; None when none was verified.
     cells : mapping of index to float32 of shape (rows * columns,)
         Share of the largest possible weight that agrees at each cell of the query, of views compared at full
         resolution.
@@ -150,6 +152,7 @@ class Ranking:
     places: Places
     others: int
     rival: int | None
+    rival_inliers: int | None
     cells: Mapping[int, Floats]
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None

@@ -6,6 +6,7 @@ from datetime import datetime
 from functools import cache
 from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
 
 from schemas.comparisons import Comparison, KnownView, MapLevels
@@ -16,6 +17,9 @@ from worker.storage.rows import attributes_of, batches, find_map, has_whole_attr
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
 NOTHING: frozenset[int] = frozenset()
+
+OWN_QUANTILE = 0.9
+"""Of what views of one place get of each other: names may hold views that share nothing."""
 
 
 _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
@@ -107,9 +111,19 @@ class Comparisons(Part):
             of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == (recipe or row.recipe)
             found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
             count, latest, broad, *mean = connection.execute(found).one()
-        own_level, own_gap, others = (float(value or 0) for value in mean)
+            whole = COMPARISONS.c.level.is_not(None), COMPARISONS.c.own.between(0, 1)
+            own = [float(value) for value in connection.scalars(sa.select(COMPARISONS.c.own).where(*of, *whole))]
+        level_mean, gap_mean, others = (float(value or 0) for value in mean)
         return MapLevels(
-            count, own_level, own_gap, others, latest, row.revision, None if broad is None else float(broad)
+            count,
+            level_mean,
+            gap_mean,
+            others,
+            latest,
+            row.revision,
+            breadth=None if broad is None else float(broad),
+            own=float(np.quantile(own, OWN_QUANTILE)) if own else None,
+            paired=len(own),
         )
 
     def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:
