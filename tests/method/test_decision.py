@@ -34,7 +34,6 @@ def ranking(
     n = len(scores)
     places = Places({i: (known or {}).get(i, KnownView()) for i in range(n)}, 5.0)
     rivals = [i for i in range(1, min(n, reranked)) if places.apart(0, i)]
-    rival = rivals[0] if rivals else None
     nothing = np.zeros(n, np.intp)
     return Ranking(
         np.arange(n),
@@ -47,7 +46,7 @@ def ranking(
         min(n, reranked),
         places,
         min(len(places.group(rivals)), 10),
-        rival,
+        tuple(rivals),
         {i: np.array(weights, np.float32) for i, weights in (cells or {}).items()},
         (),
         None,
@@ -138,6 +137,7 @@ VIEWS = st.tuples(st.floats(0, 1), st.lists(st.integers(0, 9), min_size=3, max_s
 
 @given(st.lists(VIEWS, min_size=1, max_size=6), st.lists(VIEWS, max_size=6), st.lists(VIEWS, max_size=6))
 @example(own=[(0.25, (0, 0, 0))], others=[(1.0, (0, 0, 0))], more=[(0.0, (0, 0, 0))])  # once spoke for the first place
+@example(own=[(0.5, (0, 0, 0))], others=[(1.0, (0, 0, 1)), (0.97265625, (0, 0, 1))], more=[(0.9765625, (0, 0, 0))])
 def test_more_views_of_a_place_never_lower_its_probability(
     own: list[tuple[float, tuple[int, ...]]],
     others: list[tuple[float, tuple[int, ...]]],

@@ -258,7 +258,6 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
     if candidates.searched - (len(among) + 1 - len(rivals)) < ENOUGH_VIEWS:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
         others = len(places.group([seqs[i] for i in rivals]))
-    rival = rivals[0] if rivals else None
     usual = _usual_dense(evidence)
     return Ranking(
         seqs=candidates.seqs[order],
@@ -271,10 +270,10 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         reranked=len(evidence.rows),
         places=places,
         others=others,
-        rival=rival,
+        rivals=tuple(rivals),
         cells={i: evidence.cells[row] for i, row in enumerate(order.tolist()) if row in evidence.cells},
         first=tuple(_candidate(evidence, score, parts, int(row), usual) for row in order[:top]),
-        opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival]), usual),
+        opposed=_candidate(evidence, score, parts, int(order[rivals[0]]), usual) if rivals else None,
     )
 
 

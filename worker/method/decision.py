@@ -218,7 +218,9 @@ def decide(
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
     least = floor(ranking.others, usual)
-    first = features(scores[0], _score(ranking, rival), usual, ranking.breadth(rival), least if measured_alike else 1.0)
+    first = features(
+        scores[0], _score(ranking, rival), usual, ranking.breadth(ranking.rivals), least if measured_alike else 1.0
+    )
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
     for group, p in zip(groups, calibration.probabilities(read), strict=True):
@@ -228,12 +230,13 @@ def decide(
     status = calibration.verdict(confidence, precision)
     if status == "ambiguous" and len(groups) == 1 and rival is None:
         status = "no_match"
-    alone = ranking.breadth(None)
+    alone = ranking.breadth(())
     [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least)])
     outrivalled = rival is not None and unrivalled >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
-        unlike = best_unlike(ranking)
-        together = features(scores[0], _score(ranking, unlike), usual, ranking.breadth(unlike), least)
+        unlike = views_unlike(ranking)
+        best = unlike[0] if unlike else None
+        together = features(scores[0], _score(ranking, best), usual, ranking.breadth(unlike), least)
         if calibration.probabilities([together])[0] >= threshold:
             status = "ambiguous"
     reason = _reason(status, outrivalled, searched)
@@ -242,17 +245,14 @@ def decide(
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), confidences(places), first)
 
 
-def best_unlike(ranking: Ranking) -> int | None:
-    """Index of the best re-ranked view that the map itself can tell from the first; None when there is none.
+def views_unlike(ranking: Ranking) -> list[int]:
+    """Indices of the re-ranked views that the map itself can tell from the first, best first.
 
     Places that look alike to the map (floors of one building) may stand out together: the query then shows one of them,
     and is not of an unknown place.
     """
     first = int(ranking.seqs[0])
-    for i, seq in enumerate(ranking.seqs[: ranking.reranked]):
-        if not ranking.places.alike(first, int(seq)):
-            return i
-    return None
+    return [i for i, seq in enumerate(ranking.seqs[: ranking.reranked]) if not ranking.places.alike(first, int(seq))]
 
 
 def _score(ranking: Ranking, index: int | None) -> float:
