@@ -23,7 +23,6 @@ from worker.method import channel_fusion, context_graph, dense_cells, hough, sco
 from worker.method.byte_vectors import Product, float_product
 from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
-from worker.method.score_fusion import Rows
 
 
 class ViewGone(Exception):
@@ -259,7 +258,6 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
     if candidates.searched - (len(among) + 1 - len(rivals)) < ENOUGH_VIEWS:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
         others = len(places.group([seqs[i] for i in rivals]))
-    rival = rivals[0] if rivals else None
     usual = _usual_dense(evidence)
     return Ranking(
         seqs=candidates.seqs[order],
@@ -272,19 +270,11 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         reranked=len(evidence.rows),
         places=places,
         others=others,
-        rival=rival,
-        rival_inliers=_most_inliers(inliers[order], rivals),
+        rivals=tuple(rivals),
         cells={i: evidence.cells[row] for i, row in enumerate(order.tolist()) if row in evidence.cells},
         first=tuple(_candidate(evidence, score, parts, int(row), usual) for row in order[:top]),
-        opposed=None if rival is None else _candidate(evidence, score, parts, int(order[rival]), usual),
+        opposed=_candidate(evidence, score, parts, int(order[rivals[0]]), usual) if rivals else None,
     )
-
-
-def _most_inliers(inliers: Rows, some: Sequence[int]) -> int | None:
-    """The largest number of inliers of some candidates, at least 0; None where no candidate at all was verified."""
-    if not (inliers >= 0).any():
-        return None
-    return max((int(inliers[i]) for i in some if inliers[i] >= 0), default=0)
 
 
 def _candidate(

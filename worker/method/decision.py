@@ -178,7 +178,7 @@ def features(
     levels: MapLevels,
     breadth: float = 0.0,
     least: float = 0.0,
-    unlike: float = 0.0,
+    counts: float = 0.0,
 ) -> dict[str, float]:
     """Features of a place; each grows with the evidence for it.
 
@@ -194,7 +194,7 @@ def features(
         Of the lead over that view, at least 0.
     least : float
         Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
-    unlike : float
+    counts : float
         What `own` counts, 0..1 (`tells_apart`): 0 for a place that is not the first.
     """
     lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
@@ -206,7 +206,7 @@ def features(
         "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
         "breadth": float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING))),
-        "own": unlike * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN),
+        "own": counts * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN),
     }
 
 
@@ -268,9 +268,9 @@ def decide(
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
     least = floor(ranking.others, usual)
-    unlike = tells_apart(ranking.rival_inliers, ranking.others)
-    broad, lowest = ranking.breadth(rival), least if measured_alike else 1.0
-    first = features(scores[0], _score(ranking, rival), usual, broad, lowest, unlike)
+    counts = tells_apart(ranking.rival_inliers, ranking.others)
+    broad, lowest = ranking.breadth(ranking.rivals), least if measured_alike else 1.0
+    first = features(scores[0], _score(ranking, rival), usual, broad, lowest, counts)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
     for group, p in zip(groups, calibration.probabilities(read), strict=True):
@@ -280,14 +280,14 @@ def decide(
     status = calibration.verdict(confidence, precision)
     if status == "ambiguous" and len(groups) == 1 and rival is None:
         status = "no_match"
-    alone = ranking.breadth(None)
-    unmatched = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
-    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least, unmatched)])
+    alone = ranking.breadth(())
+    undisputed = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
+    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least, undisputed)])
     outrivalled = rival is not None and unrivalled >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
-        other = best_unlike(ranking)
-        broad = ranking.breadth(other)
-        together = features(scores[0], _score(ranking, other), usual, broad, least, unlike)
+        unlike = views_unlike(ranking)
+        best = unlike[0] if unlike else None
+        together = features(scores[0], _score(ranking, best), usual, ranking.breadth(unlike), least, counts)
         if calibration.probabilities([together])[0] >= threshold:
             status = "ambiguous"
     reason = _reason(status, outrivalled, searched)
@@ -296,17 +296,14 @@ def decide(
     return Decision(status, confidence, reason, precision, threshold, usual, tuple(places), confidences(places), first)
 
 
-def best_unlike(ranking: Ranking) -> int | None:
-    """Index of the best re-ranked view that the map itself can tell from the first; None when there is none.
+def views_unlike(ranking: Ranking) -> list[int]:
+    """Indices of the re-ranked views that the map itself can tell from the first, best first.
 
     Places that look alike to the map (floors of one building) may stand out together: the query then shows one of them,
     and is not of an unknown place.
     """
     first = int(ranking.seqs[0])
-    for i, seq in enumerate(ranking.seqs[: ranking.reranked]):
-        if not ranking.places.alike(first, int(seq)):
-            return i
-    return None
+    return [i for i, seq in enumerate(ranking.seqs[: ranking.reranked]) if not ranking.places.alike(first, int(seq))]
 
 
 def _score(ranking: Ranking, index: int | None) -> float:

@@ -1,6 +1,6 @@
 """Evidence about the candidates of a query, and the ranking that follows from it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -127,11 +127,9 @@ class Ranking:
         Of those that were re-ranked and of `first`; of all, when none was re-ranked.
     others : int
         Number of other places than the first one's, counted up to `worker.method.places.ENOUGH_PLACES`.
-    rival : int or None
-        Index of the best re-ranked view that shows another place than the first; None when there is none. Its
-        neighbours count as other places where fewer than `ENOUGH_VIEWS` views show others.
-    rival_inliers : int or None
-        Largest number of inliers of any view that could be the rival; None when none was verified.
+    rivals : tuple of int
+        Indices of the re-ranked views that show another place than the first, best first. Its neighbours count as other
+        places where fewer than `ENOUGH_VIEWS` views show others.
     cells : mapping of index to float32 of shape (rows * columns,)
         Share of the largest possible weight that agrees at each cell of the query, of views compared at full
         resolution.
@@ -151,30 +149,45 @@ class Ranking:
     reranked: int
     places: Places
     others: int
-    rival: int | None
-    rival_inliers: int | None
+    rivals: tuple[int, ...]
     cells: Mapping[int, Floats]
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None
 
-    def breadth(self, other: int | None, first: int = 0) -> float:
-        """Over how much of the query a place leads over another view: `worker.method.breadth.breadth`.
+    @property
+    def rival(self) -> int | None:
+        """Index of the best view of another place than the first; None when there is none."""
+        return self.rivals[0] if self.rivals else None
+
+    @property
+    def rival_inliers(self) -> int | None:
+        """Largest number of inliers of a view of another place, at least 0; None when no view was verified."""
+        if not (self.inliers >= 0).any():
+            return None
+        return max([0, *(int(self.inliers[i]) for i in self.rivals)])
+
+    def breadth(self, others: Sequence[int], first: int = 0) -> float:
+        """Over how much of the query a place leads over views of others: `worker.method.breadth.breadth`.
 
         The largest over the views of the place that were compared at full resolution, so that more of them never lower
-        it; 0 where the other view was not compared.
+        it, of the least over the others, so that more of those never raise it; 0 where the best of these was not
+        compared.
 
         Parameters
         ----------
-        other : int or None
-            Index of the other view; None agrees nowhere.
+        others : sequence of int
+            Indices of other views, best first; none agree nowhere.
         first : int
             Index of a view of the place.
         """
-        if other is not None and other not in self.cells:
+        if others and others[0] not in self.cells:
             return 0.0
         seqs = self.seqs
         own = [cells for i, cells in self.cells.items() if self.places.same(int(seqs[first]), int(seqs[i]))]
-        return max((breadth(cells, None if other is None else self.cells[other]) for cells in own), default=0.0)
+        theirs = [self.cells[i] for i in others if i in self.cells]
+        return max(
+            (min((breadth(cells, one) for one in theirs), default=breadth(cells, None)) for cells in own), default=0.0
+        )
 
 
 @dataclass(eq=False)

@@ -182,7 +182,7 @@ class MapComparer:
         level = float(others.scores[0]) if len(others.seqs) else None
         rival = others.rival
         gap = None if level is None or rival is None else level - float(others.scores[rival])
-        breadth = None if gap is None else others.breadth(rival)
+        breadth = None if gap is None else others.breadth(others.rivals)
         taken_for = None if level is None else int(others.seqs[0])
         return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best, breadth)
 

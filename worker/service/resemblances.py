@@ -92,7 +92,7 @@ def _look_alike(view: ViewRecord, found: RankedResults) -> Resemblance | None:
         wins = own is not None and rival.score >= own
         index = {int(seq): i for i, seq in enumerate(found.ranking.seqs)}
         next_best = max((scored.score for scored in further), default=0.0)
-        breadth = found.ranking.breadth(index[further[0].seq] if further else None, index[rival.seq])
+        breadth = found.ranking.breadth([index[scored.seq] for scored in further], index[rival.seq])
         others = found.maps[0].searched
         wins = wins or would_match(
             rival.score, next_best, breadth, others, ranking.precision, found.levels, found.calibration
