@@ -17,6 +17,9 @@ from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
 NOTHING: frozenset[int] = frozenset()
 
+DECIMALS = 12
+"""Of means. A database adds rows in any order, in which their last bits differ; the same views get the same answers."""
+
 
 _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 """A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
@@ -107,10 +110,9 @@ class Comparisons(Part):
             of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == (recipe or row.recipe)
             found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
             count, latest, broad, *mean = connection.execute(found).one()
-        own_level, own_gap, others = (float(value or 0) for value in mean)
-        return MapLevels(
-            count, own_level, own_gap, others, latest, row.revision, None if broad is None else float(broad)
-        )
+        own_level, own_gap, others = (round(float(value or 0), DECIMALS) for value in mean)
+        breadth_mean = None if broad is None else round(float(broad), DECIMALS)
+        return MapLevels(count, own_level, own_gap, others, latest, row.revision, breadth_mean)
 
     def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:
         """The newest `most` described views of a map with their comparisons, and how many views are described.
