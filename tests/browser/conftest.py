@@ -22,6 +22,9 @@ PLACES = {"mill lane": (0, 0), "station road": (40, 5), "rose garden": (80, -12)
 PHONE: "ViewportSize" = {"width": 375, "height": 740}
 LAPTOP: "ViewportSize" = {"width": 1280, "height": 800}
 
+PATIENCE_MS = 60_000
+"""How long a machine with much else to do may take to show something."""
+
 SKIPPED = "NOT RUN: THE CONSOLE IS NOT TRIED IN A BROWSER"
 
 Open = Callable[..., "Tab"]
@@ -42,9 +45,12 @@ class Tab:
     def __init__(self, page: "Page", url: str, refusals: bool) -> None:
         self.page, self.url, self._refusals = page, url, refusals
         self.complaints: list[str] = []
+        self._fetched: set[Request] = set()  # images on their way
         page.on("console", lambda message: self._heard(message.type, message.text))
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        page.on("request", lambda request: self._sent(request.url))
+        page.on("request", self._sent)
+        for ended in ("requestfinished", "requestfailed"):
+            page.on(ended, lambda request: self._fetched.discard(request))
         page.on("response", lambda response: self._answered(response.url, response.status, response.request))
 
     def _heard(self, kind: str, text: str) -> None:
@@ -52,9 +58,11 @@ class Tab:
         if kind in ("error", "warning") and not (refused and self._refusals):
             self.complaints.append(text)
 
-    def _sent(self, url: str) -> None:
-        if not url.startswith((self.url, "blob:", "data:")):
-            self.complaints.append(f"asked another host: {url}")
+    def _sent(self, request: "Request") -> None:
+        if re.search(r"/(image|thumbnail|\w+\.png)(\?|$)", request.url):
+            self._fetched.add(request)
+        if not request.url.startswith((self.url, "blob:", "data:")):
+            self.complaints.append(f"asked another host: {request.url}")
 
     def _answered(self, url: str, status: int, request: "Request") -> None:
         """The browser's own complaint of a failure says neither of what nor why."""
@@ -75,7 +83,15 @@ class Tab:
         """Wait until so many elements are there."""
         from playwright.sync_api import expect
 
-        expect(self.page.locator(selector)).to_have_count(count)
+        expect(self.page.locator(selector)).to_have_count(count, timeout=PATIENCE_MS)
+
+    def confirm(self, name: str) -> None:
+        """Press the button that removes something, once no image is on its way: of what is gone there is none."""
+        button = self.page.get_by_role("button", name=name, exact=True)
+        button.scroll_into_view_if_needed()
+        while self._fetched:
+            self.page.wait_for_timeout(50)
+        button.press("Enter")
 
     def is_wider_than_the_window(self) -> bool:
         """Whether one has to scroll sideways."""
@@ -120,7 +136,7 @@ def opened(chromium: "Browser", request: pytest.FixtureRequest) -> Iterator[Open
         screen: str = "ask", url: str = "", size: "ViewportSize" = LAPTOP, refusals: bool = False, **profile: Any
     ) -> Tab:
         page = chromium.new_context(viewport=size, **profile).new_page()
-        page.set_default_timeout(15_000)
+        page.set_default_timeout(PATIENCE_MS)
         tabs.append(Tab(page, url or request.getfixturevalue("service").url, refusals))
         tabs[-1].show(screen)
         return tabs[-1]

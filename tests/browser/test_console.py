@@ -262,7 +262,7 @@ def test_a_view_is_renamed_and_deleted_with_the_keyboard(opened: Open, service: 
     tab.page.get_by_role("button", name="Cancel").press("Enter")
     assert len(views(service, "shed")) == 3
     tab.page.get_by_role("button", name="Delete this view …").press("Enter")
-    tab.page.get_by_role("button", name="Delete the view").press("Enter")
+    tab.confirm("Delete the view")
     tab.page.locator("dialog.receipt").get_by_text("Nothing of it is left here").wait_for()
     tab.page.locator("dialog.receipt button").press("Enter")
     tab.page.get_by_label("View 1: old shed").wait_for(state="detached")
@@ -283,7 +283,7 @@ def test_a_map_is_made_and_deleted_only_once_its_name_is_typed(opened: Open, ser
     tab.page.get_by_role("button", name="Delete this map …").click()
     assert tab.page.get_by_role("button", name="Delete the map").is_disabled()
     tab.page.get_by_label("To go on, type attic").fill("attic")
-    tab.page.get_by_role("button", name="Delete the map").click()
+    tab.confirm("Delete the map")
     tab.page.locator("dialog.receipt").get_by_role("button", name="Close").click()
     tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
     assert httpx.get(f"{service.url}/maps/attic").status_code == 404

@@ -75,5 +75,5 @@ def test_what_a_key_may_not_do_is_refused_with_the_reason(opened: Open, locked: 
     sign_in(tab, keys["read"])
     tab.page.locator(".grid .cell button").click()
     tab.page.get_by_role("button", name="Delete this view …").click()
-    tab.page.get_by_role("button", name="Delete the view").click()
+    tab.confirm("Delete the view")
     assert "has the scope read; this needs write" in tab.page.get_by_role("dialog").get_by_role("alert").inner_text()

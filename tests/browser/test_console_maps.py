@@ -71,7 +71,7 @@ def test_an_owner_sees_what_a_map_lacks_and_mends_it(opened: Open, service: Runn
 
     duplicates.get_by_role("button", name="Open stairs").click()
     tab.page.get_by_role("button", name="Delete this view …").click()
-    tab.page.get_by_role("button", name="Delete the view").click()
+    tab.confirm("Delete the view")
     tab.page.locator("dialog.receipt").get_by_role("button", name="Close").click()
     tab.page.get_by_text("Duplicates: 0").wait_for()
     assert {one["place"] for one in httpx.get(f"{service.url}/views?map=site").json()["views"]} == {"hall", "gate"}
@@ -187,7 +187,7 @@ def test_a_spot_that_matched_nothing_is_named_and_known_from_then_on(opened: Ope
 
     tab.awaits(".spot", 1)
     tab.page.get_by_role("button", name="Dismiss …").click()
-    tab.page.get_by_role("button", name="Dismiss", exact=True).click()
+    tab.confirm("Dismiss")
     tab.page.get_by_role("heading", name="Nothing to name").wait_for()
     assert httpx.get(f"{service.url}/maps/quay/unknown").json()["kept"] == 0
 
@@ -219,7 +219,7 @@ def test_a_place_in_another_light_is_taken_as_a_view_of_it(opened: Open, service
     tab.page.get_by_text("No other query matched this place").wait_for()
     tab.page.get_by_role("button", name="Cancel").click()
     alone.get_by_role("button", name="Dismiss proposal …").click()
-    tab.page.get_by_role("button", name="Dismiss", exact=True).click()
+    tab.confirm("Dismiss")
     tab.page.get_by_role("heading", name="No place in another light").wait_for()
     assert httpx.get(f"{service.url}/maps/night/proposals").json()["kept"] == 0
 
@@ -288,7 +288,7 @@ def test_a_map_is_saved_to_a_file_and_restored_under_another_name(
     httpx.delete(f"{service.url}/maps/hamlet").raise_for_status()
 
     tab.page.get_by_label("Delete the snapshot of town").click()
-    tab.page.get_by_role("button", name="Delete the snapshot", exact=True).click()
+    tab.confirm("Delete the snapshot")
     tab.page.get_by_text("None yet.").wait_for()
     assert httpx.get(f"{service.url}/snapshots").json() == {"snapshots": []}
 

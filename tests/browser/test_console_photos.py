@@ -58,18 +58,24 @@ def test_what_is_blurred_is_chosen_before_the_first_photo_and_only_less_after(
 def test_a_map_forgets_its_images_once_its_name_is_typed(opened: Open, service: RunningService) -> None:
     enrolled(service, "attic", seen("rose garden"), place="attic")
     tab = opened("maps/attic", bypass_csp=True)
+    tab.awaits(".grid img[src^=blob]", 1)
     tab.page.get_by_role("button", name="Keep no images …").click()
     assert tab.page.get_by_role("button", name="Keep no images", exact=True).is_disabled()
     tab.page.get_by_label("To go on, type attic").fill("attic")
-    tab.page.get_by_role("button", name="Keep no images", exact=True).click()
+    tab.confirm("Keep no images")
     tab.page.get_by_role("heading", name="Images are not kept").wait_for()
     assert facts(service, "attic")["keep_images"] is False
     assert tab.page.get_by_role("button", name="Keep images").is_disabled()
+    view = tab.page.get_by_label("View 1: attic")
+    assert "image not kept" in view.inner_text()
+    view.click()
+    tab.page.get_by_role("dialog").get_by_text("Image not kept.").wait_for()
+    tab.page.get_by_role("button", name="Close").click()
 
     made(service, "cellar")
     tab.show("maps/cellar")
     tab.page.get_by_role("button", name="Keep no images …").click()
-    tab.page.get_by_role("button", name="Keep no images", exact=True).click()
+    tab.confirm("Keep no images")
     tab.page.get_by_role("button", name="Keep images").click()
     tab.page.get_by_role("heading", name="Images are kept").wait_for()
     assert facts(service, "cellar")["keep_images"] is True
@@ -96,7 +102,7 @@ def test_a_receipt_says_what_is_gone_and_which_snapshots_have_it(opened: Open, s
     tab = opened("maps/yard", bypass_csp=True)
     tab.page.get_by_label("View 1: mill lane").click()
     tab.page.get_by_role("button", name="Delete this view …").click()
-    tab.page.get_by_role("button", name="Delete the view").click()
+    tab.confirm("Delete the view")
     receipt = tab.page.locator("dialog.receipt")
     receipt.get_by_role("heading", name="The view is deleted").wait_for()
     assert "has 1 view of it" in receipt.inner_text()
@@ -105,14 +111,14 @@ def test_a_receipt_says_what_is_gone_and_which_snapshots_have_it(opened: Open, s
 
     tab.page.get_by_role("button", name="Delete this map …").click()
     tab.page.get_by_label("To go on, type yard").fill("yard")
-    tab.page.get_by_role("button", name="Delete the map").click()
+    tab.confirm("Delete the map")
     receipt.get_by_role("heading", name="The map yard is deleted").wait_for()
     text = receipt.inner_text()
     assert "1 view" in text
     assert "has 1 view of it" in text
     check(tab, "a receipt")
     receipt.get_by_label("Delete the snapshot of yard").click()
-    tab.page.get_by_role("button", name="Delete the snapshot", exact=True).click()
+    tab.confirm("Delete the snapshot")
     receipt.get_by_text("deleted", exact=False).last.wait_for()
     assert [one for one in httpx.get(f"{service.url}/snapshots").json()["snapshots"] if one["map"] == "yard"] == []
     receipt.get_by_role("button", name="Close").click()
@@ -149,7 +155,7 @@ def test_what_changed_is_told_and_drawn_below_an_answer(opened: Open, house: str
     tab = opened(bypass_csp=True)
     ask(tab, today, house)
     tab.page.get_by_role("button", name="What changed here?").press("Enter")
-    tab.page.get_by_role("heading", name="What changed", exact=True).wait_for(timeout=60_000)
+    tab.page.get_by_role("heading", name="What changed", exact=True).wait_for()
     assert "Gone" in tab.page.locator(".told-changes").inner_text()
     tab.awaits(".changes figure img[src^=blob]", 1)
     check(tab, "what changed")
@@ -161,12 +167,12 @@ def test_a_view_is_compared_with_an_earlier_one_of_its_place(opened: Open, servi
     others = tab.page.get_by_label("Another view from here")
     assert "1 Apr 2026" in others.locator("option:checked").inner_text()  # the one before
     tab.page.get_by_role("button", name="What changed?").click()
-    tab.page.get_by_role("heading", name="The photos cannot be laid over one another").wait_for(timeout=60_000)
+    tab.page.get_by_role("heading", name="The photos cannot be laid over one another").wait_for()
     assert "12 are needed" in tab.page.locator(".changes").inner_text()
     others.select_option(index=0)
     assert tab.page.locator(".changes h3").count() == 0
     tab.page.get_by_role("button", name="What changed?").click()
-    tab.page.get_by_role("heading", name="What changed", exact=True).wait_for(timeout=60_000)
+    tab.page.get_by_role("heading", name="What changed", exact=True).wait_for()
     assert {"Gone", "New"} <= set(tab.page.locator(".told-changes strong").all_inner_texts())
     tab.awaits(".changes figure img[src^=blob]", 1)
     check(tab, "what changed at a view")
@@ -198,4 +204,4 @@ def test_a_busy_service_is_tried_again_by_hand(opened: Open, house: str) -> None
     assert tab.page.get_by_role("button", name="What changed?").is_enabled()
     tab.page.unroute("**/changes?since=*")
     tab.page.get_by_role("button", name="What changed?").click()
-    tab.page.locator("dialog .changes h3").wait_for(timeout=60_000)
+    tab.page.locator("dialog .changes h3").wait_for()

@@ -75,6 +75,18 @@ def test_a_map_knows_the_means_over_its_compared_views(store: SqlStore) -> None:
     assert levels.updated_at == NOW
 
 
+def test_means_are_the_same_in_whichever_order_views_were_compared(store: SqlStore) -> None:
+    seqs = described(store, *(f"view {i}" for i in range(7)))
+    rows = [replace(compared(seq, 7, 0.1 * seq % 1 + 0.003), breadth=1.1 / seq) for seq in seqs]
+    found = []
+    for order in (rows, rows[::-1], rows[3:] + rows[:3], rows[::2] + rows[1::2]):
+        for row in order:
+            store.comparisons.keep("campus", ID, [row], NOW)
+        levels = store.comparisons.levels("campus")
+        found.append((levels.level, levels.gap, levels.breadth))
+    assert len(set(found)) == 1
+
+
 def test_comparisons_change_answers_and_so_the_revision(store: SqlStore) -> None:
     one, _ = described(store, "gate", "pond")
     before = store.maps.revision("campus")

@@ -4,17 +4,22 @@ import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import httpx
 import numpy as np
 import pytest
+from fastapi.testclient import TestClient
 from PIL import Image as PilImage
 from revisit_client import Revisit, RevisitProblem
 
+from app.http.application import create_app
 from scenes import Scene, scene
 from scenes.refurnishing import Piece, furnished
 from tests.stories.photos import jpeg, photo
-from tests.stories.running import RunningService
+from tests.stories.running import RunningService, settings
+from worker.runtime import build
+from worker.service.changes import ChangeService
 
 pytestmark = pytest.mark.one_database("images are compared; what is kept of it is read from both in tests/storage")
 
@@ -101,6 +106,24 @@ def test_two_views_are_compared_and_drawn(client: Revisit) -> None:
         assert sheet.width == 1280
     back = client.changes(then, since=now)
     assert len(back.changes) == len(found.changes)
+
+
+def test_photos_are_compared_once_for_words_and_drawing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = Mock(side_effect=ChangeService.compare)
+    monkeypatch.setattr(ChangeService, "compare", lambda *given: compared(*given))
+    with TestClient(create_app(build(settings(tmp_path, compare=False)))) as service:
+        then, now = (
+            service.post("/enroll?map=house&place=hall", content=taken(HALL, piece), headers=JPEG).json()["view"]["id"]
+            for piece in (CUPBOARD, CHAIR)
+        )
+        for _ in range(2):
+            found = service.get(f"/views/{now}/changes?since={then}").json()
+            assert service.get(found["links"]["drawing"]).status_code == 200
+        assert compared.call_count == 1
+        service.get(f"/views/{then}/changes?since={now}").raise_for_status()
+        assert compared.call_count == 2
+        service.delete(f"/views/{then}").raise_for_status()
+        assert service.get(f"/views/{now}/changes?since={then}").status_code == 404
 
 
 def test_the_drawing_of_a_query_is_kept_and_another_has_a_version(client: Revisit, url: str) -> None:

@@ -7,8 +7,8 @@ first soon has nearly all the weight, and with shuffled images the answer is tha
 
 Two things tell a walk on the map from one beside it. How far a robot moves on between two images is learnt from the
 drive itself (expectation maximisation as it goes), so that a path at a steady pace soon counts for more than a jumpy
-one. And what is not on the map may look like some view of it, for many images in a row: such a likeness stays where it
-is, while a path moves on.
+one. And what is not on the map may look like some view of it, for many images in a row: such a resemblance stays
+where it is, while a path moves on.
 """
 
 from dataclasses import dataclass, field, replace

@@ -1,5 +1,6 @@
 """What changed at a place: between two views of it, or between a view and a query that matched it."""
 
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -28,6 +29,9 @@ KEYPOINTS = 300
 
 LEAST_INLIERS = 12
 """Fewer keypoints than this align no two photos well enough to say what changed."""
+
+RECENT = 16
+"""Comparisons kept, since a drawing is asked for just after its words."""
 
 Status = Literal["compared", "not-aligned", "image-not-kept", "no-match"]
 
@@ -81,6 +85,7 @@ class Aligned:
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
+    id: str
     image: Image
     title: str
 
@@ -112,6 +117,7 @@ class ChangeService:
     ) -> None:
         self._maps, self._views, self._describers = maps, views, describers
         self._scheduler, self._decode, self._explanations = scheduler, decode, explanations
+        self._recent: OrderedDict[tuple[str, str, str], Comparison] = OrderedDict()
 
     def between(self, view_id: str, since: str) -> Comparison:
         """What changed from the view `since` to another one of its map.
@@ -152,10 +158,10 @@ class ChangeService:
         return f"{one.id}-{other.id}-{self._maps.get(one.map).description.id}-changes"
 
     def _query_photo(self, query_id: str) -> _Photo:
-        return _Photo(self._explanations.get(query_id).image, "now: query")
+        return _Photo(query_id, self._explanations.get(query_id).image, "now: query")
 
     def _photo(self, view: ViewRecord, when: str = "then") -> _Photo:
-        return _Photo(self._decode(self._views.image(view.id)), f"{when}: {name_of(view)}")
+        return _Photo(view.id, self._decode(self._views.image(view.id)), f"{when}: {name_of(view)}")
 
     def _two(self, view_id: str, since: str) -> tuple[MapRecord, ViewRecord, _Photo, _Photo]:
         now, then = self._views.get(view_id), self._views.get(since)
@@ -204,10 +210,19 @@ class ChangeService:
         return inliers, None if both is None else changes.find(both.then, both.now, both.transform, components)
 
     def _compare(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
-        inliers, found = self.compare(then.image, now.image, owner.description)
+        key = then.id, now.id, owner.description.id
+        known = self._recent.get(key)
+        if known is None:
+            known = self._recent[key] = self._compared(owner.description, view, then, now)
+            while len(self._recent) > RECENT:
+                self._recent.popitem(last=False)
+        return known
+
+    def _compared(self, recipe: DescriptionRecipe, view: ViewRecord, then: _Photo, now: _Photo) -> Comparison:
+        inliers, found = self.compare(then.image, now.image, recipe)
         if found is None:
-            return Comparison("not-aligned", NOT_ALIGNED.format(inliers, LEAST_INLIERS), view.id, owner.description)
-        return Comparison("compared", "", view.id, owner.description, found)
+            return Comparison("not-aligned", NOT_ALIGNED.format(inliers, LEAST_INLIERS), view.id, recipe)
+        return Comparison("compared", "", view.id, recipe, found)
 
     def _drawn(self, owner: MapRecord, view: ViewRecord, then: _Photo, now: _Photo) -> bytes:
         comparison = self._compare(owner, view, then, now)

@@ -84,10 +84,10 @@ def read_poses(name: str, data: bytes) -> list[Pose]:
             raise ValueError(f"{name}, line {number}: holds something that is no number") from None
         if not all(map(math.isfinite, values)):
             raise ValueError(f"{name}, line {number}: holds {next(v for v in values if not math.isfinite(v))}")
-        if len(values) in (8, 12) and max(map(abs, _moved(values))) > FARTHEST_M:
-            raise ValueError(f"{name}, line {number}: is further than {FARTHEST_M:g} metres from the origin")
         if len(values) not in (8, 12):
             raise ValueError(f"{name}, line {number}: has {len(values)} numbers; TUM has 8 numbers a line, KITTI 12")
+        if max(map(abs, _moved(values))) > FARTHEST_M:
+            raise ValueError(f"{name}, line {number}: is further than {FARTHEST_M:g} metres from the origin")
         if poses and (poses[0].time is None) != (len(values) == 12):
             raise ValueError(f"{name}, line {number}: has {len(values)} numbers, other than the first")
         poses.append(_of_tum(name, number, values) if len(values) == 8 else _of_kitti(values))

@@ -21,6 +21,9 @@ NOTHING: frozenset[int] = frozenset()
 OWN_QUANTILE = 0.9
 """Of what views of one place get of each other: names may hold views that share nothing."""
 
+DECIMALS = 12
+"""Of means. A database adds rows in any order, in which their last bits differ; the same views get the same answers."""
+
 
 _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 """A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
@@ -113,7 +116,7 @@ class Comparisons(Part):
             count, latest, broad, *mean = connection.execute(found).one()
             whole = COMPARISONS.c.level.is_not(None), COMPARISONS.c.own.between(0, 1)
             own = [float(value) for value in connection.scalars(sa.select(COMPARISONS.c.own).where(*of, *whole))]
-        level_mean, gap_mean, others = (float(value or 0) for value in mean)
+        level_mean, gap_mean, others = (round(float(value or 0), DECIMALS) for value in mean)
         return MapLevels(
             count,
             level_mean,
@@ -121,7 +124,7 @@ class Comparisons(Part):
             others,
             latest,
             row.revision,
-            breadth=None if broad is None else float(broad),
+            breadth=None if broad is None else round(float(broad), DECIMALS),
             own=float(np.quantile(own, OWN_QUANTILE)) if own else None,
             paired=len(own),
         )

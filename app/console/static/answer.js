@@ -1,7 +1,7 @@
 // An answer in words and pictures.
 
 import { whatChanged } from "./changes.js";
-import { bars, count, decimals, facts, folded, h, percent, place as inWords } from "./dom.js";
+import { bars, count, decimals, facts, folded, h, percent, place as inWords, sentence } from "./dom.js";
 import { drawing, image } from "./images.js";
 import { differences, pairs } from "./pairs.js";
 import { plan, surroundings } from "./plan.js";
@@ -84,10 +84,6 @@ function verdict(answer) {
         ]),
       ),
   );
-}
-
-function sentence(text) {
-  return text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "";
 }
 
 /** The plan: matched views, and where the query lies. */

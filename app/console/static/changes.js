@@ -1,7 +1,7 @@
 // What changed at a place: fetched when somebody wants to know, in words and as a drawing.
 
 import { call } from "./api.js";
-import { announce, field, h, moment, percent, problemBox } from "./dom.js";
+import { announce, field, h, moment, percent, problemBox, sentence } from "./dom.js";
 import { drawing } from "./images.js";
 
 const MOST_OTHERS = 100;
@@ -104,4 +104,3 @@ async function others(view, within) {
 
 const taken = (view) => view.captured_at ?? view.enrolled_at;
 const isNumber = (value) => typeof value === "number";
-const sentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "");

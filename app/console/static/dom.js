@@ -161,6 +161,10 @@ export const percent = (value) =>
 export const decimals = (value, digits = 2) => (value === null || value === undefined ? "–" : value.toFixed(digits));
 export const count = (value, one, many = `${one}s`) => `${value.toLocaleString("en-GB")} ${value === 1 ? one : many}`;
 
+/** Words of the service, which begin small and end without a full stop, as a sentence. */
+export const sentence = (text) =>
+  text ? `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}` : "";
+
 export function size(bytes) {
   for (const [unit, power] of [
     ["GB", 1e9],

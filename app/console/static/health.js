@@ -2,8 +2,8 @@
 
 import { call } from "./api.js";
 import { chooseMap } from "./choice.js";
-import { count, facts, folded, h, place as inWords, problemBox, table } from "./dom.js";
-import { image } from "./images.js";
+import { count, facts, folded, h, place as inWords, problemBox, sentence, table } from "./dom.js";
+import { image, thumbnail } from "./images.js";
 import { mapHead } from "./parts.js";
 import { plan, surroundings } from "./plan.js";
 import { openView } from "./view.js";
@@ -136,7 +136,7 @@ export function healthScreen(name) {
     return h(
       "button",
       { type: "button", class: "side", "aria-label": `Open ${name}`, onclick: () => openView(view, map, load) },
-      image(`${view.links.thumbnail}?size=512`, "", { width: 256, height: 192 }),
+      thumbnail(view, map, 512, { width: 256, height: 192 }),
       h("span", {}, name),
       h("span", { class: "quiet" }, view.place && inWords(view.position)),
     );
@@ -250,4 +250,3 @@ function grouped(items, keyOf) {
 
 const nameOf = (view) => view.place ?? inWords(view.position) ?? `view ${view.id.slice(-6)}`;
 const towards = (headings) => headings.map((one) => (one % 90 ? `${one}°` : SIDES[(one / 90) % 4])).join(", ");
-const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`;

@@ -7,6 +7,9 @@ const AT_ONCE = 6;
 const KEPT = 400;
 const TRIES = 4;
 
+/** What is said in the stead of an image that was removed. */
+export const NOT_KEPT = "image not kept";
+
 const kept = new Map(); // path -> promise of a blob's URL, least recently shown first
 const waiting = [];
 let running = 0;
@@ -76,6 +79,12 @@ export function image(path, alt, attributes = {}) {
   nearby.observe(element);
   paths.set(element, path);
   return element;
+}
+
+/** The thumbnail of a view, or words in its stead where the map keeps no images. */
+export function thumbnail(view, map, side, attributes = {}) {
+  if (!map.keep_images) return h("span", { class: "quiet" }, NOT_KEPT);
+  return image(`${view.links.thumbnail}?size=${side}`, "", attributes);
 }
 
 const paths = new WeakMap();

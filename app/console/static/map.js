@@ -105,7 +105,7 @@ export function mapScreen(name) {
       const views = new Views({ map: name, sort: newest.value, place }, (more) => {
         if (fills) picture.add(more.filter((view) => view.position).map(pointOf));
       });
-      const thumbnails = grid(views, all ? total : 0, open);
+      const thumbnails = grid(views, map, all ? total : 0, open);
       shown.replaceChildren(thumbnails.element);
       views.upTo(fills ? MOST_ON_PLAN : 1).then(thumbnails.draw, (error) => shown.replaceChildren(problemBox(error)));
       thumbnails.draw();

@@ -2,8 +2,8 @@
 
 import { call } from "./api.js";
 import { changesSince } from "./changes.js";
-import { bars, confirmed, facts, field, h, moment, place as inWords, problemBox, size } from "./dom.js";
-import { drawing } from "./images.js";
+import { bars, confirmed, facts, field, h, moment, place as inWords, problemBox, sentence, size } from "./dom.js";
+import { NOT_KEPT, drawing } from "./images.js";
 import { showReceipt } from "./receipt.js";
 
 /** Open a dialog with a view; `changed` is called after it was edited or deleted. */
@@ -58,7 +58,9 @@ export function openView(view, map, changed) {
     h(
       "div",
       { class: "columns" },
-      h("div", {}, h("div", { class: "row", role: "group", "aria-label": "Shown" }, choices), h("p"), picture),
+      map.keep_images
+        ? h("div", {}, h("div", { class: "row", role: "group", "aria-label": "Shown" }, choices), h("p"), picture)
+        : h("p", { class: "frame missing" }, sentence(NOT_KEPT)),
       h(
         "div",
         {},
@@ -108,7 +110,7 @@ export function openView(view, map, changed) {
   }
   dialog.addEventListener("close", () => dialog.remove());
   document.body.append(dialog);
-  choices[0].click();
+  if (map.keep_images) choices[0].click();
   dialog.showModal();
 }
 

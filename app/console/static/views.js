@@ -2,7 +2,7 @@
 
 import { pages } from "./api.js";
 import { h, place as inWords } from "./dom.js";
-import { image } from "./images.js";
+import { thumbnail } from "./images.js";
 
 const PAGE = 500;
 const SMALLEST_PX = 128;
@@ -43,9 +43,9 @@ export class Views {
 
 /**
  * A grid of thumbnails that scrolls through any number of views.
- * total: how many there are by the map's counts, so that the bar is as long from the start.
+ * map: whose views they are; total: how many there are by the map's counts, so that the bar is as long from the start.
  */
-export function grid(views, total, chosen) {
+export function grid(views, map, total, chosen) {
   const track = h("div", { class: "track", role: "list" });
   const element = h(
     "div",
@@ -101,7 +101,7 @@ export function grid(views, total, chosen) {
       h(
         "button",
         { type: "button", "aria-label": `View ${index + 1}: ${name}`, onclick: () => chosen(view) },
-        image(`${view.links.thumbnail}?size=256`, ""),
+        thumbnail(view, map, 256),
         h("span", { class: "caption" }, view.state === "ready" ? name : `${view.state}: ${name}`),
       ),
     );

@@ -1,8 +1,7 @@
 """From which revision on the attributes of a map's views are those that they are.
 
 Additive: may run before the new code. The old code never writes the column, so that attributes which it changes while
-the new code runs beside it may be filtered by as they were, until that process is restarted or a view is changed by the
-new code.
+the new code runs beside it may be filtered by as they were, for ten minutes at most (`filter_cache.KEPT_S`).
 """
 
 import sqlalchemy as sa
