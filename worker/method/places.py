@@ -54,10 +54,12 @@ class Places:
     def same(self, one: int, other: int) -> bool:
         """Whether two views, by sequence number, are of one place."""
         a, b = self._known[one], self._known[other]
-        if a.map != b.map:
-            return False
+        return a.map == b.map and self._is_same(one, other, distance(a.position, b.position))
+
+    def _is_same(self, one: int, other: int, gap: float) -> bool:
+        """`same`, of two views of one map, `gap` metres apart."""
+        a, b = self._known[one], self._known[other]
         named = a.name is not None and b.name is not None
-        gap = distance(a.position, b.position)
         if one == other or (named and a.name == b.name) or gap <= self._within:
             return True
         told_apart = named or NEIGHBOURHOOD * self._within < gap < inf
@@ -71,13 +73,11 @@ class Places:
 
     def apart(self, one: int, other: int) -> bool:
         """Whether two views are of different places and not neighbours either."""
-        if self.same(one, other):
-            return False
         a, b = self._known[one], self._known[other]
         if a.map != b.map:  # positions of two maps lie in frames of their own
             return True
         gap = distance(a.position, b.position)
-        return gap == inf or gap > NEIGHBOURHOOD * self._within
+        return gap > NEIGHBOURHOOD * self._within and not self._is_same(one, other, gap)
 
     def told_apart(self, one: int, other: int) -> bool:
         """Whether the user says of two views that they are of different places: by their positions, else by names."""

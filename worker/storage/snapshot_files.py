@@ -20,6 +20,7 @@ import re
 import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from tempfile import TemporaryFile
 from typing import BinaryIO, Literal, Protocol
 
@@ -27,6 +28,7 @@ from pydantic import ValidationError
 
 from schemas.errors import BadSnapshot
 from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
+from worker.storage.beside import Beside
 
 FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
 IMAGE, VIEWS, COMPARISONS = "images/", "views/", "comparisons/"
@@ -37,6 +39,9 @@ END = bytes(2 * BLOCK)
 MOST_FACTS = 16 * 1024 * 1024
 MOST_PART = 1024 * 1024 * 1024
 """Bytes of the largest part: each is read into memory whole."""
+
+MOST_WAITING = 16 * 1024 * 1024
+"""Bytes of parts that wait to be written: some two portions of views."""
 
 _SLACK = 64
 """Spaces after the facts, for the digits of counts that are known at the end."""
@@ -70,7 +75,9 @@ def _padding(size: int) -> bytes:
 
 
 class SnapshotWriter:
-    """Writes the parts of a snapshot; `end` makes it complete and durable.
+    """Writes the parts of a snapshot in a thread beside; `end` makes it complete and durable.
+
+    What goes wrong with a part, a full disk for one, is raised by a later call.
 
     Parameters
     ----------
@@ -82,6 +89,7 @@ class SnapshotWriter:
 
     def __init__(self, file: BinaryIO, facts: SnapshotFacts) -> None:
         self._file = file
+        self._beside = Beside("snapshot", MOST_WAITING)
         self._lines = TemporaryFile()  # noqa: SIM115
         self._numbers: dict[str, int] = {}
         self._facts_size = len(_as_bytes(facts)) + _SLACK
@@ -90,8 +98,7 @@ class SnapshotWriter:
 
     def add(self, name: str, body: bytes, digest: str | None = None) -> None:
         """Append a part; `digest`: its SHA-256, if that is known."""
-        self._put(name, body)
-        self._note(name, digest or hashlib.sha256(body).hexdigest(), len(body))
+        self._beside.do(len(body), partial(self._add, name, body, digest))
         if name.startswith(IMAGE):
             self.image_bytes += len(body)
         else:
@@ -105,6 +112,7 @@ class SnapshotWriter:
 
     def end(self, facts: SnapshotFacts) -> None:
         """Write the facts as they are now and the manifest; wait until all is on the disk."""
+        self._beside.finish()
         first = _as_bytes(facts).ljust(self._facts_size)
         if len(first) != self._facts_size:
             raise ValueError("the facts grew by more than their counts")
@@ -127,7 +135,8 @@ class SnapshotWriter:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Give up what is kept besides the file."""
+        """Stop writing, and give up what is kept besides the file."""
+        self._beside.close()
         self._lines.close()
 
     def _put(self, name: str, body: bytes) -> None:
@@ -135,8 +144,9 @@ class SnapshotWriter:
         self._file.write(body)
         self._file.write(_padding(len(body)))
 
-    def _note(self, name: str, digest: str, size: int) -> None:
-        self._lines.write(_manifest_line(name, digest, size))
+    def _add(self, name: str, body: bytes, digest: str | None) -> None:
+        self._put(name, body)
+        self._lines.write(_manifest_line(name, digest or hashlib.sha256(body).hexdigest(), len(body)))
 
 
 def _as_bytes(facts: SnapshotFacts) -> bytes:
