@@ -94,6 +94,16 @@ def test_a_video_that_breaks_off_gives_the_frames_that_it_has(tmp_path: Path) ->
         assert 5 < len(one.times_s) < 15
         for number in range(len(one.times_s) - 1):
             one.read(number)
+        assert one.broken is not None
+        assert one.broken.endswith("the file says it lasts 20.0")
+
+
+@pytest.mark.parametrize(("count", "per_second"), [(3, 0.2), (40, 25.0), (600, 30.0)])
+@pytest.mark.parametrize("ending", ["avi", "mkv", "mp4"])
+def test_a_whole_video_breaks_off_nowhere(tmp_path: Path, ending: str, count: int, per_second: float) -> None:
+    video(path := tmp_path / f"a.{ending}", frames(3) * (count // 3), per_second, "mp4v")
+    with closing(opened(path)) as one:
+        assert one.broken is None
 
 
 def test_a_frame_that_is_damaged_is_left_out(tmp_path: Path) -> None:

@@ -74,6 +74,7 @@ def test_a_video_that_breaks_off_is_enrolled_up_to_there(client: httpx.Client, t
     result = sent(client, "broken", whole[: len(whole) // 2])
     assert 4 <= result["enrolled"] < 8
     assert result["failed"] <= 1
+    assert "the file says it lasts 12.0" in result["errors"][0]["detail"]
 
 
 def test_a_360_video_becomes_eight_views_of_each_frame(client: httpx.Client, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from worker.images.apart.bag import MAGIC, Bag
 from worker.images.apart.video import Video, is_video
 from worker.service.archives import MOST_FILES
 from worker.service.bags import recording_of
-from worker.service.recordings import Item, Limits, Recording, open_archive
+from worker.service.recordings import Item, Limits, Note, Recording, open_archive
 from worker.service.thinning import thin
 
 LISTING = "listing.json"
@@ -76,4 +76,5 @@ def _video(path: Path, limits: Limits, options: ImportOptions) -> Recording:
         Item(f"{time:.3f} s", ViewAttributes(metadata={"video_s": round(time, 3)}), partial(video.read, number))
         for number, time in enumerate(video.times_s)
     ]
-    return Recording(video.close, items)
+    notes = [] if video.broken is None else [Note("the file", "malformed-body", video.broken)]
+    return Recording(video.close, items, notes=notes)

@@ -28,7 +28,7 @@ from pydantic import ValidationError
 
 from schemas.errors import BadSnapshot
 from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
-from worker.storage.beside import Beside
+from worker.storage.one_thread import OneThread
 
 FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
 IMAGE, VIEWS, COMPARISONS = "images/", "views/", "comparisons/"
@@ -89,7 +89,7 @@ class SnapshotWriter:
 
     def __init__(self, file: BinaryIO, facts: SnapshotFacts) -> None:
         self._file = file
-        self._beside = Beside("snapshot", MOST_WAITING)
+        self._thread = OneThread("snapshot", MOST_WAITING)
         self._lines = TemporaryFile()  # noqa: SIM115
         self._numbers: dict[str, int] = {}
         self._facts_size = len(_as_bytes(facts)) + _SLACK
@@ -98,7 +98,7 @@ class SnapshotWriter:
 
     def add(self, name: str, body: bytes, digest: str | None = None) -> None:
         """Append a part; `digest`: its SHA-256, if that is known."""
-        self._beside.do(len(body), partial(self._add, name, body, digest))
+        self._thread.do(len(body), partial(self._add, name, body, digest))
         if name.startswith(IMAGE):
             self.image_bytes += len(body)
         else:
@@ -112,7 +112,7 @@ class SnapshotWriter:
 
     def end(self, facts: SnapshotFacts) -> None:
         """Write the facts as they are now and the manifest; wait until all is on the disk."""
-        self._beside.finish()
+        self._thread.finish()
         first = _as_bytes(facts).ljust(self._facts_size)
         if len(first) != self._facts_size:
             raise ValueError("the facts grew by more than their counts")
@@ -136,7 +136,7 @@ class SnapshotWriter:
 
     def close(self) -> None:
         """Stop writing, and give up what is kept besides the file."""
-        self._beside.close()
+        self._thread.close()
         self._lines.close()
 
     def _put(self, name: str, body: bytes) -> None:

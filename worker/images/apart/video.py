@@ -8,6 +8,9 @@ from worker.images.codec import Limits
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # with one of which MP4 and QuickTime begin
 
+LEAST_MISSING_S, LEAST_MISSING_SHARE = 2.0, 0.02
+"""Of a video that breaks off; its sound may be a little longer than its images."""
+
 
 def is_video(head: bytes) -> bool:
     """Whether a file is a video, by its first 16 bytes: MP4, QuickTime, Matroska, WebM or AVI."""
@@ -35,6 +38,8 @@ class Video(ImageStream):
     ----------
     times_s : list of float
         When the frames are shown, ascending.
+    broken : str or None
+        How far it goes where that is less than the file says.
 
     Raises
     ------
@@ -55,6 +60,9 @@ class Video(ImageStream):
         if not known["decodes"]:
             raise _refused(f"it is damaged, or its codec ({known['codec']}) is not known here; H.264 is")
         self.times_s: list[float] = known["times_s"]
+        seen_s, stated_s = known["seen_s"], known["stated_s"]
+        whole = stated_s - seen_s <= max(LEAST_MISSING_S, LEAST_MISSING_SHARE * stated_s)
+        self.broken = None if whole else f"its images end after {seen_s:.1f} s; the file says it lasts {stated_s:.1f}"
 
 
 def _refused(why: str) -> BadBody:

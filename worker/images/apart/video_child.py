@@ -89,12 +89,16 @@ def _times(cv2: Any, path: str) -> list[float]:
 
 
 def _described(cv2: Any, path: str, times: list[float], every_s: float, max_pixels: int) -> dict[str, Any]:
-    """When the chosen frames are shown, and how large all are; whether the first can be decoded."""
+    """When the chosen frames are shown, and how large all are; how long all last, and how long the file says that they
+    do; whether the first can be decoded."""
     video = _opened(cv2, path, [])
     width, height = (int(video.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     code = int(video.get(cv2.CAP_PROP_FOURCC))
+    count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
     return {
         "times_s": [time * MILLI for time in chosen(times, every_s)[:MOST_CHOSEN]],
+        "seen_s": (times[-1] - times[0]) * MILLI + 1 / rate if times and rate > 0 else 0.0,
+        "stated_s": count / rate if count > 0 and rate > 0 else 0.0,
         "width": width,
         "height": height,
         "codec": "".join(chr(code >> 8 * i & 0xFF) for i in range(4)) if code > 0 else "unknown",

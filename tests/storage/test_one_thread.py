@@ -5,27 +5,27 @@ from functools import partial
 
 import pytest
 
-from worker.storage.beside import Beside
+from worker.storage.one_thread import OneThread
 
 
 def test_work_is_done_in_the_order_in_which_it_was_given() -> None:
     done: list[int] = []
-    beside = Beside("test", most_bytes=30)
+    thread = OneThread("test", most_bytes=30)
     for number in range(100):
-        beside.do(10, partial(done.append, number))
-    beside.finish()
-    beside.close()
+        thread.do(10, partial(done.append, number))
+    thread.finish()
+    thread.close()
     assert done == list(range(100))
 
 
 def test_no_more_waits_than_there_is_room_for() -> None:
     go_on = threading.Event()
     given: list[int] = []
-    beside = Beside("test", most_bytes=25)
+    thread = OneThread("test", most_bytes=25)
 
     def give() -> None:
         for size in (10, 10, 10):
-            beside.do(size, lambda: go_on.wait(60) and None)
+            thread.do(size, lambda: go_on.wait(60) and None)
             given.append(size)
 
     giving = threading.Thread(target=give)
@@ -34,9 +34,9 @@ def test_no_more_waits_than_there_is_room_for() -> None:
     assert given == [10, 10]
     go_on.set()
     giving.join()
-    beside.do(1000, lambda: None)  # larger than the room, and taken alone
-    beside.finish()
-    beside.close()
+    thread.do(1000, lambda: None)  # larger than the room, and taken alone
+    thread.finish()
+    thread.close()
 
 
 def test_what_went_wrong_is_raised_later_and_the_rest_is_given_up() -> None:
@@ -45,14 +45,14 @@ def test_what_went_wrong_is_raised_later_and_the_rest_is_given_up() -> None:
     def fails() -> None:
         raise OSError("no space left")
 
-    beside = Beside("test", most_bytes=100)
-    beside.do(1, fails)
+    thread = OneThread("test", most_bytes=100)
+    thread.do(1, fails)
     with pytest.raises(OSError, match="no space left"):
-        beside.finish()
-    beside.finish()  # told once
+        thread.finish()
+    thread.finish()  # told once
     block = threading.Event()
-    beside.do(1, lambda: block.wait(60) and None)
-    beside.do(1, lambda: done.append("never"))
+    thread.do(1, lambda: block.wait(60) and None)
+    thread.do(1, lambda: done.append("never"))
     threading.Timer(0.1, block.set).start()
-    beside.close()
+    thread.close()
     assert done == []

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 
-class Beside:
+class OneThread:
     """Does work in the order in which it is given, in one thread of its own.
 
     Parameters
