@@ -101,7 +101,7 @@ QUERY_ANSWER: dict[str, Any] = {
     "decision": {
         "precision": 0.97,
         "threshold": 0.93,
-        "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4},
+        "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4, "either": 1.7},
         "wrong_score": 0.31,
         "wrong_gap": 0.03,
         "wrong_breadth": 2.1,
@@ -118,12 +118,12 @@ PATCH: dict[str, Any] = {"place": "library, east door", "position": {"heading": 
 POST_CALIBRATION: dict[str, Any] = {
     "observed": [
         {
-            "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4},
+            "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4, "either": 1.7},
             "right": True,
             "block": "monday",
         },
         {
-            "features": {"gap": 0.2, "level": -0.4, "breadth": 0.3, "own": 0.1},
+            "features": {"gap": 0.2, "level": -0.4, "breadth": 0.3, "own": 0.1, "either": 0.4},
             "right": False,
             "known": False,
             "block": "tuesday",

@@ -27,7 +27,7 @@ from worker.method.places import Places
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
 CALIBRATION = Calibration(
-    ("gap", "level", "breadth", "own"),
+    ("gap", "level", "breadth", "either"),
     Logistic(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.25, 0.25, 0.5, 0.25]), np.array([1.0, 1.0, 1.0, 1.0]), 0.0),
     np.array([0.5, 0.97, 0.99]),
     np.array([0.5, 0.9, 0.95]),
@@ -83,7 +83,7 @@ def decided(
 
 
 def test_features_by_hand() -> None:
-    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0}
+    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0, "either": 0.0}
     assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0, **alone}
     assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0, **alone}
     broad = replace(usual, breadth=2.0)
@@ -92,6 +92,9 @@ def test_features_by_hand() -> None:
     assert some["gap"] == pytest.approx(np.log1p(0.0125 / 0.04))
     assert some["breadth"] == pytest.approx(np.log(2))
     assert features(0.3, 0.5, broad, 6.0)["breadth"] == 0
+    both = features(0.5, 0.3, broad, 6.0, counts=1.0)
+    assert both["either"] == pytest.approx((np.log(3) ** 2 + (3 * both["own"]) ** 2) ** 0.5)
+    assert some["either"] == some["breadth"]
 
 
 def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_shows_the_same_things() -> None:

@@ -1,7 +1,7 @@
 """Decision: from a ranking to probabilities of places, one verdict, and the reason for it.
 
 What a wrong view scores differs from map to map: 0.2 among ten parks, 0.6 in a corridor of equal doors. A score says
-little by itself. Four features say more, and mean the same in every map:
+little by itself. These features say more, and mean the same in every map:
 
 - ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
   wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
@@ -11,13 +11,15 @@ little by itself. Four features say more, and mean the same in every map:
   answers have in this map.
 - ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets
   less than wrong answers do, in other light, that much less is asked of it.
+- ``either``: `breadth` and `own` as the sides of a right angle. A broad lead needs no high score, nor this a broad lead.
 
 `own` says that the query shows something like the place, not which of two that look alike. It counts the less, the more
-keypoints of another place agree with the query too.
+keypoints of another place agree with the query too. The curve that ships reads all but `own` itself.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import hypot
 from typing import Literal
 
 import numpy as np
@@ -55,6 +57,9 @@ LEAST_RIVAL = 0.05
 LEAST_OWN, MOST_OWN = -1.0, -0.5
 """Logarithms of the ratio of a score to what views of one place get, between which it is evidence: .37 to .61 of it. In
 other light a right view gets no more than that, in the same light a look-alike does."""
+
+OWN_AS_BREADTH = 3.0
+"""What `own` counts beside `breadth` in `either`."""
 
 ALIKE_INLIERS = 10.0
 """Inliers of another place that halve what `own` is worth."""
@@ -202,11 +207,14 @@ def features(
     near = float(np.log((score + SOFTENING) / ((levels.own or USUAL_OWN) + SOFTENING)))
     # In other light everything scores less than the map's own views do: by how much, the rival tells.
     near += max(float(np.log((levels.level + SOFTENING) / (max(rival, LEAST_RIVAL) + SOFTENING))), 0.0)
+    own = counts * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN)
+    wide = float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING)))
     return {
         "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
-        "breadth": float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING))),
-        "own": counts * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN),
+        "breadth": wide,
+        "own": own,
+        "either": hypot(wide, OWN_AS_BREADTH * own),
     }
 
 
