@@ -25,7 +25,7 @@ PRECISIONS = (0.5, 0.9, 0.95, 0.97, 0.98, 0.99)
 """Wanted shares of right answers among the matched ones for which thresholds are looked for."""
 
 TOGETHER = 20
-"""Answers as which all sets together count beside the matched ones of a single set: one wrong answer of ten is chance."""
+"""Answers as which all sets together count beside the matched ones of a single set: one wrong of ten is chance."""
 
 SLACK = 0.05
 """By how much the precision of a single set, drawn so towards that of all, may fall short."""

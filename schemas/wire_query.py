@@ -165,9 +165,9 @@ class DecisionFacts(Answer):
     threshold: float = Field(description="From this confidence on: matched.")
     features: dict[str, float] = Field(
         description="What the probability was computed from. gap: log(1 + lead over the best view of another place, in "
-        "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0; breadth: log(1 + "
-        "over how much of the image that lead holds, in breadths of wrong answers); own: how near the score comes to "
-        "what views of one place get of each other here, 0..0.5; the less, the more keypoints of others agree too; either: "
+        "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0; breadth: log(1 "
+        "+ over how much of the image that lead holds, in breadths of wrong answers); own: how near the score comes to "
+        "what views of one place get of each other here, 0..0.5, less where keypoints of others agree too; either: "
         "breadth and own together, sqrt(breadth^2 + (3 own)^2)."
     )
     wrong_score: float = Field(description="What wrong answers score in this map.")

@@ -48,7 +48,7 @@ def site(client: CheckedClient, enrolled: list[dict[str, Any]]) -> Iterator[list
 def observed(n: int, right: float, gap: float, seed: int = 0, **label: Any) -> list[dict[str, Any]]:
     rng = np.random.default_rng(seed)
     found = [(float(g), float(level)) for g, level in zip(rng.normal(gap, 0.4, n), -rng.random(n) / 2, strict=True)]
-    rest = {"own": 0.3}
+    rest = {"own": 0.3, "either": 1.1}
     return [
         {
             "features": {"gap": max(g, 0.0), "level": level, "breadth": max(g, 0.0) / 2, **rest},

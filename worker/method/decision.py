@@ -11,7 +11,7 @@ little by itself. These features say more, and mean the same in every map:
   answers have in this map.
 - ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets
   less than wrong answers do, in other light, that much less is asked of it.
-- ``either``: `breadth` and `own` as the sides of a right angle. A broad lead needs no high score, nor this a broad lead.
+- ``either``: `breadth` and `own` as the sides of a right angle. A broad lead needs no high score, nor this that.
 
 `own` says that the query shows something like the place, not which of two that look alike. It counts the less, the more
 keypoints of another place agree with the query too. The curve that ships reads all but `own` itself.
