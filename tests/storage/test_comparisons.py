@@ -75,6 +75,15 @@ def test_a_map_knows_the_means_over_its_compared_views(store: SqlStore) -> None:
     assert levels.updated_at == NOW
 
 
+def test_levels_are_read_again_only_where_the_map_changed(store: SqlStore) -> None:
+    one, two = described(store, "gate", "pond")
+    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in (one, two)], NOW)
+    before = store.comparisons.levels("campus")
+    assert store.comparisons.levels("campus") is before
+    store.removals.delete_view(store.views.at([one])[one].id)
+    assert store.comparisons.levels("campus").compared == 1
+
+
 def test_means_are_the_same_in_whichever_order_views_were_compared(store: SqlStore) -> None:
     seqs = described(store, *(f"view {i}" for i in range(7)))
     rows = [replace(compared(seq, 7, 0.1 * seq % 1 + 0.003), breadth=1.1 / seq) for seq in seqs]
