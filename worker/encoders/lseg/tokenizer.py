@@ -156,9 +156,7 @@ def extra(package: str) -> Any:
     try:
         return importlib.import_module(package)
     except ImportError:
-        raise SetupError(
-            f"the encoder lseg needs the package {package}: {INSTALL}"
-        ) from None
+        raise SetupError(f"the encoder lseg needs the package {package}: {INSTALL}") from None
 
 
 def installed_vocabulary() -> Path:
