@@ -23,7 +23,7 @@ def add(verbs: Verbs) -> None:
         description="Queries that a map kept: those that matched nothing, by spot, to be named as places; and those "
         "that matched a place although they look unlike its views, to be taken as further views of it.",
     )
-    parser.add_argument("map", nargs="?", default="default")
+    parser.add_argument("map", nargs="?", default="default", help="which map (default: default)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--keep", type=int, metavar="N", help="keep at most N queries of each kind from now on; 0: none")
     what.add_argument("--name", nargs=2, metavar=("ID", "PLACE"), help="enrol the images of a spot as this place")
