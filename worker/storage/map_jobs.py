@@ -196,12 +196,7 @@ class MapJobs(Jobs):
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a claimed job back without counting the attempt; does nothing when the claim is void."""
-        with self._database.writing(in_turn=False, frees=True) as connection:
-            connection.execute(
-                sa.update(JOBS)
-                .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
-                .values(state="waiting", worker=None, token=None, attempts=JOBS.c.attempts - 1)
-            )
+        self._put_back(claim)
 
     # all kinds
 
