@@ -223,8 +223,10 @@ class ShadowService:
         for done, one in enumerate(queries):
             _unless(stopping)
             self._jobs.report(claim, JobProgress(done, len(queries)))
-            ask = self._of_kept if isinstance(one, KeptQuery) else self._of_view
-            rows.append(ask(name, one, old, new, among))  # type: ignore[arg-type]  # of its own kind
+            if isinstance(one, KeptQuery):
+                rows.append(self._of_kept(name, one, old, new, among))
+            else:
+                rows.append(self._of_view(name, one, old, new, among))
         return ShadowTable(
             wanted=shadow.wanted,
             recipe=by.id,
