@@ -1,6 +1,7 @@
 """Settings, commands, calls, files and versions that the documentation names exist."""
 
 import argparse
+import importlib.util
 import inspect
 import re
 import tomllib
@@ -89,6 +90,19 @@ def test_links_lead_somewhere(page: Path) -> None:
         file = page.parent / target if target else page
         assert file.exists(), link
         assert not anchor or anchor in anchors(file), link
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if page.name != "CHANGELOG.md" and page.parent.name != "decisions"],
+    ids=lambda p: p.name,
+)
+def test_files_and_modules_that_a_page_names_exist(page: Path) -> None:
+    text = page.read_text()
+    for name in re.findall(r"`((?:app|client|deploy|lab|schemas|scenes|tests|training|worker)/[\w./-]+)", text):
+        assert "NAME" in name or (ROOT / name).exists(), name
+    for module in re.findall(r"python3? -m ((?:lab|scenes|training)[\w.]*)", text):
+        assert importlib.util.find_spec(module.rstrip(".")) is not None, module
 
 
 def test_every_call_in_the_clients_page_exists() -> None:
