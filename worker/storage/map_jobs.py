@@ -94,8 +94,6 @@ class MapJobs(Jobs):
             done = {"progress_done": job.progress_total, "result": as_json(dict(result))}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **done))
 
-    # both
-
     # import
 
     def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
@@ -171,11 +169,8 @@ class MapJobs(Jobs):
         """Report the progress of a claimed job; raises LeaseLost, also when it was cancelled."""
         with self._database.writing(in_turn=False) as connection:
             job = held(connection, claim)
-            values = {
-                "progress_done": progress.done,
-                "progress_total": progress.total,
-            }
-            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
+            told = {"progress_done": progress.done, "progress_total": progress.total}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**told))
 
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
         """Begin to describe the map's views with the trained vocabulary, as the same job; raises LeaseLost."""
