@@ -185,9 +185,14 @@ class MapJobs(Jobs):
             switching.begin(connection, row, kept, row.ranking, job.id, now)
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """End a claimed job as failed, with this reason; raises LeaseLost."""
+        """End a claimed job as failed, with this reason; does nothing when the claim is void."""
         with self._database.writing() as connection:
-            _fail(connection, held(connection, claim), now, (code, detail))
+            try:
+                job = held(connection, claim)
+            except LeaseLost as error:
+                log.info("a failure of the job %s counts for nothing: %s", claim.job_id, error.detail)
+                return
+            _fail(connection, job, now, (code, detail))
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a claimed job back without counting the attempt; does nothing when the claim is void."""
