@@ -102,6 +102,8 @@ def run_views(arguments: argparse.Namespace) -> int:
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.set is not None or any(drawn.values())):
         wrong_use("--set, --image, --segmentation and --graph need the id of a view")
+    if arguments.limit < 1:
+        wrong_use("--limit is at least 1")
     filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
     if arguments.delete and arguments.id is None:
         if arguments.map is None or not any(filters.values()):
