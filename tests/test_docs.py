@@ -17,7 +17,14 @@ from app.version import VERSION
 from schemas.settings import Settings
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "client").glob("**/README.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "client").glob("README.md"),
+        *(ROOT / "client").glob("*/README.md"),
+    ]
+)
 OUTSIDE = {"set-up"}
 """Commands of the launcher itself."""
 
