@@ -24,11 +24,11 @@ from worker.method.calibration import Calibration, Logistic
 PRECISIONS = (0.5, 0.9, 0.95, 0.97, 0.98, 0.99)
 """Wanted shares of right answers among the matched ones for which thresholds are looked for."""
 
-ENOUGH = 20
-"""A set counts for the precision of each set when more answers than this are matched."""
+TOGETHER = 20
+"""Answers as which all sets together count beside the matched ones of a single set: one wrong of ten is chance."""
 
 SLACK = 0.05
-"""By how much the precision of a single set may fall short."""
+"""By how much the precision of a single set, drawn so towards that of all, may fall short."""
 
 AMBIGUOUS = 0.4
 """Probability below which an answer is no match, unless ``matched`` begins lower."""
@@ -183,10 +183,11 @@ def threshold(probability: Doubles, right: Booleans, sets: Names, precision: flo
 
 
 def _keeps(claimed: Booleans, right: Booleans, sets: Names, precision: float) -> bool:
-    if not claimed.any() or right[claimed].mean() < precision:
+    if not claimed.any() or (pooled := right[claimed].mean()) < precision:
         return False
     alone = (right[claimed & (sets == name)] for name in np.unique(sets))
-    return all(some.mean() >= precision - SLACK for some in alone if len(some) > ENOUGH)
+    drawn = ((some.sum() + TOGETHER * pooled) / (len(some) + TOGETHER) for some in alone)
+    return all(share >= precision - SLACK for share in drawn)
 
 
 def _guess(features: Doubles, right: Booleans) -> Logistic:

@@ -79,6 +79,10 @@ class MapLevels:
         Of the map when they were read.
     breadth : float or None
         Mean of `Comparison`'s; None when no comparison has one.
+    own : float or None
+        90th percentile of `Comparison`'s, what a sure view of the same place gets; None when no comparison has one.
+    paired : int
+        Number of compared views that have another view of their place.
     """
 
     compared: int = 0
@@ -88,3 +92,5 @@ class MapLevels:
     updated_at: datetime | None = None
     revision: int = 0
     breadth: float | None = None
+    own: float | None = None
+    paired: int = 0

@@ -120,7 +120,7 @@ class ObservedAnswer(_Label):
 
     features: dict[str, Annotated[float, Field(ge=-100, le=100)]] = Field(
         description="`decision.features` of the answer; empty for an answer without matches.",
-        examples=[{"gap": 1.9, "level": 0.0, "breadth": 1.2}],
+        examples=[{"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4, "either": 1.7}],
     )
     right: bool = Field(description="Whether the first place was right.")
     known: bool = Field(True, description="Whether the map has the place; false: none of its places is right.")

@@ -165,12 +165,15 @@ class DecisionFacts(Answer):
     threshold: float = Field(description="From this confidence on: matched.")
     features: dict[str, float] = Field(
         description="What the probability was computed from. gap: log(1 + lead over the best view of another place, in "
-        "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0; breadth: log(1 + "
-        "over how much of the image that lead holds, in breadths of wrong answers)."
+        "gaps of wrong answers); level: log of the score over what wrong answers get here, at most 0; breadth: log(1 "
+        "+ over how much of the image that lead holds, in breadths of wrong answers); own: how near the score comes to "
+        "what views of one place get of each other here, 0..0.5, less where keypoints of others agree too; either: "
+        "breadth and own together, sqrt(breadth^2 + (3 own)^2)."
     )
     wrong_score: float = Field(description="What wrong answers score in this map.")
     wrong_gap: float = Field(description="By how much wrong answers lead over the next place in this map.")
     wrong_breadth: float = Field(0.0, description="Over how much of the image leads of wrong answers hold in this map.")
+    own_score: float = Field(0.0, description="What sure views of one place get of each other in this map.")
     views_compared: int = Field(description="Views of the map that these were measured with.")
 
 

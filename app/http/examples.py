@@ -101,10 +101,11 @@ QUERY_ANSWER: dict[str, Any] = {
     "decision": {
         "precision": 0.97,
         "threshold": 0.93,
-        "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2},
+        "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4, "either": 1.7},
         "wrong_score": 0.31,
         "wrong_gap": 0.03,
         "wrong_breadth": 2.1,
+        "own_score": 0.72,
         "views_compared": 1730,
     },
     "matches": [MATCH],
@@ -116,8 +117,17 @@ PATCH: dict[str, Any] = {"place": "library, east door", "position": {"heading": 
 
 POST_CALIBRATION: dict[str, Any] = {
     "observed": [
-        {"features": {"gap": 1.9, "level": 0.0, "breadth": 1.2}, "right": True, "block": "monday"},
-        {"features": {"gap": 0.2, "level": -0.4, "breadth": 0.3}, "right": False, "known": False, "block": "tuesday"},
+        {
+            "features": {"gap": 1.9, "level": 0.0, "breadth": 1.2, "own": 0.4, "either": 1.7},
+            "right": True,
+            "block": "monday",
+        },
+        {
+            "features": {"gap": 0.2, "level": -0.4, "breadth": 0.3, "own": 0.1, "either": 0.4},
+            "right": False,
+            "known": False,
+            "block": "tuesday",
+        },
     ],
     "queries": [{"view": VIEW["id"], "place": VIEW["place"]}],
 }

@@ -222,6 +222,7 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
             wrong_score=decision.levels.level,
             wrong_gap=decision.levels.gap,
             wrong_breadth=decision.levels.breadth or 0.0,
+            own_score=decision.levels.own or 0.0,
             views_compared=decision.levels.compared,
         ),
         maps=[_map_answer(one, of, places) for one, of in several] if len(several) > 1 else None,

@@ -96,6 +96,8 @@ def evidence(result: QueryResult) -> dict[str, float]:
         "wrong_score": decision.levels.level,
         "wrong_gap": decision.levels.gap,
         "wrong_breadth": decision.levels.breadth or 0.0,
+        "own_score": decision.levels.own or 0.0,
+        "rival_inliers": float(results.ranking.rival_inliers or 0),
     }
     return {**decision.features, **measured}
 

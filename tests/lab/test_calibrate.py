@@ -59,6 +59,15 @@ def test_a_threshold_holds_for_each_set_and_not_only_on_the_whole() -> None:
     assert threshold(p, right, np.array(["good"] * 1000 + ["bad"] * 30), 0.97) > 0.8
 
 
+def test_a_wrong_answer_of_few_raises_no_threshold_and_many_do() -> None:
+    p = np.array([0.9] * 1000 + [0.8] * 10)
+    right = np.array([True] * 1000 + [True] * 9 + [False])
+    sets = np.array(["large"] * 1000 + ["small"] * 10)
+    assert threshold(p, right, sets, 0.97) <= 0.8
+    tenfold = np.array([0.9] * 1000 + [0.8] * 100), np.append(right[:1000], np.repeat(right[1000:], 10))
+    assert threshold(*tenfold, np.array(["large"] * 1000 + ["small"] * 100), 0.97) > 0.8
+
+
 def decision(dataset: str, kind: str, n: int, right: bool, gap: float) -> list[Decided]:
     found = {"gap": gap, "level": 0.0}
     return [Decided(dataset, "everything", f"{i}.png", kind, right, "matched", 0.5, "b", found) for i in range(n)]  # type: ignore[arg-type]

@@ -86,7 +86,7 @@ def test_every_trial_is_decided_and_each_image_encoded_once(
     assert not any(d.right for d in north if d.kind != "known")
     assert sum(d.protocol == "half of the places" for d in north) == 2 * 6
     assert sum(d.protocol == "1 place" for d in north) == 2 * (6 + 1)
-    assert all({"gap", "level", "breadth"} <= set(d.features) for d in north)
+    assert all({"gap", "level", "breadth", "own"} <= set(d.features) for d in north)
     assert {d.image for d in everything} >= {"q/p0.png", "q/p50.png"}
     assert len(ENCODER.encoded) == len(set(ENCODER.encoded)) == 12 + 6 + 8 + 4
     assert runtime.store.maps.all() == []

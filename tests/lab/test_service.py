@@ -75,7 +75,7 @@ def test_presets_know_streets_again_and_are_drawn(runtime: Runtime, walk: Datase
 def test_answers_carry_evidence_for_calibration(runtime: Runtime, walk: Dataset) -> None:
     with contender(runtime, "default").open(walk) as retriever:
         answers = query_all(walk, retriever)
-    assert {"gap", "level", "breadth", "score", "rival_score", "wrong_score"} <= set(answers.features)
+    assert {"gap", "level", "breadth", "own", "score", "rival_score", "wrong_score"} <= set(answers.features)
     assert len(answers.features["gap"]) == 15
     assert answers.features["level"].max() <= 0
 

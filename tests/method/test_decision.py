@@ -10,14 +10,25 @@ from hypothesis import strategies as st
 
 from schemas.comparisons import KnownView, MapLevels
 from worker.method.calibration import Calibration, Logistic
-from worker.method.decision import PRIOR, Decision, blame_image, decide, expected_levels, features, floor, own_share
+from worker.method.decision import (
+    PRIOR,
+    USUAL_OWN,
+    Decision,
+    blame_image,
+    decide,
+    expected_levels,
+    features,
+    floor,
+    own_share,
+    tells_apart,
+)
 from worker.method.evidence import Ranking
 from worker.method.places import Places
 
 LEVELS = MapLevels(compared=1000, level=0.2, gap=0.02, others=1000)
 CALIBRATION = Calibration(
-    ("gap", "level", "breadth"),
-    Logistic(np.array([1.0, 0.0, 0.0]), np.array([0.25, 0.25, 0.5]), np.array([1.0, 1.0, 1.0]), 0.0),
+    ("gap", "level", "breadth", "either"),
+    Logistic(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.25, 0.25, 0.5, 0.25]), np.array([1.0, 1.0, 1.0, 1.0]), 0.0),
     np.array([0.5, 0.97, 0.99]),
     np.array([0.5, 0.9, 0.95]),
     np.array([0.9, 0.5, 0.3]),
@@ -29,19 +40,19 @@ def ranking(
     known: Mapping[int, KnownView] | None = None,
     reranked: int = 100,
     cells: Mapping[int, Sequence[float]] | None = None,
+    inliers: int | Sequence[int] = -1,
 ) -> Ranking:
-    """Views with the sequence numbers 0, 1, ... and these scores, best first."""
+    """Views with the sequence numbers 0, 1, ... and these scores, best first; with so many inliers, or unverified."""
     n = len(scores)
     places = Places({i: (known or {}).get(i, KnownView()) for i in range(n)}, 5.0)
     rivals = [i for i in range(1, min(n, reranked)) if places.apart(0, i)]
-    nothing = np.zeros(n, np.intp)
     return Ranking(
         np.arange(n),
         np.arange(n),
         np.array(scores, np.float32),
         {},
-        nothing,
-        nothing,
+        np.broadcast_to(inliers, n),
+        np.broadcast_to(inliers, n),
         {},
         min(n, reranked),
         places,
@@ -64,20 +75,50 @@ def decided(
     precision: float = 0.97,
     searched: int = 100,
     cells: Mapping[int, Sequence[float]] | None = None,
+    inliers: int | Sequence[int] = -1,
 ) -> Decision:
-    return decide(ranking(scores, known, cells=cells), levels, CALIBRATION, precision, searched=searched)
+    return decide(
+        ranking(scores, known, cells=cells, inliers=inliers), levels, CALIBRATION, precision, searched=searched
+    )
 
 
 def test_features_by_hand() -> None:
-    usual = MapLevels(10, 0.3, 0.02)
-    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0}
-    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0}
+    usual, alone = MapLevels(10, 0.3, 0.02), {"own": 0.0, "either": 0.0}
+    assert features(0.5, 0.3, usual) == {"gap": pytest.approx(np.log(6)), "level": 0.0, "breadth": 0.0, **alone}
+    assert features(0.14, 0.2, usual) == {"gap": 0.0, "level": pytest.approx(np.log(0.5)), "breadth": 0.0, **alone}
     broad = replace(usual, breadth=2.0)
     assert features(0.5, 0.3, broad, 6.0)["breadth"] == pytest.approx(np.log(3))
     some = features(0.5, 0.3, broad, 6.0, least=0.4875)  # of the lead of .2 a sixteenth is left, of its breadth half
     assert some["gap"] == pytest.approx(np.log1p(0.0125 / 0.04))
     assert some["breadth"] == pytest.approx(np.log(2))
     assert features(0.3, 0.5, broad, 6.0)["breadth"] == 0
+    both = features(0.5, 0.3, broad, 6.0, counts=1.0)
+    assert both["either"] == pytest.approx((np.log(3) ** 2 + (3 * both["own"]) ** 2) ** 0.5)
+    assert some["either"] == some["breadth"]
+
+
+def test_a_score_that_views_of_one_place_get_is_evidence_unless_another_place_shows_the_same_things() -> None:
+    usual = MapLevels(10, 0.3, 0.02, own=0.78)
+
+    def own(score: float, inliers: int | None, others: int = 10, rival: float = 0.3) -> float:
+        return features(score, rival, usual, counts=tells_apart(inliers, others))["own"]
+
+    half = 1 - np.log(2)
+    assert own(0.38, 0) == pytest.approx(half)  # half of what they get
+    assert [own(0.38, 10), own(0.38, 30)] == pytest.approx([half / 2, half / 4])
+    assert own(0.7, 0) == own(0.95, 0) == pytest.approx(0.5)
+    assert own(0.2, 0) == 0  # a fourth is nothing
+    assert own(0.2, 0, rival=0.14) == pytest.approx(1 + np.log(0.22 / 0.8) + np.log(2))  # unless all get half of it
+    assert own(0.78, None) == 0  # nothing was verified: nobody knows whether another place shows the same
+    assert own(0.78, 0, others=0) == 0
+    assert own(0.38, 0, others=20) == own(0.38, 0) > own(0.38, 0, others=5) > own(0.38, 0, others=1)
+
+
+def test_what_views_of_one_place_get_is_taken_from_other_maps_while_few_are_known() -> None:
+    few, many = (expected_levels(MapLevels(100, 0.3, 0.02, 99, own=0.5, paired=n)).own for n in (4, 4000))
+    assert expected_levels(MapLevels(100, 0.3, 0.02, 99)).own == USUAL_OWN
+    assert few == pytest.approx((0.5 + USUAL_OWN) / 2)
+    assert many == pytest.approx(0.5, abs=0.001)
 
 
 def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_to_its_own() -> None:
@@ -131,25 +172,30 @@ def test_another_view_of_the_same_place_is_no_rival() -> None:
     assert [place.views for place in one.places] == [(0, 1), (2,)]
 
 
-VIEWS = st.tuples(st.floats(0, 1), st.lists(st.integers(0, 9), min_size=3, max_size=3).map(tuple))
-"""A score, and what agrees at each of three cells."""
+SeenView = tuple[float, tuple[int, ...], int]
+"""A score, what agrees at each of three cells, and inliers."""
+
+VIEWS = st.tuples(st.floats(0, 1), st.lists(st.integers(0, 9), min_size=3, max_size=3).map(tuple), st.integers(-1, 40))
 
 
 @given(st.lists(VIEWS, min_size=1, max_size=6), st.lists(VIEWS, max_size=6), st.lists(VIEWS, max_size=6))
-@example(own=[(0.25, (0, 0, 0))], others=[(1.0, (0, 0, 0))], more=[(0.0, (0, 0, 0))])  # once spoke for the first place
-@example(own=[(0.5, (0, 0, 0))], others=[(1.0, (0, 0, 1)), (0.97265625, (0, 0, 1))], more=[(0.9765625, (0, 0, 0))])
+@example(
+    own=[(0.25, (0, 0, 0), 0)], others=[(1.0, (0, 0, 0), 0)], more=[(0.0, (0, 0, 0), 0)]
+)  # once spoke for the first
+@example(
+    own=[(0.5, (0, 0, 0), -1)],
+    others=[(1.0, (0, 0, 1), -1), (0.97265625, (0, 0, 1), -1)],
+    more=[(0.9765625, (0, 0, 0), -1)],
+)
 def test_more_views_of_a_place_never_lower_its_probability(
-    own: list[tuple[float, tuple[int, ...]]],
-    others: list[tuple[float, tuple[int, ...]]],
-    more: list[tuple[float, tuple[int, ...]]],
+    own: list[SeenView], others: list[SeenView], more: list[SeenView]
 ) -> None:
-    def probability(own: list[tuple[float, tuple[int, ...]]]) -> float:
-        views = sorted([(s, "here", w) for s, w in own] + [(s, f"there {i}", w) for i, (s, w) in enumerate(others)])[
-            ::-1
-        ]
-        cells = {i: weights for i, (_, _, weights) in enumerate(views)}
-        answer = decided([s for s, _, _ in views], named(*(name for _, name, _ in views)), cells=cells)
-        return sum(place.probability for place in answer.places if views[place.views[0]][1] == "here")
+    def probability(own: list[SeenView]) -> float:
+        views = sorted([("here", *view) for view in own] + [(f"there {i}", *view) for i, view in enumerate(others)])
+        views.sort(key=lambda view: -view[1])
+        names, scores, cells, inliers = zip(*views, strict=True)
+        answer = decided(scores, named(*names), cells=dict(enumerate(cells)), inliers=inliers)
+        return sum(place.probability for place in answer.places if names[place.views[0]] == "here")
 
     assert probability(own + more) >= probability(own) - 1e-9
 

@@ -1,5 +1,7 @@
 """Decisions of several searches become one."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -111,4 +113,7 @@ def test_levels_of_several_maps_are_means_over_their_compared_views() -> None:
     assert (both.compared, both.others) == (40, 38)
     assert [both.level, both.gap] == pytest.approx([0.3, 0.0175])
     assert pooled([one]) is one
+    known = replace(one, own=0.8, paired=3)
+    assert pooled([known, two]).own == pytest.approx(0.8)  # where no place has two views, none tells
+    assert pooled([known, replace(two, own=0.4, paired=1)]).own == pytest.approx(0.7)
     assert pooled([MapLevels(), MapLevels()]) == MapLevels()

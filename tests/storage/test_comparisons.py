@@ -65,7 +65,23 @@ def test_a_map_knows_the_means_over_its_compared_views(store: SqlStore) -> None:
     assert levels.compared == 2
     assert [levels.level, levels.gap, levels.breadth] == pytest.approx([0.3, 0.04, 1.5])
     assert levels.others == pytest.approx(4 / 3)
+    assert (levels.own, levels.paired) == (None, 0)
+    own = [replace(row, own=score) for row, score in zip(rows[:2], (0.4, 0.8), strict=True)]
+    store.comparisons.keep("campus", ID, own, NOW)
+    assert store.comparisons.levels("campus").own == pytest.approx(0.76)  # nine tenths of the way
+    assert store.comparisons.levels("campus").paired == 2
+    store.comparisons.keep("campus", ID, rows, NOW)
+    levels = store.comparisons.levels("campus")
     assert levels.updated_at == NOW
+
+
+def test_levels_are_read_again_only_where_the_map_changed(store: SqlStore) -> None:
+    one, two = described(store, "gate", "pond")
+    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in (one, two)], NOW)
+    before = store.comparisons.levels("campus")
+    assert store.comparisons.levels("campus") is before
+    store.removals.delete_view(store.views.at([one])[one].id)
+    assert store.comparisons.levels("campus").compared == 1
 
 
 def test_means_are_the_same_in_whichever_order_views_were_compared(store: SqlStore) -> None:

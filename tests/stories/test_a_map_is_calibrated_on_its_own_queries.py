@@ -48,8 +48,13 @@ def site(client: CheckedClient, enrolled: list[dict[str, Any]]) -> Iterator[list
 def observed(n: int, right: float, gap: float, seed: int = 0, **label: Any) -> list[dict[str, Any]]:
     rng = np.random.default_rng(seed)
     found = [(float(g), float(level)) for g, level in zip(rng.normal(gap, 0.4, n), -rng.random(n) / 2, strict=True)]
+    rest = {"own": 0.3, "either": 1.1}
     return [
-        {"features": {"gap": max(g, 0.0), "level": level, "breadth": max(g, 0.0) / 2}, "right": bool(hit), **label}
+        {
+            "features": {"gap": max(g, 0.0), "level": level, "breadth": max(g, 0.0) / 2, **rest},
+            "right": bool(hit),
+            **label,
+        }
         for (g, level), hit in zip(found, rng.random(n) < right, strict=True)
     ]
 

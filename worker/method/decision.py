@@ -1,7 +1,7 @@
 """Decision: from a ranking to probabilities of places, one verdict, and the reason for it.
 
 What a wrong view scores differs from map to map: 0.2 among ten parks, 0.6 in a corridor of equal doors. A score says
-little by itself. Three features say more, and mean the same in every map:
+little by itself. These features say more, and mean the same in every map:
 
 - ``gap``: by how much the best view of a place exceeds the best view of any other place, measured in the gaps that
   wrong answers have in this map. The map finds these out itself, by being queried with its own views, their places left
@@ -9,10 +9,17 @@ little by itself. Three features say more, and mean the same in every map:
 - ``level``: by how much the score falls short of what wrong answers get in this map.
 - ``breadth``: over how much of the image the place leads (`worker.method.breadth`), in the breadths that leads of wrong
   answers have in this map.
+- ``own``: how near the score comes to what views of one place get of each other in this map; where the rival gets
+  less than wrong answers do, in other light, that much less is asked of it.
+- ``either``: `breadth` and `own` as the sides of a right angle. A broad lead needs no high score, nor this that.
+
+`own` says that the query shows something like the place, not which of two that look alike. It counts the less, the more
+keypoints of another place agree with the query too. The curve that ships reads all but `own` itself.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import hypot
 from typing import Literal
 
 import numpy as np
@@ -23,6 +30,9 @@ from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS
 
 USUAL_BREADTH = 2.0
+USUAL_OWN = 0.7
+"""What sure views of one place get of each other over other maps."""
+
 PRIOR = MapLevels(compared=4, level=0.25, gap=0.03, breadth=USUAL_BREADTH)
 """What wrong answers get in maps of streets, parks and rooms, and how many compared views that is worth."""
 
@@ -40,6 +50,22 @@ NARROWING = 0.25
 
 GROUPED = 10
 """Views that are grouped into places at least; those further down the ranking never decide."""
+
+LEAST_RIVAL = 0.05
+"""Score of the rival from which on it tells how much less than the map's own views everything scores."""
+
+LEAST_OWN, MOST_OWN = -1.0, -0.5
+"""Logarithms of the ratio of a score to what views of one place get, between which it is evidence: .37 to .61 of it. In
+other light a right view gets no more than that, in the same light a look-alike does."""
+
+OWN_AS_BREADTH = 3.0
+"""What `own` counts beside `breadth` in `either`."""
+
+ALIKE_INLIERS = 10.0
+"""Inliers of another place that halve what `own` is worth."""
+
+FEW_OTHERS = 0.25
+"""Power of the share of `ENOUGH_PLACES` enrolled besides, by which it counts less: unknown twins are likelier."""
 
 FEW_VIEWS = 5
 """With fewer searched views than this, an answer that stands out from nothing says so."""
@@ -128,7 +154,9 @@ def expected_levels(levels: MapLevels) -> MapLevels:
         own * mine + (1 - own) * usual
         for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap), (broad, USUAL_BREADTH))
     )
-    return MapLevels(levels.compared, level, gap, levels.others, levels.updated_at, breadth=breadth)
+    paired = levels.paired / (levels.paired + PRIOR.compared)
+    pair = USUAL_OWN if levels.own is None else paired * levels.own + (1 - paired) * USUAL_OWN
+    return replace(levels, level=level, gap=gap, breadth=breadth, own=pair)
 
 
 def own_share(levels: MapLevels) -> float:
@@ -150,7 +178,12 @@ def floor(others: int, levels: MapLevels) -> float:
 
 
 def features(
-    score: float, rival: float, levels: MapLevels, breadth: float = 0.0, least: float = 0.0
+    score: float,
+    rival: float,
+    levels: MapLevels,
+    breadth: float = 0.0,
+    least: float = 0.0,
+    counts: float = 0.0,
 ) -> dict[str, float]:
     """Features of a place; each grows with the evidence for it.
 
@@ -166,14 +199,39 @@ def features(
         Of the lead over that view, at least 0.
     least : float
         Score that the rival is taken to have at least (`floor`); what is left of the lead is a little less broad.
+    counts : float
+        What `own` counts, 0..1 (`tells_apart`): 0 for a place that is not the first.
     """
     lead, left = (max(score - other, 0.0) for other in (rival, max(rival, least)))
     broad = breadth * (left / lead) ** NARROWING if lead > 0 else 0.0
+    near = float(np.log((score + SOFTENING) / ((levels.own or USUAL_OWN) + SOFTENING)))
+    # In other light everything scores less than the map's own views do: by how much, the rival tells.
+    near += max(float(np.log((levels.level + SOFTENING) / (max(rival, LEAST_RIVAL) + SOFTENING))), 0.0)
+    own = counts * (min(max(near, LEAST_OWN), MOST_OWN) - LEAST_OWN)
+    wide = float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING)))
     return {
         "gap": float(np.log1p(left / (levels.gap + SOFTENING))),
         "level": min(float(np.log((score + SOFTENING) / (levels.level + SOFTENING))), 0.0),
-        "breadth": float(np.log1p(broad / ((levels.breadth or 0.0) + BREADTH_SOFTENING))),
+        "breadth": wide,
+        "own": own,
+        "either": hypot(wide, OWN_AS_BREADTH * own),
     }
+
+
+def tells_apart(rival_inliers: int | None, others: int) -> float:
+    """What evidence for a place counts that a look-alike would have too, 0..1.
+
+    Parameters
+    ----------
+    rival_inliers : int or None
+        Largest number of any other place; None where nothing was verified: then nobody knows, and it counts nothing.
+    others : int
+        Number of other places.
+    """
+    if rival_inliers is None:
+        return 0.0
+    enough = min(others / ENOUGH_PLACES, 1.0) ** FEW_OTHERS
+    return float(enough / (1 + rival_inliers / ALIKE_INLIERS))
 
 
 def decide(
@@ -218,9 +276,9 @@ def decide(
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
     scores = [float(ranking.scores[group[0]]) for group in groups]
     least = floor(ranking.others, usual)
-    first = features(
-        scores[0], _score(ranking, rival), usual, ranking.breadth(ranking.rivals), least if measured_alike else 1.0
-    )
+    counts = tells_apart(ranking.rival_inliers, ranking.others)
+    broad, lowest = ranking.breadth(ranking.rivals), least if measured_alike else 1.0
+    first = features(scores[0], _score(ranking, rival), usual, broad, lowest, counts)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
     for group, p in zip(groups, calibration.probabilities(read), strict=True):
@@ -231,12 +289,13 @@ def decide(
     if status == "ambiguous" and len(groups) == 1 and rival is None:
         status = "no_match"
     alone = ranking.breadth(())
-    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least)])
+    undisputed = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
+    [unrivalled] = calibration.probabilities([features(scores[0], 0.0, usual, alone, least, undisputed)])
     outrivalled = rival is not None and unrivalled >= threshold
     if status == "no_match" and outrivalled and rival is not None and ranking.places.alike(seqs[0], seqs[rival]):
         unlike = views_unlike(ranking)
         best = unlike[0] if unlike else None
-        together = features(scores[0], _score(ranking, best), usual, ranking.breadth(unlike), least)
+        together = features(scores[0], _score(ranking, best), usual, ranking.breadth(unlike), least, counts)
         if calibration.probabilities([together])[0] >= threshold:
             status = "ambiguous"
     reason = _reason(status, outrivalled, searched)

@@ -159,6 +159,13 @@ class Ranking:
         """Index of the best view of another place than the first; None when there is none."""
         return self.rivals[0] if self.rivals else None
 
+    @property
+    def rival_inliers(self) -> int | None:
+        """Largest number of inliers of a view of another place, at least 0; None when no view was verified."""
+        if not (self.inliers >= 0).any():
+            return None
+        return max([0, *(int(self.inliers[i]) for i in self.rivals)])
+
     def breadth(self, others: Sequence[int], first: int = 0) -> float:
         """Over how much of the query a place leads over views of others: `worker.method.breadth.breadth`.
 

@@ -85,6 +85,7 @@ def pooled(levels: Sequence[MapLevels]) -> MapLevels:
         return levels[0]
     shares = [one.compared / compared for one in levels]
     breadths = [one.breadth for one in levels if one.breadth is not None]
+    paired = sum(one.paired for one in levels)
     return MapLevels(
         compared=compared,
         level=sum(share * one.level for share, one in zip(shares, levels, strict=True)),
@@ -94,6 +95,8 @@ def pooled(levels: Sequence[MapLevels]) -> MapLevels:
         breadth=sum(share * one for share, one in zip(shares, breadths, strict=True))
         if len(breadths) == len(levels)
         else None,
+        own=sum((one.own or 0.0) * one.paired for one in levels) / paired if paired else None,
+        paired=paired,
     )
 
 

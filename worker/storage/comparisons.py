@@ -1,21 +1,31 @@
 """Comparisons of views with the other views of their map."""
 
 import json
+from collections import OrderedDict
 from collections.abc import Sequence
 from datetime import datetime
 from functools import cache
 from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
 
 from schemas.comparisons import Comparison, KnownView, MapLevels
 from schemas.health import SurveyedView, Uncompared
 from worker.storage import checksums, clock
+from worker.storage.database import Database
+from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.rows import attributes_of, batches, find_map, has_whole_attributes, log
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
 NOTHING: frozenset[int] = frozenset()
+
+OWN_QUANTILE = 0.9
+"""Of what views of one place get of each other: names may hold views that share nothing."""
+
+MOST_KEPT = 1000
+"""Maps whose levels are kept in memory while they do not change."""
 
 DECIMALS = 12
 """Of means. A database adds rows in any order, in which their last bits differ; the same views get the same answers."""
@@ -27,6 +37,10 @@ _SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
 
 class Comparisons(Part):
     """What views find when their own map is queried with them, and what is known of views besides their images."""
+
+    def __init__(self, database: Database, images: ImageStore) -> None:
+        super().__init__(database, images)
+        self._levels: OrderedDict[tuple[int, str], MapLevels] = OrderedDict()
 
     def last_revision(self) -> int:
         """The last revision given to any map: while it stays, nothing new is due."""
@@ -97,22 +111,19 @@ class Comparisons(Part):
                     clock.tick(connection, row.id)
 
     def levels(self, name: str, recipe: str | None = None) -> MapLevels:
-        """Means over the compared views of a map, by its recipe or another one; raises NotFound."""
+        """What the compared views of a map got, by its recipe or another one; raises NotFound."""
         with self._database.reading() as connection:
             row = find_map(connection, name)
-            # Within the range of scores: one damaged number must not carry the mean away.
-            level, gap = (
-                sa.case((column.between(0, 1), column)) for column in (COMPARISONS.c.level, COMPARISONS.c.gap)
-            )
-            breadth = sa.case((COMPARISONS.c.breadth.between(0, 1000), COMPARISONS.c.breadth))
-            made_at = COMPARISONS.c.made_at
-            means = (sa.func.avg(column) for column in (breadth, level, gap, COMPARISONS.c.others))
-            of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == (recipe or row.recipe)
-            found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
-            count, latest, broad, *mean = connection.execute(found).one()
-        own_level, own_gap, others = (round(float(value or 0), DECIMALS) for value in mean)
-        breadth_mean = None if broad is None else round(float(broad), DECIMALS)
-        return MapLevels(count, own_level, own_gap, others, latest, row.revision, breadth_mean)
+            key = row.id, recipe or row.recipe
+            kept = self._levels.get(key)
+            if kept is not None and kept.revision == row.revision:
+                return kept
+            levels = _levels(connection, row, key[1])
+        if key[1] == row.recipe:  # comparisons by another one give the map no revision
+            self._levels[key] = levels
+            while len(self._levels) > MOST_KEPT:
+                self._levels.popitem(last=False)
+        return levels
 
     def survey(self, name: str, most: int) -> tuple[list[SurveyedView], int]:
         """The newest `most` described views of a map with their comparisons, and how many views are described.
@@ -203,3 +214,28 @@ def _whole_same_spot(row: sa.Row[Any]) -> frozenset[int] | None:
     except ValueError:
         log.error("view %s: its stored comparison with its map is damaged; it is left out", row.id)
         return None
+
+
+def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str) -> MapLevels:
+    # Within the range of scores: one damaged number must not carry the mean away.
+    level, gap = (sa.case((column.between(0, 1), column)) for column in (COMPARISONS.c.level, COMPARISONS.c.gap))
+    breadth = sa.case((COMPARISONS.c.breadth.between(0, 1000), COMPARISONS.c.breadth))
+    made_at = COMPARISONS.c.made_at
+    means = (sa.func.avg(column) for column in (breadth, level, gap, COMPARISONS.c.others))
+    of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == recipe
+    found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
+    count, latest, broad, *mean = connection.execute(found).one()
+    whole = COMPARISONS.c.level.is_not(None), COMPARISONS.c.own.between(0, 1)
+    own = [float(value) for value in connection.scalars(sa.select(COMPARISONS.c.own).where(*of, *whole))]
+    level_mean, gap_mean, others = (round(float(value or 0), DECIMALS) for value in mean)
+    return MapLevels(
+        count,
+        level_mean,
+        gap_mean,
+        others,
+        latest,
+        row.revision,
+        breadth=None if broad is None else round(float(broad), DECIMALS),
+        own=float(np.quantile(own, OWN_QUANTILE)) if own else None,
+        paired=len(own),
+    )
