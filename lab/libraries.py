@@ -17,7 +17,8 @@ def for_studies() -> Iterator[None]:
         yield
     except ModuleNotFoundError as missing:
         raise SetupError(
-            f"studies need {missing.name}, which is not installed; `./revisit test` installs it with the other tools"
+            f"studies need {missing.name}, which is not installed: "
+            f"`.venv/bin/pip install {missing.name}`, or `./revisit test`"
         ) from None
 
 

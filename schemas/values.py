@@ -195,11 +195,11 @@ def _finite(text: str) -> float:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    whole = dict(pairs)
-    if len(whole) != len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"has the name {twice!r} twice")
+    whole: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in whole:
+            raise ValueError(f"has the name {name!r} twice")
+        whole[name] = value
     return whole
 
 

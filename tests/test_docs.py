@@ -1,8 +1,11 @@
 """Settings, commands, calls, files and versions that the documentation names exist."""
 
 import argparse
+import importlib.util
+import inspect
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,14 @@ from app.version import VERSION
 from schemas.settings import Settings
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "client").glob("README.md"),
+        *(ROOT / "client").glob("*/README.md"),
+    ]
+)
 OUTSIDE = {"set-up"}
 """Commands of the launcher itself."""
 
@@ -59,17 +69,47 @@ def test_every_command_that_a_page_shows_exists_with_its_options(page: Path) -> 
 
 
 def test_every_setting_that_files_name_exists() -> None:
-    known = {f"REVISIT_{name}".upper() for name in Settings.model_fields} | {"REVISIT_GPU", "REVISIT_SHARED"}
+    known = {f"REVISIT_{name}".upper() for name in Settings.model_fields} | {
+        "REVISIT_GPU",
+        "REVISIT_SHARED",
+        "REVISIT_TEST_POSTGRES",
+    }
     for path in [*PAGES, ROOT / "Dockerfile", *(p for p in (ROOT / "deploy").iterdir() if p.is_file())]:
         named = set(re.findall(r"REVISIT_[A-Z_]*[A-Z]", path.read_text()))
         assert named <= known, path.name
 
 
+@cache
+def anchors(page: Path) -> set[str]:
+    """Where links into a page may lead: its headings in small letters, with hyphens for blanks and no punctuation."""
+    heads = re.findall(
+        r"^#+ (.+)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE), re.MULTILINE
+    )
+    return {re.sub(r"[^\w -]", "", re.sub(r"\]\(.*?\)", "", head)).lower().replace(" ", "-") for head in heads}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
-        if not target.startswith("http"):
-            assert (page.parent / target).exists(), target
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        target, _, anchor = link.partition("#")
+        if target.startswith("http"):
+            continue
+        file = page.parent / target if target else page
+        assert file.exists(), link
+        assert not anchor or anchor in anchors(file), link
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if page.name != "CHANGELOG.md" and page.parent.name != "decisions"],
+    ids=lambda p: p.name,
+)
+def test_files_and_modules_that_a_page_names_exist(page: Path) -> None:
+    text = page.read_text()
+    for name in re.findall(r"`((?:app|client|deploy|lab|schemas|scenes|tests|training|worker)/[\w./-]+)", text):
+        assert "NAME" in name or (ROOT / name).exists(), name
+    for module in re.findall(r"python3? -m ((?:lab|scenes|training)[\w.]*)", text):
+        assert importlib.util.find_spec(module.rstrip(".")) is not None, module
 
 
 def test_every_call_in_the_clients_page_exists() -> None:
@@ -78,6 +118,19 @@ def test_every_call_in_the_clients_page_exists() -> None:
 
     assert named
     assert named <= set(dir(Revisit))
+
+
+def test_the_clients_page_names_every_call_with_its_options() -> None:
+    page = (ROOT / "docs" / "client.md").read_text()
+    filters = set(inspect.signature(Revisit.delete_views).parameters) - {"self", "map", "all"}
+    for name, call in inspect.getmembers(Revisit, inspect.isfunction):
+        if name.startswith("_") or name == "close":
+            continue
+        (row,) = re.findall(rf"^\|.*`{name}\(.*$", page, re.MULTILINE)
+        options = {one.name for one in inspect.signature(call).parameters.values() if one.kind is one.KEYWORD_ONLY}
+        told = set(re.findall(r"(\w+)=", re.findall(rf"`{name}\(([^`]*)`", row)[0]))
+        told |= filters if "filters of `query`" in row else set()
+        assert "..." in row or options <= told, f"{name}: {options - told}"
 
 
 def test_one_version_everywhere() -> None:

@@ -26,6 +26,9 @@ log = logging.getLogger("revisit.worker")
 AHEAD = 2
 """Batches claimed ahead: one is decoded while the other is encoded."""
 
+IDLE_S = 0.5
+"""Seconds to sleep when no image waits; `Loop.wake` ends the sleep."""
+
 PRUNE_EVERY_S = 5.0
 """Seconds between checks for unused descriptions."""
 
@@ -102,7 +105,7 @@ class Loop:
         Parts of the store.
     scheduler : Scheduler
     describers : Describers
-    work : function
+    map_jobs : mapping of kind to function
         Does a job of a map; its second argument returns whether to stop.
     compare : function
         Compares a portion of views with the others of their map, and returns whether there was anything to do; its
@@ -119,8 +122,6 @@ class Loop:
         Why the image of a job is refused, by its description, in words; None when it is not.
     trouble : StoringTrouble
         Is told when descriptions cannot be stored. They are kept and tried again until they can.
-    idle_s : float
-        Seconds to sleep when no job waits; `wake` ends the sleep.
     """
 
     def __init__(
@@ -139,7 +140,6 @@ class Loop:
         batch: int,
         trouble: StoringTrouble,
         refused: Callable[[Claim, Description], str | None] = lambda claim, description: None,
-        idle_s: float = 0.5,
     ) -> None:
         self._jobs, self._views, self._pruning = jobs, views, pruning
         self._scheduler = scheduler
@@ -150,7 +150,6 @@ class Loop:
         self._batch = batch
         self._trouble = trouble
         self._map_trouble = StoringTrouble("comparisons and what is learned of maps", MAP_PAUSE_S)
-        self._idle_s = idle_s
         self._awake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self.run, name="revisit-worker", daemon=True)
@@ -207,13 +206,13 @@ class Loop:
                     self._trouble.ends()  # looking for jobs, which needs the store, went well
                     self._decoded.clear()
                     self._idle.set()
-                    self._awake.wait(self._idle_s)
+                    self._awake.wait(IDLE_S)
                     self._awake.clear()
             except STORAGE_ERRORS as error:
                 self._stopping.wait(self._trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
-                self._stopping.wait(self._idle_s)
+                self._stopping.wait(IDLE_S)
         for item in underway:
             self._put_back(item)
 
@@ -245,13 +244,13 @@ class Loop:
                 compared = self._compare(not self._idle.is_set(), self._map_awake.wait)
                 self._map_trouble.ends()
                 if not compared:
-                    self._map_awake.wait(max(self._idle_s, MAP_WORK_EVERY_S))
+                    self._map_awake.wait(MAP_WORK_EVERY_S)
                 self._map_awake.clear()
             except STORAGE_ERRORS as error:
                 self._stopping.wait(self._map_trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
-                self._stopping.wait(self._idle_s)
+                self._stopping.wait(IDLE_S)
 
     def _take(self, count: int) -> list[_Underway]:
         if count <= 0:

@@ -1,16 +1,17 @@
 """``revisit maps | views | places``: list, show and delete maps and views, list places."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.cli.console import DONE, Verbs, json_object, say, show, show_json, size, speaks, table
+from app.cli.console import DONE, Verbs, json_object, say, show, show_json, size, speaks, table, wrong_use
 from app.cli.filters import chooses, chosen
 
 if TYPE_CHECKING:
-    from revisit_client.wire import Deleted
+    from revisit_client import Revisit
+    from revisit_client.wire import Deleted, View
 
 
 def add(verbs: Verbs) -> None:
@@ -28,10 +29,10 @@ def add(verbs: Verbs) -> None:
 
     views = verbs.add_parser("views", help="list views, show, change or delete one")
     views.add_argument("id", nargs="?", help="show this view")
-    views.add_argument("--map")
+    views.add_argument("--map", help="of this map alone")
     chooses(views)
     views.add_argument("--words", help="labels such as fence,pole+sign: views of --map by how much of them these are")
-    views.add_argument("--state", choices=("pending", "ready", "failed"))
+    views.add_argument("--state", choices=("pending", "ready", "failed"), help="of this state alone")
     views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
     views.add_argument("--newest", action="store_true", help="newest first")
     views.add_argument(
@@ -50,7 +51,7 @@ def add(verbs: Verbs) -> None:
     views.set_defaults(run=run_views)
 
     places = verbs.add_parser("places", help="list places")
-    places.add_argument("--map")
+    places.add_argument("--map", help="of this map alone")
     speaks(places)
     places.set_defaults(run=run_places)
 
@@ -59,8 +60,6 @@ def run_maps(arguments: argparse.Namespace) -> int:
     """List maps, or show, change or delete one."""
     from revisit_client import Revisit
 
-    from app.cli.console import wrong_use
-
     if arguments.name is None and (arguments.delete or arguments.refuse_poor is not None):
         wrong_use("--delete and --refuse-poor need the name of a map")
     if arguments.delete and arguments.refuse_poor is not None:
@@ -68,11 +67,7 @@ def run_maps(arguments: argparse.Namespace) -> int:
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete:
             receipt = revisit.delete_map(arguments.name)
-            if arguments.json:
-                show_json(receipt.model_dump(mode="json"))
-            else:
-                show(f"deleted {arguments.name}: {receipt.views} views, {receipt.images} images{_left(receipt)}")
-            return DONE
+            return _deleted(arguments, receipt, f"{arguments.name}: {receipt.views} views, {receipt.images} images")
         if arguments.refuse_poor is not None:
             maps = [revisit.change_map(arguments.name, refuse_poor=arguments.refuse_poor == "yes")]
         else:
@@ -101,15 +96,14 @@ def run_maps(arguments: argparse.Namespace) -> int:
 
 
 def run_views(arguments: argparse.Namespace) -> int:
-    """List views, or show, draw or delete one; or delete those of a map that pass filters."""
+    """List views, or show, draw, change or delete one; or delete those of a map that pass filters."""
     from revisit_client import Revisit
-
-    from app.cli.console import wrong_use
-    from app.cli.query import position_text
 
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.set is not None or any(drawn.values())):
         wrong_use("--set, --image, --segmentation and --graph need the id of a view")
+    if arguments.limit < 1:
+        wrong_use("--limit is at least 1")
     filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
     if arguments.delete and arguments.id is None:
         if arguments.map is None or not any(filters.values()):
@@ -119,33 +113,14 @@ def run_views(arguments: argparse.Namespace) -> int:
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete and arguments.id is None:
             receipt = revisit.delete_views(arguments.map, **filters)
-            if arguments.json:
-                show_json(receipt.model_dump(mode="json"))
-            else:
-                show(f"deleted {receipt.views} views, {receipt.images} images{_left(receipt)}")
-            return DONE
+            return _deleted(arguments, receipt, f"{receipt.views} views, {receipt.images} images")
         if arguments.delete:
             receipt = revisit.delete(arguments.id)
-            if arguments.json:
-                show_json(receipt.model_dump(mode="json"))
-            else:
-                show(f"deleted {arguments.id}: {receipt.images} images{_left(receipt)}")
-            return DONE
-        draw: dict[str, Callable[[str], bytes]] = {
-            "image": revisit.image,
-            "segmentation": partial(revisit.segmentation, overlay=True, legend=True),
-            "graph": partial(revisit.graph, legend=True),
-        }
-        for kind, path in drawn.items():
-            if path is not None:
-                path.write_bytes(draw[kind](arguments.id))
-                say(f"{kind}: {path}")
-        if changes is not None:
-            show_json(revisit.patch(arguments.id, **changes).model_dump(mode="json"))
-            return DONE
+            return _deleted(arguments, receipt, f"{arguments.id}: {receipt.images} images")
         if arguments.id is not None:
-            # A view has too many fields for a table.
-            show_json(revisit.view(arguments.id).model_dump(mode="json"))
+            _draw(revisit, arguments.id, drawn)
+            view = revisit.view(arguments.id) if changes is None else revisit.patch(arguments.id, **changes)
+            show_json(view.model_dump(mode="json"))  # it has too many fields for a table
             return DONE
         views = list(
             revisit.views(
@@ -160,6 +135,28 @@ def run_views(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show_json([view.model_dump(mode="json") for view in views])
         return DONE
+    show(_table(views))
+    if len(views) == arguments.limit:
+        say(f"the first {arguments.limit}; --limit shows more")
+    return DONE
+
+
+def _draw(revisit: "Revisit", view_id: str, files: Mapping[str, Path | None]) -> None:
+    """Write images of a view to files, by their kinds."""
+    draw: dict[str, Callable[[str], bytes]] = {
+        "image": revisit.image,
+        "segmentation": partial(revisit.segmentation, overlay=True, legend=True),
+        "graph": partial(revisit.graph, legend=True),
+    }
+    for kind, path in files.items():
+        if path is not None:
+            path.write_bytes(draw[kind](view_id))
+            say(f"{kind}: {path}")
+
+
+def _table(views: "Sequence[View]") -> str:
+    from app.cli.query import position_text
+
     heads = ("view", "map", "place", "state", "enrolled", "position", "file", "image")
     rows = [
         (
@@ -174,10 +171,7 @@ def run_views(arguments: argparse.Namespace) -> int:
         )
         for view in views
     ]
-    show(table(heads, rows))
-    if len(views) == arguments.limit:
-        say(f"the first {arguments.limit}; --limit shows more")
-    return DONE
+    return table(heads, rows)
 
 
 def run_places(arguments: argparse.Namespace) -> int:
@@ -198,9 +192,14 @@ def run_places(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def _left(receipt: "Deleted") -> str:
-    """What a deletion did not reach, in words."""
+def _deleted(arguments: argparse.Namespace, receipt: "Deleted", what: str) -> int:
+    """Tell what was deleted, and what the deletion did not reach."""
     named = [one.id for one in receipt.snapshots]
     if receipt.snapshots_of_others:
         named.append(f"{receipt.snapshots_of_others} of other maps")
-    return f"; snapshots that may still have some of it: {', '.join(named)}" if named else ""
+    if arguments.json:
+        show_json(receipt.model_dump(mode="json"))
+    else:
+        left = f"; snapshots that may still have some of it: {', '.join(named)}" if named else ""
+        show(f"deleted {what}{left}")
+    return DONE

@@ -35,7 +35,7 @@ def add(verbs: Verbs) -> None:
         help="columns: file (relative to the CSV), and place (empty: none of the map's places), or x and y, or lat and "
         "lon; optionally block, such as a drive. Rows in the order of capture",
     )
-    parser.add_argument("--map", default="default")
+    parser.add_argument("--map", default="default", help="which map (default: default)")
     parser.add_argument(
         "--within", type=float, default=0.0, metavar="METRES",
         help="a first place this near a labelled position is right (at least the map's same_place_m)",

@@ -10,7 +10,7 @@ from app.cli.serve import settings_of
 def add(verbs: Verbs) -> None:
     """Declare the command."""
     migrate = verbs.add_parser("migrate", help="bring the database of a stopped service up to date")
-    migrate.add_argument("--data", type=Path)
+    migrate.add_argument("--data", type=Path, help="data folder of the stopped service (default: data)")
     migrate.set_defaults(run=run_migrate)
 
 

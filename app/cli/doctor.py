@@ -31,7 +31,7 @@ def add(verbs: Verbs) -> None:
         "running, query with enrolled images: each has to find itself. One finding a line: what, where, what to do. "
         "Exit code 1 when there is any.",
     )
-    doctor.add_argument("--data", type=Path)
+    doctor.add_argument("--data", type=Path, help="data folder of the service (default: data)")
     doctor.add_argument(
         "--all", action="store_true", help=f"query with all enrolled images, not with {SAMPLE} of a map"
     )

@@ -1,22 +1,18 @@
 """``revisit encode``: an encoder that several nodes share."""
 
 import argparse
-import logging
 import os
-import signal
 import socket
 from typing import TYPE_CHECKING
 
 from app.cli import logs
-from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
-from app.cli.listening import address, is_loopback, listen
+from app.cli.console import Failure, Verbs, show
+from app.cli.listening import address, is_loopback, listen, serve_until_stopped
 from app.cli.processor import check_processor
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
     from schemas.settings import Settings
-
-log = logging.getLogger("revisit")
 
 
 def add(verbs: Verbs) -> None:
@@ -62,7 +58,6 @@ def run_encode(arguments: argparse.Namespace) -> int:
 
 def _encode(settings: "Settings", listening: socket.socket) -> int:
     from app.http.encoding import encoder_application
-    from app.http.server import Server, configured
     from worker.configure import configure
     from worker.encoders.choosing import batch_of, make_encoder_to_share
     from worker.service.encoding import EncodingService
@@ -74,13 +69,12 @@ def _encode(settings: "Settings", listening: socket.socket) -> int:
         lambda observe: EncodingService(encoder, batch_of(settings), observe, segmenter=segmenter), settings
     )
     shared = app.state.shared
-    # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: None)
     url = address(settings.host, listening.getsockname()[1])
-    server = Server(
-        configured(app, settings),
-        settings.grace_s,
+    return serve_until_stopped(
+        app,
+        settings,
+        listening,
+        "encoder",
         drain=shared.drain,
         announce=lambda: show(
             f"revisit encodes at {url}\n"
@@ -89,9 +83,3 @@ def _encode(settings: "Settings", listening: socket.socket) -> int:
             f"  nodes     REVISIT_ENCODER_URL={url}"
         ),
     )
-    server.run(sockets=[listening])
-    if not server.started:
-        say("revisit: the encoder could not start; the reason is above")
-        return FAILED
-    log.info("stopped")
-    return DONE

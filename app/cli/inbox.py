@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from app.cli.console import DONE, Failure, Verbs, json_object, say, show, show_json, speaks, table, wrong_use
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
     from revisit_client import Revisit
     from revisit_client.wire import Proposals, UnknownPlaces
 
@@ -23,7 +24,7 @@ def add(verbs: Verbs) -> None:
         description="Queries that a map kept: those that matched nothing, by spot, to be named as places; and those "
         "that matched a place although they look unlike its views, to be taken as further views of it.",
     )
-    parser.add_argument("map", nargs="?", default="default")
+    parser.add_argument("map", nargs="?", default="default", help="which map (default: default)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--keep", type=int, metavar="N", help="keep at most N queries of each kind from now on; 0: none")
     what.add_argument("--name", nargs=2, metavar=("ID", "PLACE"), help="enrol the images of a spot as this place")
@@ -52,14 +53,12 @@ def run(arguments: argparse.Namespace) -> int:
         wrong_use("--position goes with --name")
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.keep is not None:
-            revisit.change_map(arguments.map, keep_queries=arguments.keep, keep_matches=arguments.keep)
-            say(f"{arguments.map}: at most {arguments.keep} queries of each kind are kept")
-            return DONE
+            facts = revisit.change_map(arguments.map, keep_queries=arguments.keep, keep_matches=arguments.keep)
+            return _done(arguments, facts, f"at most {arguments.keep} queries of each kind are kept")
         if arguments.name is not None:
             spot, place = arguments.name
             named = revisit.name_unknown(arguments.map, spot, place, position=position)
-            say(f"{arguments.map}: {len(named.views)} images of {place} enrolled")
-            return DONE
+            return _done(arguments, named, f"{len(named.views)} images of {place} enrolled")
         unknown = revisit.unknown(arguments.map, limit=MOST)
         proposals = revisit.proposals(arguments.map, limit=MOST)
         if arguments.accept is not None:
@@ -72,6 +71,15 @@ def run(arguments: argparse.Namespace) -> int:
         show_json({"unknown": unknown.model_dump(mode="json"), "proposals": proposals.model_dump(mode="json")})
     else:
         _list(unknown, proposals)
+    return DONE
+
+
+def _done(arguments: argparse.Namespace, answer: "BaseModel", text: str) -> int:
+    """Tell what became of a call."""
+    if arguments.json:
+        show_json(answer.model_dump(mode="json"))
+    else:
+        say(f"{arguments.map}: {text}")
     return DONE
 
 
@@ -115,13 +123,18 @@ def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Propo
         chosen = [one for one in chosen if one.confirmed]
     elif not chosen:
         raise Failure(f"there is no proposal {arguments.accept}; `revisit inbox {arguments.map}` lists them")
-    taken = 0
+    done = []
     for one in chosen:
         accepted = revisit.accept_proposal(
             arguments.map, one.id, views=arguments.views, unconfirmed=arguments.unconfirmed
         )
-        taken += len(accepted.views)
-        show(f"{one.place or f'view {one.view}'}: {', '.join(view.id for view in accepted.views)}")
+        done.append(accepted)
+        if not arguments.json:
+            show(f"{one.place or f'view {one.view}'}: {', '.join(view.id for view in accepted.views)}")
+    if arguments.json:
+        show_json([accepted.model_dump(mode="json") for accepted in done])
+        return DONE
+    taken = sum(len(accepted.views) for accepted in done)
     say(f"{arguments.map}: {taken} views added to {len(chosen)} places; they are described in the background")
     return DONE
 
@@ -137,8 +150,7 @@ def _dismiss(
         raise Failure(
             f"nothing here is called {arguments.dismiss}; `revisit inbox {arguments.map}` lists what there is"
         )
-    say(f"{arguments.map}: {gone.queries} queries deleted, with their images")
-    return DONE
+    return _done(arguments, gone, f"{gone.queries} queries deleted, with their images")
 
 
 def _save(revisit: "Revisit", name: str, folder: Path, unknown: "UnknownPlaces", proposals: "Proposals") -> None:

@@ -44,7 +44,7 @@ def add(verbs: Verbs) -> None:
     _works(create, run_create)
     _works(commands.add_parser("list", help="list keys; never the keys themselves"), run_list)
     revoke = commands.add_parser("revoke", help="end a key for ever; a running service refuses it within a second")
-    revoke.add_argument("name")
+    revoke.add_argument("name", help="the name that it was made with")
     _works(revoke, run_revoke)
     clear = commands.add_parser("clear", help="forget all keys: anybody who reaches the service may then call")
     clear.add_argument("--yes", action="store_true", help="really")

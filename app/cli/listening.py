@@ -1,13 +1,20 @@
-"""The address that a process listens on."""
+"""The address that a process listens on, and serving there until it is told to stop."""
 
 import ipaddress
+import logging
+import signal
 import socket
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from app.cli.console import Failure
+from app.cli.console import DONE, FAILED, Failure, say
 
 if TYPE_CHECKING:
+    from starlette.types import ASGIApp
+
     from schemas.settings import Settings
+
+log = logging.getLogger("revisit")
 
 
 def is_loopback(host: str) -> bool:
@@ -41,3 +48,30 @@ def address(host: str, port: int) -> str:
     """The URL at which this machine reaches what listens there."""
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"
+
+
+def serve_until_stopped(
+    app: "ASGIApp",
+    settings: "Settings",
+    listening: socket.socket,
+    what: str,
+    *,
+    drain: Callable[[], None],
+    announce: Callable[[], None],
+) -> int:
+    """Serve on a port that is bound until SIGINT or SIGTERM; returns the exit code.
+
+    `what` it is, for the message that it could not start; `drain` and `announce` as `app.http.server.Server` has them.
+    """
+    from app.http.server import Server, configured
+
+    # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
+    server = Server(configured(app, settings), settings.grace_s, drain=drain, announce=announce)
+    server.run(sockets=[listening])
+    if not server.started:
+        say(f"revisit: the {what} could not start; the reason is above")
+        return FAILED
+    log.info("stopped")
+    return DONE

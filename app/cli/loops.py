@@ -1,6 +1,7 @@
 """``revisit loops``: find where a walk comes back to where it was, for a pose graph."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,11 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     for file in (arguments.g2o, arguments.csv):
         if file is not None and (file.is_dir() or not file.absolute().parent.is_dir()):
             wrong_use(f"{file}: cannot be written; name a file in a folder that exists")
-    names = [path.name for path, _ in walk]
-    with (
-        Revisit(arguments.url, key=arguments.key) as revisit,
-        progress_bar(len(walk), "images", quiet=arguments.json) as step,
-    ):
+    with Revisit(arguments.url, key=arguments.key) as revisit:
         try:
             closer = LoopCloser(
                 revisit,
@@ -71,20 +68,27 @@ def run(arguments: argparse.Namespace) -> int:
         except ValueError as error:
             wrong_use(str(error))
         try:
-            for path, keyframe in walk:
-                for loop in closer.add(path, keyframe):
-                    if not arguments.json:
-                        where = f"{names[loop.keyframe]} is where {names[loop.earlier]} was"
-                        show(f"{where} (confidence {loop.confidence:.2f}, within {loop.radius_m:.1f} m)")
-                step(path.name)
+            _follow(walk, closer, quiet=arguments.json)
         finally:
             _write(arguments, closer)
     if arguments.json:
+        names = [path.name for path, _ in walk]
         listed = [vars(loop) | {"files": [names[loop.keyframe], names[loop.earlier]]} for loop in closer.loops]
         show_json({"keyframes": len(walk), "loops": listed})
     else:
         show(f"{len(closer.loops)} loops among {len(walk)} images")
     return DONE
+
+
+def _follow(walk: "Sequence[tuple[Path, Keyframe]]", closer: "LoopCloser", *, quiet: bool) -> None:
+    """Go through a walk, and tell each loop as soon as it is certain."""
+    with progress_bar(len(walk), "images", quiet=quiet) as step:
+        for path, keyframe in walk:
+            for loop in closer.add(path, keyframe):
+                if not quiet:
+                    where = f"{walk[loop.keyframe][0].name} is where {walk[loop.earlier][0].name} was"
+                    show(f"{where} (confidence {loop.confidence:.2f}, within {loop.radius_m:.1f} m)")
+            step(path.name)
 
 
 def _write(arguments: argparse.Namespace, closer: "LoopCloser") -> None:

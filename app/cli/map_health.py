@@ -12,7 +12,7 @@ def add(verbs: Verbs) -> None:
         help="places that a map confuses, places that age, duplicates, directions and stretches without views",
         description="What makes a map's answers wrong or missing, and what to do about it.",
     )
-    parser.add_argument("map", nargs="?", default="default")
+    parser.add_argument("map", nargs="?", default="default", help="which map (default: default)")
     parser.add_argument(
         "--code",
         choices=("twins", "ageing", "never-matched", "duplicates", "missing-directions", "single-view", "gap"),

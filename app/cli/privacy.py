@@ -16,7 +16,7 @@ def add(verbs: Verbs) -> None:
         help="what a map keeps of images, and what it blurs in them",
         description="Show or change what a map blurs in images before they are stored, and whether it keeps them.",
     )
-    parser.add_argument("map", nargs="?", default="default")
+    parser.add_argument("map", nargs="?", default="default", help="which map (default: default)")
     parser.add_argument(
         "--blur",
         metavar="WORD,...",

@@ -21,7 +21,7 @@ VERDICTS = {
 def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser("query", help="find where an image was taken")
-    parser.add_argument("image", type=Path, metavar="IMAGE")
+    parser.add_argument("image", type=Path, metavar="IMAGE", help="file of the photo")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--map", help="map to search (default: default)")
     where.add_argument("--maps", metavar="A,B", help="several maps to search: one verdict over all of them")

@@ -22,7 +22,7 @@ def add(verbs: Verbs) -> None:
     vocabulary = verbs.add_parser("vocabulary", help="train a map's own vocabulary")
     trains = vocabulary.add_subparsers(title="commands", metavar="COMMAND", required=True)
     train = trains.add_parser("train", help="train on the map's own views, then describe them by it")
-    train.add_argument("--map", default="default")
+    train.add_argument("--map", default="default", help="which map (default: default)")
     _waits(train)
     train.set_defaults(run=run_vocabulary)
 
@@ -32,7 +32,7 @@ def add(verbs: Verbs) -> None:
         description="Show a map's recipe and ranking. --ranking alone takes effect at the next query; any other "
         "option describes the views anew, and queries use the old recipe until that is done.",
     )
-    recipe.add_argument("--map", default="default")
+    recipe.add_argument("--map", default="default", help="which map (default: default)")
     recipe.add_argument("--preset", help="named set of parameters, such as default or paper")
     recipe.add_argument("--labels", metavar="LABEL,...", help="labels that cells are assigned to")
     recipe.add_argument("--dynamic", metavar="LABEL,...", help="labels of things that move; empty: none")

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import logs
-from app.cli.console import DONE, FAILED, Failure, Verbs, say, show
-from app.cli.listening import address, is_loopback, listen
+from app.cli.console import DONE, Failure, Verbs, show
+from app.cli.listening import address, is_loopback, listen, serve_until_stopped
 from app.cli.processor import check_processor
 
 if TYPE_CHECKING:
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from worker.service.keys import KeyService
 
 log = logging.getLogger("revisit")
-
-GRACE_S = 20
-"""Seconds that requests under way may take to finish when the service is stopped."""
 
 
 def add(verbs: Verbs) -> None:
@@ -130,29 +127,21 @@ def make_first_key(keys: "KeyService", settings: "Settings") -> None:
 
 def _serve(settings: "Settings", listening: socket.socket) -> int:
     from app.http.application import application
-    from app.http.server import Server, configured
     from app.http.service import Service
     from worker.runtime import build
 
     runtime = build(settings)
     make_first_key(runtime.services.keys, settings)
     service = Service.of(runtime)
-    # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: None)
     url = address(settings.host, listening.getsockname()[1])
-    server = Server(
-        configured(application(service), settings),
-        settings.grace_s,
+    return serve_until_stopped(
+        application(service),
+        settings,
+        listening,
+        "service",
         drain=service.lifecycle.drain,
         announce=lambda: announce(runtime, url),
     )
-    server.run(sockets=[listening])
-    if not server.started:
-        say("revisit: the service could not start; the reason is above")
-        return FAILED
-    log.info("stopped")
-    return DONE
 
 
 def announce(runtime: "Runtime", url: str) -> None:

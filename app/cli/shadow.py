@@ -21,7 +21,7 @@ def add(verbs: Verbs) -> None:
         description="The shadow of a map, which `revisit recipe --shadow` begins: another recipe describes the views "
         "beside the present one, and both answer the last kept queries. The map changes over only when told.",
     )
-    parser.add_argument("--map", default="default")
+    parser.add_argument("--map", default="default", help="which map (default: default)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--switch", action="store_true", help="change the map over to it")
     what.add_argument("--discard", action="store_true", help="discard it: the map keeps its recipe")

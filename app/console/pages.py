@@ -38,7 +38,7 @@ def docs(document: Json, host: str) -> str:
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
             tag = operation.get("tags", ["other"])[0]
-            by_tag.setdefault(tag, []).append(_operation(method, path, operation, document))
+            by_tag.setdefault(tag, []).append(_operation(method, path, operation))
     sections = "".join(f"<h2>{escape(tag)}</h2>{''.join(items)}" for tag, items in by_tag.items())
     info = document["info"]
     intro = "".join(f"<p>{escape(part)}</p>" for part in info["description"].split("\n\n"))
@@ -51,7 +51,7 @@ def docs(document: Json, host: str) -> str:
     )
 
 
-def _operation(method: str, path: str, operation: Json, document: Json) -> str:
+def _operation(method: str, path: str, operation: Json) -> str:
     parts = [f"<p>{escape(operation.get('description', ''))}</p>"]
     if parameters := operation.get("parameters"):
         rows = "".join(_parameter(p) for p in parameters)

@@ -55,12 +55,7 @@ class Service:
                 teller.tell(answer)
 
         recogniser = Recogniser(
-            services.enroll,
-            services.query,
-            runtime.settlements,
-            settings.queries,
-            settings.wait,
-            *[one.tell for one in tellers],
+            services.enroll, services.query, runtime.settlements, settings.queries, settings.wait, tell
         )
         lifecycle = Lifecycle(runtime)
         lifecycle.on_drain(recogniser.drain)

@@ -1,6 +1,7 @@
 """The gauges of `/metrics`: sizes and states, gathered in a thread of their own and kept for a while."""
 
 import asyncio
+import logging
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,6 +12,8 @@ from prometheus_client.registry import Collector
 from schemas.settings import Settings
 from schemas.statistics import LiveStatistics, MapStatistics, ServiceStatistics
 from schemas.wire import Version
+
+logger = logging.getLogger("revisit.http")
 
 MAPS = 20
 """Maps with series of their own, the largest; the others share one."""
@@ -62,6 +65,10 @@ class StatisticsReader:
             statistics = self._gather()
             self._gathered_at = began
             return statistics
+        except Exception as error:  # the gauges keep their last values, and their age tells of it
+            why = getattr(error, "detail", type(error).__name__)
+            logger.warning("the gauges are not gathered: %s", why, extra={"event": "gauges_failed"})
+            raise
         finally:
             ended = time.monotonic()
             self._due_at = ended + max(FRESH_S, SHARE * (ended - began))

@@ -79,6 +79,16 @@ def test_it_is_named_taken_or_dismissed(kept: FakeService, given: list[str], sen
     assert changes(kept) == sent
 
 
+def test_machines_are_told_in_json_what_became_of_it(kept: FakeService, capsys: Out) -> None:
+    for given, told in (
+        (["--name", "u1", "dock"], {"views": [], "queries": 3}),
+        (["--accept", "confirmed"], [{"views": [], "queries": 2}]),
+        (["--dismiss", "p2"], {"queries": 2}),
+    ):
+        assert main(["inbox", "campus", *given, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out) == told
+
+
 def test_how_much_is_kept(kept: FakeService) -> None:
     kept.replies["PATCH /maps/campus"] = 404, {}
     assert main(["inbox", "campus", "--keep", "50"]) == 1

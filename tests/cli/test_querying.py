@@ -370,3 +370,9 @@ def test_a_map_is_told_to_refuse_poor_images(service: FakeService, capsys: Out) 
     assert main(["maps", "campus", "--refuse-poor", "yes"]) == main(["maps", "campus", "--refuse-poor", "no"]) == 0
     assert [json.loads(body) for _, body in service.requests] == [{"refuse_poor": True}, {"refuse_poor": False}]
     assert main(["maps", "--refuse-poor", "yes"]) == main(["maps", "campus", "--refuse-poor", "no", "--delete"]) == 2
+
+
+@pytest.mark.parametrize("limit", ["0", "-1"])
+def test_no_views_at_all_are_wrong_use(service: FakeService, limit: str) -> None:
+    assert main(["views", "--limit", limit]) == 2
+    assert service.requests == []

@@ -4,6 +4,7 @@ import asyncio
 import re
 import threading
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from app.http.problems import KINDS
@@ -115,7 +116,7 @@ def test_statistics_that_hang_leave_the_last_ones_and_never_the_caller() -> None
     asyncio.run(story())
 
 
-def test_statistics_that_fail_leave_the_last_ones() -> None:
+def test_statistics_that_fail_leave_the_last_ones_and_are_logged(caplog: pytest.LogCaptureFixture) -> None:
     answers: list[ServiceStatistics | Exception] = [many(1), OSError("the disk is gone"), many(2)]
 
     def gather() -> ServiceStatistics:
@@ -136,3 +137,6 @@ def test_statistics_that_fail_leave_the_last_ones() -> None:
         assert seen == [1, 1, 2]
 
     asyncio.run(story())
+    assert [record.getMessage() for record in caplog.records if record.name == "revisit.http"] == [
+        "the gauges are not gathered: OSError"
+    ]

@@ -14,7 +14,7 @@ from schemas.errors import SetupError
 def test_a_missing_library_is_named_with_what_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy", None)
     require(FOR_REPORTS)
-    with pytest.raises(SetupError, match=r"scipy.*\./revisit test"):
+    with pytest.raises(SetupError, match=r"scipy.*pip install scipy.*\./revisit test"):
         require(FOR_FITTING)
 
 

@@ -171,6 +171,8 @@ def test_a_cancelled_vocabulary_job_leaves_the_map_as_it_was(store: SqlStore, mo
     if claim is not None:
         with pytest.raises(LeaseLost):
             store.jobs.report(claim, JobProgress(1, 2))
+        store.jobs.fail_map_job(claim, "internal", "it broke after all", LATER)
+        assert store.jobs.get(job.id) == cancelled
     assert store.jobs.claim_map_job("worker", LATER) is None
     assert store.maps.get("campus") == before
     with pytest.raises(Conflict, match="is cancelled"):

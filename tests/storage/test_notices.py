@@ -109,17 +109,15 @@ def test_an_enrolment_on_a_node_is_described_at_once_by_a_worker_elsewhere(
 ) -> None:
     monkeypatch.setattr(settlements, "LOOK_AGAIN_S", 60.0)
     monkeypatch.setattr("worker.loop.MAP_WORK_EVERY_S", 60.0)
+    monkeypatch.setattr("worker.loop.IDLE_S", 60.0)
     node = started(tmp_path, url, False, True)
     worker = started(tmp_path, url, True, False)
-    assert worker.loop is not None
-    worker.loop._idle_s = 60.0
     try:
         for runtime in (node, worker):
             until = time.monotonic() + 20
             while runtime.store.notices is None or not runtime.store.notices.listening:
                 assert time.monotonic() < until
                 time.sleep(0.01)
-        time.sleep(1.0)  # the last look of before the polls were stretched is over
         took = []
         for number in range(6):
             began = time.monotonic()

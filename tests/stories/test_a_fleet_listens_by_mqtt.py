@@ -17,13 +17,17 @@ import httpx
 import pytest
 
 from app.http import mqtt
+from app.http.application import create_app
 from app.http.examples import QUERY_ANSWER
 from app.http.mqtt import Mqtt
+from app.http.webhooks import Webhooks
 from schemas.errors import SetupError
 from schemas.settings import read_settings
 from schemas.wire import QueryAnswer
+from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import RunningService
+from worker.runtime import build
 
 pytestmark = pytest.mark.one_database("events leave a process that serves, and are stored nowhere")
 
@@ -134,6 +138,18 @@ def test_a_query_is_published_under_its_map_and_verdict(tmp_path: Path) -> None:
     assert (topic, told["type"]) == (f"building/3/town/{kind}", f"query.{kind}")
     assert (told["data"]["query"], told["data"]["place"]) == (found["query"]["id"], "gate")
     assert "let me in" not in "".join(service.output)
+
+
+def test_webhooks_are_told_of_the_same_queries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, str]] = []
+    for kind in (Webhooks, Mqtt):
+        monkeypatch.setattr(kind, "tell", lambda self, answer: told.append((self.name, answer.query.id)))
+    nobody = {"webhook": "http://127.0.0.1:1/", "mqtt": "mqtt://127.0.0.1:1"}
+    settings = read_settings({}, data=tmp_path, encoder="color", threads=1, **nobody)
+    with CheckedClient(create_app(build(settings))) as client:
+        client.post("/enroll?map=town", content=photo(), headers=JPEG).raise_for_status()
+        found = client.post("/query?map=town", content=photo(), headers=JPEG)
+    assert told == [("webhooks", found.json()["query"]["id"]), ("mqtt", found.json()["query"]["id"])]
 
 
 @broker_needed

@@ -125,16 +125,19 @@ def test_floors_that_look_alike_name_each_other_as_rivals(client: CheckedClient)
     for shot in floors.enrolments():
         enroll(client, "building", f"floor {shot.floor}, spot {shot.spot}", jpeg(shot.image))
     settled(client, "building")
+    named = 0
     for shot in floors.unknown(1):
         answer = query(client, "building", jpeg(shot.image), explain=True)
         if answer["status"] == "matched":
             continue
         assert answer["reason"]["code"] in ("look-alike", "few-views", "weak")
         if answer["reason"]["code"] == "look-alike":
+            named += 1
             rival = answer["reason"]["rival"]
             assert rival["view"]["place"] != answer["places"][0]["place"]
             assert rival["differs"], "where the two differ"
             assert all(-1 <= region["centre"][0] <= 1 for region in rival["differs"])
+    assert named > 0
 
 
 @pytest.mark.parametrize("kind", ["corridor", "lobby"])

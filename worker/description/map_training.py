@@ -76,7 +76,7 @@ class TrainingJobs(Protocol):
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """End a job as failed; raises LeaseLost."""
+        """End a job as failed; does nothing when the claim is void."""
         ...
 
     def release_map_job(self, claim: MapClaim) -> None:
@@ -130,18 +130,16 @@ class VocabularyTrainer:
         except LeaseLost:
             log.info("job %s was cancelled, or given to another worker", claim.job_id)
         except ValueError as error:
-            self._fail(claim, "too-few-pictures", f"{error}; enrol more views of different places first")
+            self._jobs.fail_map_job(
+                claim, "too-few-pictures", f"{error}; enrol more views of different places first", _now()
+            )
         except RevisitError as error:
-            self._fail(claim, error.code, error.detail)
+            self._jobs.fail_map_job(claim, error.code, error.detail, _now())
         except Exception as error:
             log.exception("training a vocabulary for the map %s failed", claim.map)
-            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
-
-    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
-        try:
-            self._jobs.fail_map_job(claim, code, detail, _now())
-        except LeaseLost:
-            log.info("job %s was cancelled, or given to another worker", claim.job_id)
+            self._jobs.fail_map_job(
+                claim, "internal", f"{type(error).__name__}; the service's log has the details", _now()
+            )
 
     def _fields(
         self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]

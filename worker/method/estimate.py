@@ -88,8 +88,8 @@ def distance(one: Position, other: Position) -> float:
     if not is_known(one) or not is_known(other) or (one.lat is None) != (other.lat is None):
         return inf
     east, north, _ = metres(other, one)
-    heights = (one.z, other.z) if one.lat is None else (one.alt, other.alt)
-    up = 0.0 if None in heights else heights[1] - heights[0]  # type: ignore[operator]
+    below, above = (one.z, other.z) if one.lat is None else (one.alt, other.alt)
+    up = 0.0 if below is None or above is None else above - below
     return hypot(east, north, up)
 
 

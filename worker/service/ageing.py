@@ -152,11 +152,11 @@ def _place(name: str, place: _Place, proposals: Sequence[Proposal]) -> HealthFin
         f"{label(first)} scores less than it did: {fell.then:.2f} on the first {fell.days} days from {fell.since} on, "
         f"{fell.now:.2f} on the last {fell.days} up to {fell.until}",
         f"enrol a photo of it as it looks now{_with(first)}" if proposal is None else _remedy(name, proposal),
-        place.trend.fall,
-        names_of(place.views),
-        tuple(view.id for view in place.views[:SHOWN]),
-        len(place.views),
-        known_position(first),
+        weight=place.trend.fall,
+        places=names_of(place.views),
+        views=tuple(view.id for view in place.views[:SHOWN]),
+        count=len(place.views),
+        position=known_position(first),
         scores=fell,
         proposal=None if proposal is None else proposal.queries[0],
     )
@@ -178,7 +178,7 @@ def _all(name: str, places: Sequence[_Place], usual: float) -> HealthFinding:
         f"{since} and {until}: the season, the light or the camera is another one, rather than single places",
         "look at the camera; if it is well, take what queries left of the places as they look now: "
         f"GET /maps/{name}/proposals lists it, `./revisit inbox {name} --accept confirmed` takes it",
-        1.0 + usual,
+        weight=1.0 + usual,
         views=tuple(one.views[0].id for one in fallen[:SHOWN]),
         count=sum(len(one.views) for one in fallen),
     )

@@ -95,6 +95,8 @@ class Attendance:
         Seconds between rounds.
     each_round : function
         Called in every round.
+    on_freed : function
+        Called when jobs of dead workers were put back.
     """
 
     def __init__(
@@ -191,10 +193,9 @@ class Attendance:
             if not mine and (predecessor or self._gone(row) or self._seen[row.name][1] >= ROUNDS):
                 dead.add(row.name)
         self._fresh = {
-            row.name: now if still == 0 else fresh.get(row.name, now)
+            row.name: now if self._seen[row.name][1] == 0 else fresh.get(row.name, now)
             for row in rows
             if row.name not in dead
-            for _, still in (self._seen[row.name],)
         }
         own = self._seen.get(self._me.name)
         if own is not None and own[1] >= ROUNDS and self._working is not None:  # its thread has ended
@@ -209,6 +210,6 @@ class Attendance:
             os.kill(row.pid, 0)
         except ProcessLookupError:
             return True
-        except OSError:
-            return False
+        except OSError:  # it is there, and another user's
+            pass
         return False

@@ -238,8 +238,9 @@ class BlurringEnrolment:
                 stored, told, found = blurred.data, blurred.image, Covered(words, image.digest)
             try:
                 submitted = self._enrolment.submit(
-                    name, stored, facts(told), attributes, recipe, now, steady_s, background, found, refuse_poor
-                )
+                    name, stored, facts(told), attributes, recipe, now, steady_s,
+                    background=background, covered=found, refuse_poor=refuse_poor,
+                )  # fmt: skip
                 if submitted.job_id is not None and found is None:
                     self._decoded.keep(image)
                 return submitted

@@ -170,7 +170,13 @@ def _duplicate(views: Sequence[SurveyedView]) -> HealthFinding:
         remedy = "delete those that are enrolled as the wrong place, or give all of them one place (PATCH /views/{id})"
     ids = tuple(view.id for view in views)
     return HealthFinding(
-        "duplicates", detail, remedy, len(views) + 1000.0 * (len(names) > 1), tuple(names), ids[:SHOWN], len(views)
+        "duplicates",
+        detail,
+        remedy,
+        weight=len(views) + 1000.0 * (len(names) > 1),
+        places=tuple(names),
+        views=ids[:SHOWN],
+        count=len(views),
     )
 
 
@@ -188,11 +194,11 @@ def _narrow(
                 "single-view",
                 f"{label(view)} has one view only",
                 "enrol it once more, in other light or from a few steps aside",
-                0.0,
-                names_of(group),
-                (view.id,),
-                1,
-                known_position(view),
+                weight=0.0,
+                places=names_of(group),
+                views=(view.id,),
+                count=1,
+                position=known_position(view),
             )
 
 
@@ -207,12 +213,12 @@ def _directions(group: Sequence[SurveyedView]) -> Iterator[HealthFinding]:
             "missing-directions",
             f"{label(group[0])} is not seen towards {listed(missing)}",
             f"{stand}, photograph {towards}",
-            len(missing) + min(len(group), 1000) / 1001,
-            names_of(group),
-            tuple(view.id for view in group[:SHOWN]),
-            len(group),
-            where,
-            tuple(coverage.QUARTERS[name] for name in missing),
+            weight=len(missing) + min(len(group), 1000) / 1001,
+            places=names_of(group),
+            views=tuple(view.id for view in group[:SHOWN]),
+            count=len(group),
+            position=where,
+            headings=tuple(coverage.QUARTERS[name] for name in missing),
         )
 
 
@@ -225,9 +231,9 @@ def _gaps(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[Health
             f"between {label(ends[0])} and {label(ends[1])} there are {length:.0f} m without a view, much more than "
             "is usual in this map",
             "if one can go from one to the other, enrol views along the way",
-            length,
-            tuple(sorted({*names_of(ends[:1]), *names_of(ends[1:])})),
-            (ends[0].id, ends[1].id),
-            2,
-            known_position(ends[0]),
+            weight=length,
+            places=tuple(sorted({*names_of(ends[:1]), *names_of(ends[1:])})),
+            views=(ends[0].id, ends[1].id),
+            count=2,
+            position=known_position(ends[0]),
         )

@@ -75,7 +75,7 @@ class ImportJobs(Protocol):
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """End a job as failed; raises LeaseLost."""
+        """End a job as failed; does nothing when the claim is void."""
         ...
 
     def release_map_job(self, claim: MapClaim) -> None:

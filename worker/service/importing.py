@@ -124,15 +124,19 @@ class Importer:
             self._jobs.release_map_job(claim)
             raise
         except FileNotFoundError:
-            self._fail(claim, "damaged", "the uploaded recording is gone from where it was kept; send it again")
+            self._jobs.fail_map_job(
+                claim, "damaged", "the uploaded recording is gone from where it was kept; send it again", _now()
+            )
         except OSError as error:
             self._jobs.release_map_job(claim)
             raise StorageFailed(f"the uploaded recording cannot be read: {error.strerror}") from error
         except RevisitError as error:
-            self._fail(claim, error.code, error.detail)
+            self._jobs.fail_map_job(claim, error.code, error.detail, _now())
         except Exception as error:
             log.exception("importing into the map %s failed", claim.map)
-            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
+            self._jobs.fail_map_job(
+                claim, "internal", f"{type(error).__name__}; the service's log has the details", _now()
+            )
         self._uploads.discard(claim.job_id)
 
     def _watch(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
@@ -145,12 +149,6 @@ class Importer:
             raise LeaseLost(error.detail) from None
         if state != "running":
             raise LeaseLost(f"the job {claim.job_id} is {state}")
-
-    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
-        try:
-            self._jobs.fail_map_job(claim, code, detail, _now())
-        except LeaseLost:
-            log.info("job %s was cancelled, or its map was deleted", claim.job_id)
 
     # what a run of a job does with one image
 

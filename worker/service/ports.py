@@ -159,8 +159,8 @@ class Pending(Protocol):
 class JobQueue(Protocol):
     """Length of the queue of descriptions."""
 
-    def count_waiting(self, *, redescriptions: bool = False) -> int:
-        """Enrolments not yet described; with `redescriptions` the views of a recipe switch too."""
+    def count_waiting(self) -> int:
+        """Enrolments not yet described."""
         ...
 
 

@@ -275,30 +275,33 @@ class QueryService:
 
         That it cannot be kept is logged, and its answer is given all the same.
         """
-        status, code, match = result.decision.status, result.decision.reason.code, None
-        keeping: list[tuple[str, SearchOutcome]] = []
-        if status == "no_match" and code != "poor-picture":
-            keeping = [(one.name, of) for of in result.found for one in of.results.maps if one.keep_queries]
-        elif status == "matched":
-            first = result.results.views[0]
-            if not result.results.first_map.keep_matches:
-                return
-            now = datetime.now(UTC)
-            self.scores.note(first.view.map, result.results.recipe, first.seq, first.score, now)
-            if first.score >= UNLIKE:
-                return
-            match = first.seq, first.score
-            keeping = [(first.view.map, result.leading)]
-            if self._problem(result.image, result.leading) is not None:
-                return  # a poor photo refreshes no place
+        status = result.decision.status
+        if status == "no_match" and result.decision.reason.code != "poor-picture":
+            maps = [(one.name, of) for of in result.found for one in of.results.maps if one.keep_queries]
+            self._keep_in(maps, result.id, data, None)
+        elif status == "matched" and result.results.first_map.keep_matches:
+            best = result.results.views[0]
+            self.scores.note(best.view.map, result.results.recipe, best.seq, best.score, datetime.now(UTC))
+            # A poor photo refreshes no place.
+            if best.score < UNLIKE and self._problem(result.image, result.leading) is None:
+                self._keep_in([(best.view.map, result.leading)], result.id, data, (best.seq, best.score))
+
+    def _keep_in(
+        self,
+        maps: Sequence[tuple[str, SearchOutcome]],
+        query_id: str,
+        data: bytes,
+        match: tuple[int, float] | None,
+    ) -> None:
+        """Keep a query in maps, in each as it is described for it; `match` as `worker.service.keeping` has it."""
         try:
-            small = self._thumbnail(data, KEPT_SIZE) if keeping else b""
-            for number, (name, of) in enumerate(keeping):
-                kept_id = str(uuid7()) if number else result.id
+            small = self._thumbnail(data, KEPT_SIZE) if maps else b""
+            for number, (name, of) in enumerate(maps):
+                kept_id = str(uuid7()) if number else query_id
                 recipe = of.results.recipe.description
                 self._kept.keep(name, kept_id, recipe, of.description, small, datetime.now(UTC), match)
         except RevisitError as error:
-            log.error("the query %s is not kept: %s", result.id, error.detail)
+            log.error("the query %s is not kept: %s", query_id, error.detail)
 
     def _explain(self, result: QueryResult) -> tuple[Region, ...]:
         """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""

@@ -168,60 +168,68 @@ class Searcher:
         gone: frozenset[int] = frozenset()
         rounds = 0
         while rounds < ROUNDS:
-            watch = Stopwatch(observe)
-            # Counted first: a view described between the two reads is found and counted, never neither.
-            pending = [self._queue.count_pending(name) for name in maps]
-            indexes = [self._catalogue.index(name) for name in maps]
-            records = [record for _, record in indexes]
-            if records[0].description.id != recipe.id or len({_kind(record) for record in records}) > 1:
-                raise RecipeChanged
-            config = records[0].ranking
-            count = max(top, config.searched if candidates is None else candidates)
             try:
-                several = [
-                    index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
-                    for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
-                ]
-                found = merged(several, count)
-                ranked = cascade.rank(
-                    description,
-                    found,
-                    recipe,
-                    config,
-                    Fetcher(self._descriptions, self._comparisons, recipe.id, _map_of(several)),
-                    top=top,
-                    reranked=candidates,
-                    product=self._product,
-                    observe=watch.observe,
-                )
-                shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
-                # By the recipe that was searched: the map may have changed over while candidates were compared.
-                views = self._views.at(sorted({candidate.seq for candidate in shown}), recipe.id)
-                described = {seq for seq, view in views.items() if view.description is not None}
-                if gone_now := {candidate.seq for candidate in shown} - described:
-                    raise ViewGone(gone_now)
+                return self._search_without(gone, maps, recipe, description, top, candidates, Stopwatch(observe))
             except ViewGone as error:
                 # A round that found damaged descriptions to leave out does not count: a map may have many.
                 rounds += not self._comparisons.known(sorted(error.seqs - gone), recipe.id)
                 gone |= error.seqs
-                continue
-            scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
-            return RankedResults(
-                views=tuple(scored[: len(ranked.first)]),
-                ranking=ranked,
-                rival=None if ranked.opposed is None else scored[-1],
-                levels=pooled([self._levels_of(record) for record in records]),
-                maps=tuple(
-                    SearchedMap(
-                        record.name, one.revision, one.searched, waiting, record.keep_queries, record.keep_matches
-                    )
-                    for record, one, waiting in zip(records, several, pending, strict=True)
-                ),
-                recipe=records[0].recipe,
-                calibration=self._calibration(records[0]),
-                timing_ms=watch.timing_ms(),
-            )
         raise Unavailable("the map is being emptied faster than it can be searched; query again", 1)
+
+    def _search_without(
+        self,
+        gone: frozenset[int],
+        maps: Mapping[str, Filters],
+        recipe: DescriptionRecipe,
+        description: Description,
+        top: int,
+        candidates: int | None,
+        watch: Stopwatch,
+    ) -> RankedResults:
+        """The results of one round; raises ViewGone where one of the views is no longer there, or damaged."""
+        # Counted first: a view described between the two reads is found and counted, never neither.
+        pending = [self._queue.count_pending(name) for name in maps]
+        indexes = [self._catalogue.index(name) for name in maps]
+        records = [record for _, record in indexes]
+        if records[0].description.id != recipe.id or len({_kind(record) for record in records}) > 1:
+            raise RecipeChanged
+        config = records[0].ranking
+        count = max(top, config.searched if candidates is None else candidates)
+        several = [
+            index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
+            for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
+        ]
+        ranked = cascade.rank(
+            description,
+            merged(several, count),
+            recipe,
+            config,
+            Fetcher(self._descriptions, self._comparisons, recipe.id, _map_of(several)),
+            top=top,
+            reranked=candidates,
+            product=self._product,
+            observe=watch.observe,
+        )
+        shown = [*ranked.first, *([] if ranked.opposed is None else [ranked.opposed])]
+        # By the recipe that was searched: the map may have changed over while candidates were compared.
+        views = self._views.at(sorted({candidate.seq for candidate in shown}), recipe.id)
+        described = {seq for seq, view in views.items() if view.description is not None}
+        if missing := {candidate.seq for candidate in shown} - described:
+            raise ViewGone(missing)
+        scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
+        return RankedResults(
+            views=tuple(scored[: len(ranked.first)]),
+            ranking=ranked,
+            rival=None if ranked.opposed is None else scored[-1],
+            levels=pooled([self._levels_of(record) for record in records]),
+            maps=tuple(
+                SearchedMap(record.name, one.revision, one.searched, waiting, record.keep_queries, record.keep_matches)
+                for record, one, waiting in zip(records, several, pending, strict=True)
+            ),
+            recipe=records[0].recipe,
+            calibration=self._calibration(records[0]),
+            timing_ms=watch.timing_ms(),
+        )
 
     def _levels_of(self, record: MapRecord) -> MapLevels:
         """What wrong answers get in a map; read once for each revision."""

@@ -16,7 +16,7 @@ from worker.description.describer import Describer
 from worker.description.scheduler import Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
-from worker.method.calibration import Calibration
+from worker.method.calibration import Calibration, Verdict
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
@@ -57,7 +57,7 @@ class Side:
 class Outcome:
     """An answer as the search gives it: the first view by its sequence number, None without any."""
 
-    status: str
+    status: Verdict
     confidence: float
     first: int | None
     score: float | None
@@ -113,7 +113,7 @@ def answer(
         return ShadowAnswer("refused", 0.0, None, None, None, right, 0.0, None)
     view = None if found.first is None else views.get(found.first)
     return ShadowAnswer(
-        status=found.status,  # type: ignore[arg-type]  # one of a decision
+        status=found.status,
         confidence=round(found.confidence, 4),
         view=None if view is None else view.id,
         place=None if view is None else view.attributes.place,

@@ -59,7 +59,7 @@ class ShadowJobs(Protocol):
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """End a job as failed; raises LeaseLost."""
+        """End a job as failed; does nothing when the claim is void."""
         ...
 
     def release_map_job(self, claim: MapClaim) -> None:
@@ -184,16 +184,12 @@ class ShadowService:
             if stopping():
                 self._jobs.release_map_job(claim)
             else:
-                self._fail(claim, error.code, error.detail)
+                self._jobs.fail_map_job(claim, error.code, error.detail, datetime.now(UTC))
         except Exception as error:
             log.exception("comparing the answers of the map %s with those of its shadow failed", claim.map)
-            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
-
-    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
-        try:
-            self._jobs.fail_map_job(claim, code, detail, datetime.now(UTC))
-        except LeaseLost:
-            log.info("job %s was cancelled, or given to another worker", claim.job_id)
+            self._jobs.fail_map_job(
+                claim, "internal", f"{type(error).__name__}; the service's log has the details", datetime.now(UTC)
+            )
 
     def _table(self, claim: MapClaim, stopping: Callable[[], bool]) -> ShadowTable:
         """The table of a shadow whose views are described."""
@@ -223,8 +219,10 @@ class ShadowService:
         for done, one in enumerate(queries):
             _unless(stopping)
             self._jobs.report(claim, JobProgress(done, len(queries)))
-            ask = self._of_kept if isinstance(one, KeptQuery) else self._of_view
-            rows.append(ask(name, one, old, new, among))  # type: ignore[arg-type]  # of its own kind
+            if isinstance(one, KeptQuery):
+                rows.append(self._of_kept(name, one, old, new, among))
+            else:
+                rows.append(self._of_view(name, one, old, new, among))
         return ShadowTable(
             wanted=shadow.wanted,
             recipe=by.id,

@@ -70,7 +70,7 @@ class SnapshotJobs(Protocol):
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """End a job as failed; raises LeaseLost."""
+        """End a job as failed; does nothing when the claim is void."""
         ...
 
     def release_map_job(self, claim: MapClaim) -> None:
@@ -169,13 +169,9 @@ class SnapshotService:
             with suppress(NotFound):
                 self._files.delete(claim.job_id)
         except RevisitError as error:
-            self._fail(claim, error.code, error.detail)
+            self._jobs.fail_map_job(claim, error.code, error.detail, datetime.now(UTC))
         except Exception as error:
             log.exception("making a snapshot of the map %s failed", claim.map)
-            self._fail(claim, "internal", f"{type(error).__name__}; the service's log has the details")
-
-    def _fail(self, claim: MapClaim, code: str, detail: str) -> None:
-        try:
-            self._jobs.fail_map_job(claim, code, detail, datetime.now(UTC))
-        except LeaseLost:
-            log.info("job %s was cancelled, or given to another worker", claim.job_id)
+            self._jobs.fail_map_job(
+                claim, "internal", f"{type(error).__name__}; the service's log has the details", datetime.now(UTC)
+            )

@@ -79,15 +79,15 @@ def find_twins(
             found.add(compared.level, view.id, rival.id)
     for (first, second), found in pairs.items():
         seen = [of_views for of_views in (_one_spot(found.one_spot), _fooled(found.fooled)) if of_views]
-        names = {view.known.name for view in views if view.id in found.views} - {None}
+        names = {view.known.name for view in views if view.id in found.views and view.known.name is not None}
         yield HealthFinding(
             "twins",
             f"the map takes {first} and {second} for each other: {' and '.join(seen)}",
             REMEDY,
-            found.one_spot + found.fooled + min(found.score, 1.0) / 2,
-            tuple(sorted(name for name in names if name is not None)),
-            tuple(found.views[:SHOWN]),
-            len(found.views),
+            weight=found.one_spot + found.fooled + min(found.score, 1.0) / 2,
+            places=tuple(sorted(names)),
+            views=tuple(found.views[:SHOWN]),
+            count=len(found.views),
         )
 
 

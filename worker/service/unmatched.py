@@ -53,9 +53,9 @@ def unmatched(places: Sequence[Sequence[SurveyedView]], matched: MatchDays) -> I
             f"{label(first)} was matched on none of the {len(days)} days on which others were, from "
             f"{date.fromordinal(days[0])} to {date.fromordinal(days[-1])}",
             "query there: if it is not matched, enrol it as it looks now; if nobody comes there, it may be deleted",
-            float(len(days)),
-            names_of(group),
-            tuple(view.id for view in group[:SHOWN]),
-            len(group),
-            known_position(first),
+            weight=float(len(days)),
+            places=names_of(group),
+            views=tuple(view.id for view in group[:SHOWN]),
+            count=len(group),
+            position=known_position(first),
         )

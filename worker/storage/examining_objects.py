@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from functools import partial
 
 from schemas.errors import Damaged, RevisitError, SetupError
 from worker.storage.examining_images import AGAIN, ORPHAN
@@ -30,38 +31,40 @@ def object_findings(address: str, owners: dict[str, str] | None, *, running: boo
     except SetupError as error:
         yield Finding(address, "cannot be examined", str(error))
         return
-    missing = dict(owners or {})
-    placed: list[str] = []
     try:
-        for name in objects.names():
-            digest = name.rpartition("/")[2]
-            if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
-                placed.append(digest)
-            elif name != PROBE and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
-                yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
-
-        def fault(digest: str) -> str | None:
-            try:
-                objects.read(digest)
-            except Damaged:
-                return "is missing or does not hold what was enrolled"
-            return None
-
-        with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
-            for digest, found in zip(placed, pool.map(fault, placed), strict=True):
-                where = f"{address}/{digest[:2]}/{digest[2:4]}/{digest}"
-                view = missing.pop(digest, None)
-                if found is not None:
-                    yield Finding(
-                        where, f"{found}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}"
-                    )
-                elif owners is not None and view is None and not running:
-                    yield Finding(where, ORPHAN, f"{REPAIR} removes it")
+        yield from _findings(objects, address, owners, running)
     except RevisitError as error:
         yield Finding(address, "cannot be examined", error.detail)
-        return
     finally:
         objects.close()
+
+
+def _findings(objects: ImageObjects, address: str, owners: dict[str, str] | None, running: bool) -> Iterator[Finding]:
+    missing = dict(owners or {})
+    placed: list[str] = []
+    for name in objects.names():
+        digest = name.rpartition("/")[2]
+        if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
+            placed.append(digest)
+        elif name != PROBE and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
+            yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
+    with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
+        faults = pool.map(partial(_fault, objects), placed)
+        for digest, fault in zip(placed, faults, strict=True):
+            where = f"{address}/{digest[:2]}/{digest[2:4]}/{digest}"
+            view = missing.pop(digest, None)
+            if fault is not None:
+                yield Finding(where, f"{fault}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}")
+            elif owners is not None and view is None and not running:
+                yield Finding(where, ORPHAN, f"{REPAIR} removes it")
     for digest, view in missing.items():
-        where = f"{address}/{digest}"
-        yield Finding(where, f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
+        yield Finding(f"{address}/{digest}", f"is missing; it is the image of {view}", f"cannot be mended: {AGAIN}")
+
+
+def _fault(objects: ImageObjects, digest: str) -> str | None:
+    """What is wrong with an image, in words."""
+    try:
+        objects.read(digest)
+    except Damaged:
+        return "is missing or does not hold what was enrolled"
+    return None

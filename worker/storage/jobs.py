@@ -8,7 +8,7 @@ import sqlalchemy as sa
 
 from schemas.description import Description
 from schemas.errors import Damaged, LeaseLost
-from schemas.records import Claim
+from schemas.records import Claim, MapClaim
 from worker.storage import clock, switching
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
@@ -131,6 +131,9 @@ class Jobs(Part):
 
     def release(self, claim: Claim) -> None:
         """Put a job back without counting the attempt; does nothing when the claim is void."""
+        self._put_back(claim)
+
+    def _put_back(self, claim: Claim | MapClaim) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(
                 sa.update(JOBS)
@@ -143,7 +146,7 @@ class Jobs(Part):
         with self._database.reading() as connection:
             row = find_map(connection, name)
             mine = JOBS.c.map_id == row.id, JOBS.c.recipe == row.recipe, JOBS.c.kind == "describe"
-            unfinished = JOBS.c.state.in_(("waiting", "running"))
+            unfinished = JOBS.c.state.in_(switching.UNFINISHED)
             return connection.scalar(sa.select(sa.func.count()).select_from(JOBS).where(*mine, unfinished)) or 0
 
     def count_waiting(self, *, redescriptions: bool = False) -> int:

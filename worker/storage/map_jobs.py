@@ -94,8 +94,6 @@ class MapJobs(Jobs):
             done = {"progress_done": job.progress_total, "result": as_json(dict(result))}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **done))
 
-    # both
-
     # import
 
     def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
@@ -171,11 +169,8 @@ class MapJobs(Jobs):
         """Report the progress of a claimed job; raises LeaseLost, also when it was cancelled."""
         with self._database.writing(in_turn=False) as connection:
             job = held(connection, claim)
-            values = {
-                "progress_done": progress.done,
-                "progress_total": progress.total,
-            }
-            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
+            told = {"progress_done": progress.done, "progress_total": progress.total}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**told))
 
     def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
         """Begin to describe the map's views with the trained vocabulary, as the same job; raises LeaseLost."""
@@ -190,18 +185,18 @@ class MapJobs(Jobs):
             switching.begin(connection, row, kept, row.ranking, job.id, now)
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
-        """End a claimed job as failed, with this reason; raises LeaseLost."""
+        """End a claimed job as failed, with this reason; does nothing when the claim is void."""
         with self._database.writing() as connection:
-            _fail(connection, held(connection, claim), now, (code, detail))
+            try:
+                job = held(connection, claim)
+            except LeaseLost as error:
+                log.info("a failure of the job %s counts for nothing: %s", claim.job_id, error.detail)
+                return
+            _fail(connection, job, now, (code, detail))
 
     def release_map_job(self, claim: MapClaim) -> None:
         """Put a claimed job back without counting the attempt; does nothing when the claim is void."""
-        with self._database.writing(in_turn=False, frees=True) as connection:
-            connection.execute(
-                sa.update(JOBS)
-                .where(JOBS.c.id == claim.job_id, JOBS.c.state == "running", JOBS.c.token == claim.token)
-                .values(state="waiting", worker=None, token=None, attempts=JOBS.c.attempts - 1)
-            )
+        self._put_back(claim)
 
     # all kinds
 

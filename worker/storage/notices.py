@@ -64,7 +64,6 @@ class Notices:
         def run(work: Callable[[sa.Connection, str], None]) -> None:
             while not self._ended.is_set():
                 self._connected(work)
-                self._listening.clear()
                 self._ended.wait(AGAIN_S)
 
         loops = {
@@ -130,12 +129,14 @@ class Notices:
         driver = connection.connection.driver_connection
         assert driver is not None
         self._listening.set()
-        while not self._ended.is_set():
-            try:
+        try:
+            while not self._ended.is_set():
                 for notice in driver.notifies(timeout=LISTENS_S):
                     receive(notice.payload)
-            except Exception as error:  # of psycopg, past SQLAlchemy
-                raise sa.exc.DBAPIError("LISTEN", None, error) from error
+        except Exception as error:  # of psycopg, past SQLAlchemy
+            raise sa.exc.DBAPIError("LISTEN", None, error) from error
+        finally:
+            self._listening.clear()
 
 
 def _joined(view_ids: list[str]) -> list[str]:

@@ -71,7 +71,7 @@ def repair(url: str, data: Path, images: str | None = None) -> tuple[list[str], 
     """
     with alone(data):
         done: list[str] = []
-        lost = _mend_file(url, data, done)
+        lost = _mend_file(url, done)
         for _ in range(ROUNDS):
             findings = list(examine(url, data, images=images))
             rescue = lost or any(finding.where.endswith("-wal") for finding in findings)
@@ -81,7 +81,7 @@ def repair(url: str, data: Path, images: str | None = None) -> tuple[list[str], 
         return done, list(examine(url, data, images=images))
 
 
-def _mend_file(url: str, data: Path, done: list[str]) -> bool:
+def _mend_file(url: str, done: list[str]) -> bool:
     """Make the file of the database one that can be read; returns whether rows may have been lost."""
     path = database_file(url)
     if path is None or not path.exists():
@@ -110,7 +110,7 @@ def _mend_file(url: str, data: Path, done: list[str]) -> bool:
         return lost
     if path.stat().st_size == 0:
         return lost
-    if (told := _salvage(url, path)) is None:
+    if (told := _salvage(path)) is None:
         done.append(f"{path}: no row can be read any more; restore a backup, or move it away and enrol pictures/ again")
         return lost
     done.append(told)
@@ -155,7 +155,7 @@ def _reindexed(url: str) -> bool:
     return not _is_malformed(url)
 
 
-def _salvage(url: str, path: Path) -> str | None:
+def _salvage(path: Path) -> str | None:
     """Copy all rows that can be read into a new file, which takes the old one's place; returns what to tell."""
     old, new = _beside(path), path.with_name(path.name + ".new")
     for leftover in (new, Path(f"{new}-wal"), Path(f"{new}-shm")):

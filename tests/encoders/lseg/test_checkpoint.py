@@ -146,6 +146,15 @@ def test_another_networks_checkpoint_is_unknown(tmp_path: Path) -> None:
     assert "tensors is there; the file's 1 begin with: fc.weight" in report.differences[0]
 
 
+def test_what_is_no_checkpoint_is_named_once(tmp_path: Path) -> None:
+    (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8\xff\xe0 and so on")
+
+    with pytest.raises(SetupError) as refused:
+        convert(tmp_path / "photo.jpg", tmp_path / "out.safetensors", small.SMALL)
+
+    assert refused.value.detail.count("photo.jpg") == 1
+
+
 def test_no_damage_to_a_file_is_more_than_a_setup_error(tmp_path: Path, file: Path) -> None:
     """Whichever byte is wrong: where tensors are described, or within their values."""
     convert(file, tmp_path / "lseg.safetensors", small.SMALL)

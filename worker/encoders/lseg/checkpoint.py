@@ -235,6 +235,7 @@ def convert(source: Path, target: Path, config: Config = PUBLISHED) -> WeightsRe
         raise SetupError(f"{target} exists; remove it, or name another file")
     report = check(source, config)
     if report.digest is None:
+        read(source)  # raises where it is no such file at all, and says so itself
         raise SetupError(f"weights {source} are not LSeg's: {'; '.join(report.differences[:SHOWN])}")
     contents = read(source)
     used = {name: contents.tensors[name].contiguous() for name in Layout.of(config).used}

@@ -23,6 +23,8 @@ FILE_NAME = "bpe_simple_vocab_16e6.txt.gz"
 PACKAGES = ("clip", "open_clip")
 """Import names of packages that carry the file: openai-clip and clip-anytorch; open_clip_torch."""
 
+INSTALL = "`.venv/bin/pip install ftfy openai-clip regex` (the extra `lseg`)"
+
 MERGES = 48_894
 """Merges that CLIP uses of the 262,145 lines in its file: as many as make 49,408 tokens with bytes and marks."""
 
@@ -154,9 +156,7 @@ def extra(package: str) -> Any:
     try:
         return importlib.import_module(package)
     except ImportError:
-        raise SetupError(
-            f"the encoder lseg needs the package {package}: install the extra with `pip install '.[lseg]'`"
-        ) from None
+        raise SetupError(f"the encoder lseg needs the package {package}: {INSTALL}") from None
 
 
 def installed_vocabulary() -> Path:
@@ -173,8 +173,7 @@ def installed_vocabulary() -> Path:
             if (file := Path(folder) / FILE_NAME).is_file():
                 return file
     raise SetupError(
-        f"CLIP's vocabulary {FILE_NAME} is in no installed package: install the extra with `pip install '.[lseg]'`, "
-        "or name the file in REVISIT_BPE"
+        f"CLIP's vocabulary {FILE_NAME} is in no installed package: {INSTALL}, or name the file in REVISIT_BPE"
     )
 
 

@@ -8,7 +8,7 @@ import json
 import signal
 import sys
 from collections.abc import Iterator
-from math import atan2, degrees, isfinite
+from math import atan2, degrees, inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +109,7 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
     types: dict[str, str] = {}
     images: dict[str, list[float]] = {}
     poses: dict[str, list[list[float | None]]] = {}
+    latest: dict[str, float] = {}  # time of the last pose of each topic
     broken: list[str] = []
     listed = 0
     for schema, channel, message in _messages(path, broken):
@@ -129,8 +130,9 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
         elif decoded is not None:
             rows = poses.setdefault(channel.topic, [])
             pose = _pose(name, decoded)
-            if pose is not None and (not rows or abs(time - rows[-1][0]) >= CLOSEST_S):  # type: ignore[operator]
+            if pose is not None and abs(time - latest.get(channel.topic, -inf)) >= CLOSEST_S:
                 rows.append([time, *pose])
+                latest[channel.topic] = time
     return {"types": types, "images": images, "poses": poses, "broken": broken[0] if broken else None}
 
 
