@@ -5,7 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.method.drive import FARTHEST, KNOWN, Drive, Single, follow, kernel, predict, spread, supposed
+from worker.method.drive import (
+    FARTHEST,
+    KNOWN,
+    OTHERS,
+    TEMPERED,
+    Drive,
+    Single,
+    follow,
+    kernel,
+    predict,
+    spread,
+    supposed,
+)
 
 VIEWS = 100
 DOUBTFUL = 0.35
@@ -131,9 +143,11 @@ def test_moves_sum_to_one_and_end() -> None:
 
 def test_the_probability_of_a_place_is_shared_by_its_views() -> None:
     first = np.array([True, False, True, False])
-    shared = spread(np.array([0.9, 0.8, 0.5, 0.2]), first, 0.6, 0.1, 0.05)
-    assert shared[first].sum() == pytest.approx(0.6)
-    assert shared.sum() == pytest.approx(0.9)
+    shared = spread(np.array([0.9, 0.8, 0.5, 0.2]), first, 0.6, 0.05)
+    sure = 1.5**TEMPERED / (1 + 1.5**TEMPERED)
+    assert shared[first].sum() == pytest.approx(sure)
+    assert shared.sum() == pytest.approx(sure + (1 - sure) * OTHERS)
+    assert spread(np.array([0.9]), np.array([True]), 1.0, 0.05).sum() < 1
     assert shared[0] > shared[2]
     assert shared[1] > shared[3] > 0
 

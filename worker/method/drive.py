@@ -41,8 +41,18 @@ RESEMBLES, LASTING = 0.3, 0.9
 CHANGE = 0.02
 """Probability between two images that a walk becomes a jumble of images, or the other way round."""
 
+TEMPERED = 0.8
+"""Power of the odds of an image's first place: consecutive images err alike, so each says less than one alone."""
+
+OTHERS = 0.3
+"""Share of the probability that an image does not show its first place which its other candidates get together. A path
+leads on through images whose right view is not first; the more they get, the longer also through what is not on the
+map."""
+
 SHARPNESS = 2.0
 """By how many gaps of wrong answers a score must be higher for the view to be e times as likely."""
+
+MOST_SURE = 1 - 1e-9
 
 KEPT, LEAST = 256, 1e-5
 """Views whose probability is kept one by one, at most, and the least that is kept; all others share what is left
@@ -120,8 +130,8 @@ class Single:
         return max(1 - float(self.probabilities.sum()), 1e-6)
 
 
-def spread(scores: Doubles, first: npt.NDArray[np.bool_], sure: float, none: float, gap: float) -> Doubles:
-    """Share the probabilities of a single image's places among their views.
+def spread(scores: Doubles, first: npt.NDArray[np.bool_], sure: float, gap: float) -> Doubles:
+    """Share the probability of a single image's first place among its views, and some of the rest among the others.
 
     Parameters
     ----------
@@ -129,20 +139,21 @@ def spread(scores: Doubles, first: npt.NDArray[np.bool_], sure: float, none: flo
         Of the candidates.
     first : bool of shape (m,)
         Views of the first place.
-    sure, none : float
-        Probability of the first place, and that of no place.
+    sure : float
+        Probability of the first place, by this image alone.
     gap : float
         By which wrong answers exceed each other in this map.
 
     Returns
     -------
     float64 of shape (m,)
-        Sums to 1 - `none`.
+        What is missing to 1 is the probability of none.
     """
     weights = np.exp((scores - scores.max()) / (SHARPNESS * gap))
     shared = np.zeros(len(scores))
-    rest = max(1 - sure - none, 0.0)
-    for views, mass in ((first, sure), (~first, rest)):
+    odds = (min(sure, MOST_SURE) / (1 - min(sure, MOST_SURE))) ** TEMPERED
+    sure = odds / (1 + odds)
+    for views, mass in ((first, sure), (~first, OTHERS * (1 - sure))):
         if views.any():
             shared[views] = mass * weights[views] / weights[views].sum()
     return np.maximum(shared, 1e-12)

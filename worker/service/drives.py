@@ -176,7 +176,7 @@ def _single(results: RankedResults, decision: Decision) -> Single:
     best = decision.places[0]
     first = np.zeros(count, np.bool_)
     first[[view for view in best.views if view < count]] = True
-    shared = spread(scores, first, best.probability, decision.nowhere, decision.levels.gap + SOFTENING)
+    shared = spread(scores, first, best.probability, decision.levels.gap + SOFTENING)
     ascending = np.argsort(seqs)
     return Single(seqs[ascending], order[ascending], shared[ascending], results.searched)
 
