@@ -147,6 +147,7 @@ def test_a_place_that_ages_is_shown_with_the_photo_that_would_refresh_it(opened:
 def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open) -> None:
     tab = opened("maps/moon/health", refusals=True)
     assert "there is no map 'moon'" in tab.page.get_by_role("alert").inner_text()
+    assert tab.page.locator("main").get_attribute("aria-busy") is None  # nothing more is to come
     assert VIEW["id"] not in tab.page.content()
 
 
