@@ -23,6 +23,7 @@ LEAST_STEP = 0.01
 
 LONGEST_FILE_NAME = 255
 _LONGEST_ENDING = 10
+_BLANK = frozenset("\u115f\u1160\u2800\u3164\uffa0")  # letters and symbols that show nothing
 _DIRECTIONS = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 _RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)")
@@ -53,6 +54,17 @@ def plain_text(text: object) -> str:
     if any(ord(c) < 32 or 0xD800 <= ord(c) <= 0xDFFF or ord(c) == 127 for c in text):
         raise ValueError("must not contain control characters")
     return text
+
+
+def place_name(text: object) -> str:
+    """Check the name of a place as it is given: text of which something is seen, without commands to a terminal."""
+    checked = plain_text(text)
+    categories = [unicodedata.category(c) for c in checked]
+    if "Cc" in categories:
+        raise ValueError("must not contain control characters")
+    if all(kind == "Cf" or kind[0] in "MZ" or c in _BLANK for c, kind in zip(checked, categories, strict=True)):
+        raise ValueError("must have a character that is seen")
+    return checked
 
 
 def file_name(text: str | None) -> str | None:

@@ -251,7 +251,7 @@ class Label(Answer):
 
 
 class Extent(Answer):
-    """Bounding box of a map's positions."""
+    """Bounding box of a map's positions. Across the meridian of 180° `minimum.lon` is the larger (RFC 7946, 5.2)."""
 
     minimum: Position
     maximum: Position

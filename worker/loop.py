@@ -196,7 +196,7 @@ class Loop:
         while not self._stopping.is_set():
             try:
                 if self._trouble.error is None or not underway:
-                    underway += self._take(AHEAD * self._batch - len(underway))
+                    self._take(AHEAD * self._batch - len(underway), underway)
                 if underway:
                     self._idle.clear()
                     with _of(underway[0].claim):
@@ -252,12 +252,12 @@ class Loop:
                 log.exception("the worker goes on after a failure of its own")
                 self._stopping.wait(IDLE_S)
 
-    def _take(self, count: int) -> list[_Underway]:
+    def _take(self, count: int, underway: list[_Underway]) -> None:
+        """Claim up to `count` jobs and begin with them: each is underway then, whatever becomes of the others."""
         if count <= 0:
-            return []
-        taken = []
-        trouble: RevisitError | None = None
-        for claim in self._jobs.claim(self._name, count):
+            return
+        claims, unread = self._jobs.claim(self._name, count), []
+        for claim in claims:
             with _of(claim):
                 try:
                     image = self._decoded.take(claim.view.image.sha256)
@@ -267,22 +267,21 @@ class Loop:
                     future = self._scheduler.submit(
                         image, describer.describe, urgent=False, parallel=describer.keypoints
                     )
-                except STORAGE_ERRORS as error:  # its image cannot be read now: that is no fault of the view
-                    self._jobs.release(claim)
-                    trouble = error
-                    continue
                 except Exception as error:
                     future = Future()
                     future.set_exception(error)
-            taken.append(_Underway(claim, future))
-        if trouble is not None and not taken:
-            raise trouble
-        return taken
+                    if isinstance(error, STORAGE_ERRORS):
+                        unread.append(error)
+            underway.append(_Underway(claim, future))
+        if unread and len(unread) == len(claims):
+            raise unread[-1]
 
     def _settle(self, item: _Underway) -> None:
         try:
             description = item.future.result().value
-        except EncoderAway:  # the service stops, or else the scheduler would have waited
+        except (EncoderAway, *STORAGE_ERRORS):
+            # The service stops, or else the scheduler would have waited; or the image cannot be read now, which is no
+            # fault of the view.
             self._jobs.release(item.claim)
             return
         except Exception as error:

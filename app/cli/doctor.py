@@ -131,7 +131,8 @@ def _data(settings: "Settings", findings: list[str]) -> dict[str, Any]:
         report["free"] = size(free)
         if free < LEAST_FREE:
             findings.append(f"{folder}: only {size(free)} are free; enrolments are refused when nothing is left")
-        if settings.database is None and not any([*folder.glob("revisit.db*"), *folder.glob("pictures/*/*/*")]):
+        begun = any([*folder.glob("revisit.db*"), *folder.glob("pictures/*/*/*")])
+        if folder.is_dir() and settings.database is None and not begun:
             return report | {"tables": "none yet"}
     except OSError as error:
         findings.append(f"{folder}: cannot be read ({error.strerror}); see its permissions")

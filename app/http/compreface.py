@@ -12,7 +12,7 @@ from pydantic import Field
 from starlette.requests import Request
 
 from app.http.body import json_object, take
-from app.http.parameters import PlaceName
+from app.http.parameters import KnownPlace, PlaceName
 from app.http.validation import Parameters
 from schemas.errors import InvalidParameters, ParameterError
 from schemas.wire import PlaceProbability, QueryAnswer, View
@@ -59,13 +59,13 @@ class Examples(Parameters):
 
     page: int = Field(0, ge=0, le=1_000_000, description="Number of the page, from 0.")
     size: int = Field(20, ge=1, le=10_000, description="Examples a page.")
-    subject: PlaceName | None = Field(None, description="Only of this place.")
+    subject: KnownPlace | None = Field(None, description="Only of this place.")
 
 
 class ExamplesOf(Parameters):
     """Parameters of a deletion of examples."""
 
-    subject: PlaceName | None = Field(None, description="Only of this place; without it all of the map.")
+    subject: KnownPlace | None = Field(None, description="Only of this place; without it all of the map.")
 
 
 class Subject(Answer):

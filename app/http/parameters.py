@@ -34,7 +34,10 @@ def _condition(text: str) -> str:
 
 
 MapName = Annotated[str, Field(pattern=values.MAP_NAME, description="Name of the map.", examples=["campus"])]
-PlaceName = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
+PlaceName = Annotated[str, BeforeValidator(values.place_name), Field(min_length=1, max_length=200)]
+KnownPlace = Annotated[str, BeforeValidator(values.plain_text), Field(min_length=1, max_length=200)]
+"""The name of a place to look for: names that were given before they were checked are found too."""
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Metres = Annotated[Finite, Field(ge=-values.FARTHEST_M, le=values.FARTHEST_M)]
 Time = Annotated[
@@ -132,7 +135,7 @@ class FilterParameters(Parameters):
     )
     after: Time | None = Field(None, description="Views captured at this time or later.")
     before: Time | None = Field(None, description="Views captured at this time or earlier.")
-    place: PlaceName | None = Field(None, description="Views of this place.")
+    place: KnownPlace | None = Field(None, description="Views of this place.")
     where: Annotated[str, AfterValidator(_condition)] | None = Field(
         None,
         description="Views of which this condition holds, as JSON: fields, operators, $and, $or, $not.",

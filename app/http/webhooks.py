@@ -179,7 +179,8 @@ class Webhooks:
         if answer.is_success:
             return None
         final = answer.status_code < 500 and answer.status_code not in AGAIN
-        return _Failure(f"answered {answer.status_code} to attempt {one.attempts}", final)
+        elsewhere = ", a redirect, which is not followed" if answer.is_redirect else ""
+        return _Failure(f"answered {answer.status_code} to attempt {one.attempts}{elsewhere}", final)
 
     def _settle(self, one: _Event, outcome: Outcome, why: str) -> None:
         if outcome != "delivered":

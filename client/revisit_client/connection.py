@@ -59,7 +59,7 @@ class Connection:
         self.url = url
         self._patience, self._sleep, self._clock = patience, sleep, clock
         self._http = httpx.Client(
-            base_url=url,
+            base_url=_address(url),
             timeout=httpx.Timeout(timeout, connect=min(5.0, timeout)),
             transport=transport,
             headers={"user-agent": USER_AGENT} | _bearing(key),
@@ -187,6 +187,14 @@ class Connection:
                 raise trouble
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)
+
+
+def _address(url: str) -> httpx.URL:
+    """The address of a service; raises Unsendable for what is none."""
+    try:
+        return httpx.URL(url)
+    except httpx.InvalidURL as error:
+        raise Unsendable(f"{url!r} is no address of a service, as http://127.0.0.1:8000 is ({error})") from None
 
 
 def _bearing(key: str | None) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """The console as a person uses it, in a real browser on a running service."""
 
+import json
 import os
 import re
 import subprocess
@@ -105,13 +106,15 @@ def test_the_copied_calls_give_the_same_answer(opened: Open, query_photo: Path) 
     assert done.stdout.startswith("matched "), done.stderr
     curl = tab.page.get_by_label("As curl").inner_text()
     assert [part.strip(" \\") for part in curl.splitlines()] == [
-        "curl -F image=@'today.jpg'",
-        "-F 'map=town'",
-        "-F 'explain=true'",
-        "-F 'top=2'",
-        "-F 'near=0,0,70'",
+        "curl -F 'image=@\"today.jpg\"'",
+        "--form-string 'map=town'",
+        "--form-string 'explain=true'",
+        "--form-string 'top=2'",
+        "--form-string 'near=0,0,70'",
         f"{tab.url}/query",
     ]
+    answer = subprocess.run(["sh", "-c", curl], cwd=query_photo.parent, capture_output=True, text=True)
+    assert json.loads(answer.stdout)["status"] == "matched", answer.stderr
 
 
 def test_photos_of_a_drive_count_together_and_the_copied_calls_name_it(opened: Open, query_photo: Path) -> None:
@@ -131,7 +134,7 @@ def test_photos_of_a_drive_count_together_and_the_copied_calls_name_it(opened: O
     assert drive.locator(".bars .name").first.inner_text() == "mill lane"
     assert drive.get_by_text("nowhere: none of these").is_visible()
     tab.page.get_by_text("The same from a program").click()
-    assert "-F 'drive_timeout=90'" in tab.page.get_by_label("As curl").inner_text()
+    assert "--form-string 'drive_timeout=90'" in tab.page.get_by_label("As curl").inner_text()
     assert 'drive="round-1", drive_timeout=90' in tab.page.get_by_label("As Python").inner_text()
     tab.page.evaluate((resources.files("axe_playwright_python") / "axe.min.js").read_text())
     assert tab.page.evaluate("axe.run().then((found) => found.violations.map((one) => one.id))") == []

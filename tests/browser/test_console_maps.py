@@ -13,6 +13,7 @@ from app.http.examples import MAP_HEALTH, VIEW
 from scenes import scene
 from tests.browser.conftest import LAPTOP, PHONE, Open, Tab
 from tests.drawn_videos import frames, video
+from tests.sample_images import photo
 from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
 
@@ -146,6 +147,7 @@ def test_a_place_that_ages_is_shown_with_the_photo_that_would_refresh_it(opened:
 def test_the_health_of_a_map_that_is_not_there_is_refused_in_words(opened: Open) -> None:
     tab = opened("maps/moon/health", refusals=True)
     assert "there is no map 'moon'" in tab.page.get_by_role("alert").inner_text()
+    assert tab.page.locator("main").get_attribute("aria-busy") is None  # nothing more is to come
     assert VIEW["id"] not in tab.page.content()
 
 
@@ -354,3 +356,22 @@ def test_the_shares_of_a_maps_labels_are_shown(opened: Open) -> None:
     shares = [float(text.split()[0]) for text in rows.locator(".number").all_inner_texts() if text[0].isdigit()]
     assert shares == sorted(shares, reverse=True)
     assert shares[0] > 10
+
+
+def test_a_plan_on_both_sides_of_the_date_line_is_as_narrow_as_its_map(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    for seed, lon in ((220, 179.9999), (221, -179.9999)):
+        address = f"{service.url}/enroll?map=island&lat=-17&lon={lon}"
+        assert httpx.post(address, content=photo(seed), timeout=60).status_code == 201
+    extent = httpx.get(f"{service.url}/maps/island").json()["extent"]
+    assert (extent["minimum"]["lon"], extent["maximum"]["lon"]) == (179.9999, -179.9999)
+    (tmp_path / "beach.jpg").write_bytes(photo(222))
+    tab = opened("enrol")
+    tab.page.get_by_label("Map", exact=True).select_option("island")
+    tab.page.get_by_label("Choose photos").set_input_files([tmp_path / "beach.jpg"])
+    tab.page.get_by_text("Set positions on the plan").click()
+    tab.page.locator("canvas.plan").click()  # in the middle
+    lat, lon = map(float, tab.page.get_by_label("Position of beach.jpg").input_value().split(","))
+    assert lat == pytest.approx(-17.0, abs=1e-4)
+    assert abs(lon) == pytest.approx(180, abs=2e-5)

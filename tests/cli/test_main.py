@@ -106,10 +106,11 @@ def test_the_healthcheck_tells_by_its_exit_code(
         (["views", ".."], "'..' is neither a name nor an id"),
         (["maps", ""], "'' is neither a name nor an id"),
         (["maps", "--key", "a b"], "the key has letters that no key has"),
+        (["maps", "--url", "http://[::1"], "'http://[::1' is no address of a service"),
     ],
 )
 def test_what_no_call_can_be_made_with_is_told_without_a_traceback(
     argv: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*argv, "--url", "http://127.0.0.1:1"]) == 1
+    assert main([argv[0], "--url", "http://127.0.0.1:1", *argv[1:]]) == 1
     assert capsys.readouterr().err.startswith(f"revisit: {told}")

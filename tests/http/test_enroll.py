@@ -280,6 +280,8 @@ ERRORS: list[tuple[dict[str, str], list[str]]] = [
     ({"map": "a" * 65}, ["map"]),
     ({"place": ""}, ["place"]),
     ({"place": "a\x00b"}, ["place"]),
+    ({"place": "a\x9b31mb"}, ["place"]),
+    ({"place": "\u200b\ufeff \u3164"}, ["place"]),
     ({"place": "p" * 201}, ["place"]),
     ({"metadata": "no"}, ["metadata"]),
     ({"metadata": "[1]"}, ["metadata"]),

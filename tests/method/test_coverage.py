@@ -13,6 +13,8 @@ def test_points_near_the_first_of_a_spot_are_of_it() -> None:
     assert spots(line, 5.0) == [[0, 1, 2, 4], [3, 5]]
     assert spots(line, 0.0) == [[i] for i in range(6)]
     assert spots(np.zeros((0, 2)), 5.0) == []
+    up = np.array([[0.0, 0, 0], [3, 0, 3], [3, 0, 4], [0, 0, 5.1]])
+    assert spots(up, 5.0) == [[0, 1, 2], [3]]
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), max_size=30), st.floats(0, 20))
@@ -48,3 +50,4 @@ def test_a_gap_is_much_longer_than_the_usual_step_whatever_the_order() -> None:
     assert [length for *_, length in gaps(shuffled, 20)] == [70.0]
     assert gaps(way, 80) == []
     assert gaps(way[:2], 0) == []
+    assert gaps(np.array([[0.0, 0, z] for z in (0, 10, 20, 100)]), 20) == [(2, 3, 80.0)]

@@ -251,6 +251,26 @@ def test_a_place_lies_in_the_middle_of_its_views(store: SqlStore) -> None:
     assert gate[4] == NOW + 4 * MINUTE
 
 
+@pytest.mark.parametrize(
+    ("longitudes", "box"),
+    [
+        ((179.9999, -179.9999), (179.9999, -179.9999)),
+        ((180.0, -180.0), (180.0, -180.0)),
+        ((100.0, 170.0, -100.0), (100.0, -100.0)),
+        ((-10.0, 0.0, 20.0), (-10.0, 20.0)),
+        ((-70.0, -10.0), (-70.0, -10.0)),
+        ((-90.0, 90.0), (-90.0, 90.0)),
+    ],
+)
+def test_the_box_of_a_map_is_the_narrower_one_around_the_globe(
+    store: SqlStore, longitudes: tuple[float, ...], box: tuple[float, float]
+) -> None:
+    for number, lon in enumerate(longitudes):
+        enroll(store, f"{number}", attributes=ViewAttributes(None, Position(lat=-17.0, lon=lon)))
+    counts = store.maps.counts("campus")
+    assert (counts.lowest, counts.highest) == (Position(lat=-17.0, lon=box[0]), Position(lat=-17.0, lon=box[1]))
+
+
 def test_places_are_paged_by_map_and_name(store: SqlStore) -> None:
     for map_name in ("a", "b"):
         for place in ("B", "a", "b"):

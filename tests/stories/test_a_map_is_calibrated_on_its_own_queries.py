@@ -172,12 +172,15 @@ def test_every_mistake_in_the_labels_is_named(client: CheckedClient, site: list[
                 {"view": "moon", "place": "place 0"},
                 {"view": elsewhere["view"]["id"], "place": None},
                 {"view": site[0]["id"], "place": "plaice 0"},
+                {"view": site[0]["id"], "position": {"lat": 1.0, "lon": 2.0}},
             ],
         )
     )
-    assert errors.keys() == {"observed.0.features", "queries.0.view", "queries.1.view", "queries.2.place"}
+    named = {f"queries.{wrong}" for wrong in ("0.view", "1.view", "2.place", "3.position")}
+    assert errors.keys() == {"observed.0.features", *named}
     assert "lacks level and breadth" in errors["observed.0.features"]
     assert "'plaice 0'" in errors["queries.2.place"]
+    assert errors["queries.3.position"] == "is in degrees, in which no view of the map has a position"
 
 
 def test_answers_by_another_ranking_are_not_mixed_in(client: CheckedClient, site: list[dict[str, Any]]) -> None:

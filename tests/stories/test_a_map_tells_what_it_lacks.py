@@ -113,6 +113,18 @@ def test_a_stretch_without_views_is_a_gap(site: Site, east: tuple[str, float], n
     assert ("70 m" if east[0] == "x" else "78 m") in gap["detail"]
 
 
+def test_what_lies_far_from_the_first_view_is_measured_where_it_lies(site: Site) -> None:
+    site.enroll(9, lat=90, lon=0)
+    for seed, east in enumerate((0, 10, 20, 30, 100)):
+        site.enroll(seed, lat=0, lon=36 + east * 1e-5)
+
+    quarter, gap = site.found("gap")
+
+    assert "there are 10007557 m without a view" in quarter["detail"]
+    assert "there are 78 m without a view" in gap["detail"]
+    assert len(site.found("single-view")) == 6
+
+
 def test_the_list_is_as_long_as_wanted_and_says_what_it_leaves_out(site: Site) -> None:
     for seed in range(5):
         site.enroll(seed, place=f"place {seed}")

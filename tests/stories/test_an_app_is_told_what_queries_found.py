@@ -290,6 +290,7 @@ def test_what_is_refused_or_never_taken_is_said(
         assert settled(outcomes, 1) == [outcome]
         assert len(app.messages) == attempts
     assert f"webhook lost is lost: answered {statuses[-1]} to attempt {attempts}" in caplog.text
+    assert ("a redirect, which is not followed" in caplog.text) == (statuses == (302,))
 
 
 @apart

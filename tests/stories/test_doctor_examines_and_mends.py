@@ -70,6 +70,12 @@ def test_a_whole_folder_has_no_findings(data: Path, capsys: pytest.CaptureFixtur
     assert (code, told.splitlines()[-2:]) == (0, ["findings", "  none"])
 
 
+def test_a_file_is_no_data_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "photo.jpg").write_bytes(b"")
+    code, told = doctor(tmp_path / "photo.jpg", capsys)
+    assert (code, f"{tmp_path / 'photo.jpg'}: is no folder that can be read" in told) == (1, True)
+
+
 def test_it_goes_on_after_the_first_bad_image(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     deleted, damaged, emptied, cut, *_ = images(data)
     deleted.unlink()

@@ -14,6 +14,7 @@ from tests.openapi import CheckedClient
 from tests.sample_images import encoded
 from tests.stories.running import settings
 from worker.runtime import Runtime, build
+from worker.storage.kept_queries import KeptQueries
 from worker.storage.tables import KEPT_QUERIES
 
 JPEG = {"content-type": "image/jpeg"}
@@ -72,6 +73,8 @@ def test_nothing_is_kept_unless_the_map_says_so(town: Town) -> None:
 
 def test_a_place_seen_thrice_is_named_once_and_known_from_then_on(town: Town) -> None:
     assert town.keep(100)["keep_queries"] == 100
+    # What its owner names becomes views, also of a map that takes no near-duplicates by itself.
+    assert town.client.patch("/maps/town", json={"refuse_poor": True}).status_code == 200
     for quality in (92, 80, 70):
         assert town.query("dock", quality) == "no_match"
     assert town.query("mill lane") == "matched"
@@ -104,6 +107,26 @@ def test_a_place_seen_thrice_is_named_once_and_known_from_then_on(town: Town) ->
         body = {"json": {"place": "a"}} if method == "POST" else {}
         answer = town.client.request(method, f"/maps/town/unknown/{path}", **body)
         assert answer.status_code == 404, (method, path)
+
+
+def test_a_map_that_is_deleted_while_its_place_is_named_stays_deleted(
+    town: Town, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    town.keep(10)
+    for quality in (92, 80):
+        assert town.query("dock", quality) == "no_match"
+    [dock] = town.unknown()["places"]
+    read = KeptQueries.image
+
+    def read_and_delete(self: KeptQueries, name: str, query_id: str) -> bytes:
+        image = read(self, name, query_id)
+        assert town.client.delete("/maps/town").status_code == 200
+        return image
+
+    monkeypatch.setattr(KeptQueries, "image", read_and_delete)
+    answer = town.client.post(f"/maps/town/unknown/{dock['id']}", json={"place": "dock"})
+    assert (answer.status_code, answer.json()["type"]) == (404, "urn:revisit:problem:not-found")
+    assert town.client.get("/maps").json() == {"maps": []}
 
 
 def wait_until_described(town: Town, views: int) -> None:

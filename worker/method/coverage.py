@@ -25,7 +25,7 @@ def spots(points: Points, within: float) -> list[list[int]]:
 
     Parameters
     ----------
-    points : float64 of shape (n, 2)
+    points : float64 of shape (n, d)
         Metres, in the order of enrolment.
     within : float
         Radius of a spot, at least 0, metres.
@@ -37,17 +37,18 @@ def spots(points: Points, within: float) -> list[list[int]]:
     """
     # A little more: two points that are `within` apart once rounded may lie in cells that are not neighbours.
     side = max(within * (1 + 1e-9), 1e-6)
-    cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-    columns = np.floor(points / side).astype(np.int64).tolist()
-    for i, (column, row) in enumerate(columns):
-        cells[column, row].append(i)
+    cells: defaultdict[tuple[int, ...], list[int]] = defaultdict(list)
+    numbers = np.floor(points / side).astype(np.int64)
+    for i, cell in enumerate(numbers.tolist()):
+        cells[tuple(cell)].append(i)
+    steps = np.array(list(product((-1, 0, 1), repeat=points.shape[1])))
     taken = np.zeros(len(points), np.bool_)
     found = []
-    for i, (column, row) in enumerate(columns):
+    for i in range(len(points)):
         if taken[i]:
             continue
-        around = [j for dx, dy in product((-1, 0, 1), repeat=2) for j in cells.get((column + dx, row + dy), ())]
-        near = [j for j in around if not taken[j] and np.hypot(*(points[j] - points[i])) <= within]
+        around = [j for cell in (numbers[i] + steps).tolist() for j in cells.get(tuple(cell), ())]
+        near = [j for j in around if not taken[j] and np.hypot.reduce(points[j] - points[i]) <= within]
         taken[near] = True
         found.append(sorted({i, *near}))
         taken[i] = True
@@ -68,7 +69,7 @@ def gaps(points: Points, least: float) -> list[tuple[int, int, float]]:
 
     Parameters
     ----------
-    points : float64 of shape (n, 2)
+    points : float64 of shape (n, d)
         Metres.
     least : float
         Shorter gaps are none, metres.
@@ -92,7 +93,7 @@ def gaps(points: Points, least: float) -> list[tuple[int, int, float]]:
 
 
 def _spanning_tree(points: Points) -> list[tuple[int, int, float]]:
-    count, x, y = len(points), points[:, 0].copy(), points[:, 1].copy()
+    count, axes = len(points), np.ascontiguousarray(points.T)
     nearest = np.full(count, np.inf)  # squared distance to the tree; infinite for its own points
     parent = np.zeros(count, np.int64)
     outside = np.ones(count, np.bool_)
@@ -100,7 +101,7 @@ def _spanning_tree(points: Points) -> list[tuple[int, int, float]]:
     for _ in range(count - 1):
         outside[last] = False
         nearest[last] = np.inf
-        away = (x - x[last]) ** 2 + (y - y[last]) ** 2
+        away = np.square(axes - axes[:, last, None]).sum(axis=0)
         closer = outside & (away < nearest)
         nearest[closer], parent[closer] = away[closer], last
         last = int(np.argmin(nearest))

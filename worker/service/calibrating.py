@@ -220,7 +220,11 @@ class CalibrationService:
                 errors.append(ParameterError(f"observed.{i}.features", detail))
         named = {query.place for query in queries if query.place is not None}
         empty = {place for place in named if not self._showing(record.name, Filters(place=place))}
+        frames = _frames(self._maps.counts(record.name).lowest)
         for i, query in enumerate(queries):
+            if query.position is not None and _frame(query.position) not in frames:
+                detail = f"is in {_frame(query.position)}, in which no view of the map has a position"
+                errors.append(ParameterError(f"queries.{i}.position", detail))
             if query.place in empty:
                 detail = f"no view of the map shows {query.place!r}; null means none of its places"
                 errors.append(ParameterError(f"queries.{i}.place", detail))
@@ -278,6 +282,15 @@ class CalibrationService:
     def _showing(self, name: str, filters: Filters) -> set[int]:
         only = self._listings.select(name, filters).only
         return set() if only is None else {int(seq) for seq in only}
+
+
+def _frame(position: Position) -> str:
+    return "metres" if position.lat is None else "degrees"
+
+
+def _frames(lowest: Position) -> list[str]:
+    """Frames of the positions of a map, by its lowest ones."""
+    return [name for name, value in (("metres", lowest.x), ("degrees", lowest.lat)) if value is not None]
 
 
 def _shows(known: KnownView, query: LabelledView, within: float) -> bool:

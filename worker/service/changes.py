@@ -168,7 +168,7 @@ class ChangeService:
         if now.id == then.id:
             raise InvalidParameters.of("since", "is the view itself; name another view of the place")
         if now.map != then.map:
-            raise InvalidParameters.of("since", f"is a view of the map {then.map!r}, the other of {now.map!r}")
+            raise InvalidParameters.of("since", f"is a view of the map {then.map!r}; name another one of {now.map!r}")
         return self._maps.get(now.map), then, self._photo(then), self._photo(now, "now")
 
     def aligned(self, then: Image, now: Image, recipe: DescriptionRecipe) -> tuple[int, Aligned | None]:

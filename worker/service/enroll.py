@@ -154,6 +154,7 @@ class EnrollService:
         waits: bool = False,
         refuse_poor: bool | None = None,
         exif: bool = False,
+        makes_map: bool = True,
     ) -> Accepted:
         """Store an image durably and queue its description.
 
@@ -169,11 +170,15 @@ class EnrollService:
             of one is to fail that shows mostly things that move or is nearly in the map already; None: as the map says.
         exif : bool
             Whether the image's EXIF says where and when it was taken, where `attributes` do not.
+        makes_map : bool
+            Whether a map is made that there is not.
 
         Raises
         ------
         BadImage, PoorImage, NothingStatic, Busy, Conflict, DiskFull, StorageFailed, Unavailable
             Nothing is stored.
+        NotFound
+            There is no map, and none is made.
         SetupError
             The map was described by another encoder than the running one; nothing is stored.
         """
@@ -196,15 +201,20 @@ class EnrollService:
             raise self._settlements.trouble
         if exif:
             attributes = completed(attributes, self._taken(data))
+        recipe = self._default_recipe if makes_map else None
         submitted = self._enrolment.submit(
-            map_name, data, image, attributes, self._default_recipe, datetime.now(UTC), steady.reading_s(),
-            refuse_poor=refuses_poor,
-        )  # fmt: skip
+            map_name, data, image, attributes, recipe, datetime.now(UTC), steady.reading_s(), refuse_poor=refuses_poor
+        )
         if submitted.job_id is not None:
             self._wake()
         expected_s = (waiting + 1) * self._pace_s() / max(1, workers)
         timing_ms = {"decode": (decoded - began) * 1000, "store": _since(decoded)}
         return Accepted(submitted, began, expected_s, problem, timing_ms, refuses_poor and workers <= 1)
+
+    def take(self, data: bytes, map_name: str, attributes: ViewAttributes) -> Enrolled:
+        """Submit an image that a map kept of a query and somebody decided to take: not into a map that was deleted
+        meanwhile, which would come back, and whatever the map refuses by itself. Raises as `submit`."""
+        return self.outcome(self.submit(data, map_name, attributes, refuse_poor=False, makes_map=False))
 
     def outcome(self, accepted: Accepted, view: ViewRecord | None = None) -> Enrolled:
         """The outcome of an accepted image.

@@ -21,6 +21,7 @@ from worker.method.near_duplicates import NEAR, SAME, alike, similarity
 from worker.method.places import NEIGHBOURHOOD
 from worker.service.ports import Maps
 from worker.service.spots import (
+    along,
     by_place,
     by_spot,
     coordinates,
@@ -185,7 +186,7 @@ def _narrow(
 ) -> Iterator[HealthFinding]:
     """Places seen from one side or once only, and stretches without views."""
     for geographic in (False, True):
-        yield from _gaps(in_frame(views, geographic), same_place_m)
+        yield from _gaps(in_frame(views, geographic), same_place_m, geographic)
     for group in groups:
         yield from _directions(group)
         if len(group) == 1:
@@ -222,10 +223,10 @@ def _directions(group: Sequence[SurveyedView]) -> Iterator[HealthFinding]:
         )
 
 
-def _gaps(views: Sequence[SurveyedView], same_place_m: float) -> Iterator[HealthFinding]:
+def _gaps(views: Sequence[SurveyedView], same_place_m: float, geographic: bool) -> Iterator[HealthFinding]:
     firsts = [group[0] for group in by_spot(views, same_place_m)]
-    for one, other, length in coverage.gaps(points_of(firsts), NEIGHBOURHOOD * same_place_m):
-        ends = firsts[one], firsts[other]
+    for one, other, straight in coverage.gaps(points_of(firsts), NEIGHBOURHOOD * same_place_m):
+        ends, length = (firsts[one], firsts[other]), along(straight, geographic)
         yield HealthFinding(
             "gap",
             f"between {label(ends[0])} and {label(ends[1])} there are {length:.0f} m without a view, much more than "

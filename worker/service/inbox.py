@@ -83,8 +83,7 @@ class InboxService:
         chosen = spread(place.queries, ENROLLED)
         enrolled = []
         for query_id in chosen:
-            accepted = self._enroll.submit(self._kept.image(name, query_id), name, attributes)
-            enrolled.append(self._enroll.outcome(accepted))
+            enrolled.append(self._enroll.take(self._kept.image(name, query_id), name, attributes))
             self._kept.delete(name, [query_id])
         return enrolled, len(chosen) + self._kept.delete(name, [one for one in place.queries if one not in chosen])
 

@@ -92,8 +92,7 @@ class ProposalService:
         for query_id in chosen:
             attributes = self._views.get(proposal.matched[query_id]).attributes
             given = ViewAttributes(attributes.place, attributes.position, metadata={ADDED_FROM: query_id})
-            accepted = self._enroll.submit(self._kept.image(name, query_id), name, given)
-            enrolled.append(self._enroll.outcome(accepted))
+            enrolled.append(self._enroll.take(self._kept.image(name, query_id), name, given))
             self._kept.delete(name, [query_id])
         return enrolled, len(chosen) + self._kept.delete(name, [one for one in proposal.queries if one not in chosen])
 

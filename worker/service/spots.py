@@ -1,5 +1,6 @@
 """How findings name the places of views, and which views are taken together."""
 
+import math
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
@@ -8,7 +9,7 @@ import numpy as np
 from schemas.comparisons import KnownView
 from schemas.records import Position
 from worker.method import coverage
-from worker.method.estimate import is_known, metres
+from worker.method.estimate import EARTH_M, is_known, metres
 
 
 class View(Protocol):
@@ -59,8 +60,18 @@ def by_spot(views: Sequence[V], within: float) -> list[list[V]]:
 
 
 def points_of(views: Sequence[V]) -> coverage.Points:
-    """Positions as metres from the first one, float64 of shape (views, 2)."""
+    """Positions in metres, float64: of shape (views, 2), from the first one; of degrees of shape (views, 3), from the
+    centre of the earth: laid flat, what lies far from the first would come out too short or too long."""
+    if views and views[0].known.position.lat is not None:
+        degrees = np.array([(view.known.position.lat, view.known.position.lon) for view in views], np.float64)
+        lat, lon = np.radians(degrees).T
+        return EARTH_M * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
     return np.array([metres(view.known.position, views[0].known.position)[:2] for view in views]).reshape(-1, 2)
+
+
+def along(straight: float, geographic: bool) -> float:
+    """The way over the ground between two of these points, metres, by the straight line between them."""
+    return 2 * EARTH_M * math.asin(min(straight / (2 * EARTH_M), 1.0)) if geographic else straight
 
 
 def names_of(group: Sequence[View]) -> tuple[str, ...]:

@@ -97,15 +97,22 @@ class Maps(Part):
                 sa.func.coalesce(sa.func.sum(kept), 0).label("picture_bytes"),
                 *(sa.func.min(sa.case((sound, VIEWS.c[axis]))).label(f"lowest_{axis}") for axis in axes),
                 *(sa.func.max(sa.case((sound, VIEWS.c[axis]))).label(f"highest_{axis}") for axis in axes),
+                sa.func.min(sa.case((sa.and_(sound, VIEWS.c.lon >= 0), VIEWS.c.lon))).label("lowest_east"),
+                sa.func.max(sa.case((sa.and_(sound, VIEWS.c.lon < 0), VIEWS.c.lon))).label("highest_west"),
             )
             row = connection.execute(totals.where(own)).one()._mapping
             places = connection.execute(distinct.where(own)).scalar_one()
+        lowest = {axis: row[f"lowest_{axis}"] for axis in axes}
+        highest = {axis: row[f"highest_{axis}"] for axis in axes}
+        east, west = row["lowest_east"], row["highest_west"]
+        if None not in (east, west) and west + 360 - east < highest["lon"] - lowest["lon"]:
+            lowest["lon"], highest["lon"] = east, west  # the box over the meridian of 180 degrees is the narrower one
         return MapCounts(
             views={state: row[state] for state in STATES},
             places=places,
             image_bytes=int(row["picture_bytes"]),
-            lowest=Position(**{axis: row[f"lowest_{axis}"] for axis in axes}),
-            highest=Position(**{axis: row[f"highest_{axis}"] for axis in axes}),
+            lowest=Position(**lowest),
+            highest=Position(**highest),
         )
 
     def put(self, name: str, recipe: MapRecipe, now: datetime) -> tuple[MapRecord, bool]:

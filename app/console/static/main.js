@@ -17,7 +17,8 @@ const kept = new Map(); // screens that go on while others are looked at
 let leave = null;
 
 const OF_MAP = { health: healthScreen, inbox: inboxScreen, recipe: recipeScreen };
-const mapsOrOne = (name, part) => (name ? (OF_MAP[part] ?? mapScreen)(name) : mapsScreen());
+const ofMap = (part) => (Object.hasOwn(OF_MAP, part) ? OF_MAP[part] : mapScreen);
+const mapsOrOne = (name, part) => (name ? ofMap(part)(name) : mapsScreen());
 
 const SCREENS = {
   ask: { title: "Ask", make: queryScreen, keep: true },
@@ -31,7 +32,7 @@ const SCREENS = {
 async function show() {
   const [name, ...rest] = location.hash.slice(1).split("/");
   if (name === "main") return;
-  const chosen = SCREENS[name] ? name : "ask";
+  const chosen = Object.hasOwn(SCREENS, name) ? name : "ask";
   const { title, make, keep, under = chosen } = SCREENS[chosen];
   for (const link of document.querySelectorAll(".top nav a")) {
     if (link.getAttribute("href") === `#${under}`) link.setAttribute("aria-current", "page");
@@ -44,8 +45,11 @@ async function show() {
   leave = screen.leave ?? null;
   main.replaceChildren(screen.element);
   main.setAttribute("aria-busy", "true");
-  await screen.enter?.();
-  main.removeAttribute("aria-busy");
+  try {
+    await screen.enter?.();
+  } finally {
+    main.removeAttribute("aria-busy");
+  }
   main.dataset.screen = location.hash.slice(1);
 }
 

@@ -7,11 +7,19 @@ const METRES_PER_DEGREE = 111_320;
 const MARGIN = 28;
 const NEAR_PX = 14;
 
-/** A position as metres east and north; `middle` is the latitude that degrees are laid flat at. */
+/** Degrees of longitude within 180 of 0: positions on both sides of the date line are near each other. */
+const turned = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
+
+/** Metres of a degree of longitude at a latitude; at a pole, where all longitudes are one point, some. */
+const metresEast = (lat) => METRES_PER_DEGREE * Math.max(Math.cos((lat * Math.PI) / 180), 1e-6);
+
+const isGeographic = ({ lat }) => lat !== null && lat !== undefined;
+
+/** A position as metres east and north; `middle` {lat, lon} is where degrees are laid flat. */
 function flat(position, middle) {
   if (position.x !== null && position.x !== undefined) return [position.x, position.y];
-  if (position.lat === null || position.lat === undefined) return null;
-  return [position.lon * METRES_PER_DEGREE * Math.cos((middle * Math.PI) / 180), position.lat * METRES_PER_DEGREE];
+  if (!isGeographic(position)) return null;
+  return [turned(position.lon - middle.lon) * metresEast(middle.lat), position.lat * METRES_PER_DEGREE];
 }
 
 /**
@@ -36,8 +44,8 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
     const paint = canvas.getContext("2d");
     paint.scale(ratio, ratio);
     paint.font = "12px system-ui, sans-serif";
-    const latitudes = all.map((one) => one.position.lat).filter((lat) => lat !== null && lat !== undefined);
-    const middle = circle?.position.lat ?? (latitudes.length ? latitudes[Math.floor(latitudes.length / 2)] : 0);
+    const degrees = all.map((one) => one.position).filter(isGeographic);
+    const middle = circle && isGeographic(circle.position) ? circle.position : degrees[Math.floor(degrees.length / 2)];
     const spots = all.map((point) => [flat(point.position, middle), point]).filter(([spot]) => spot);
     const centre = circle && flat(circle.position, middle);
     const reach = circle?.radius ?? 0;
@@ -68,9 +76,8 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
         (left - width / 2) / scale + (west + east) / 2,
         (height / 2 - top) / scale + (south + north) / 2,
       ];
-      const lat = up / METRES_PER_DEGREE;
-      const lon = along / (METRES_PER_DEGREE * Math.cos((middle * Math.PI) / 180));
-      return latitudes.length ? { lat, lon } : { x: along, y: up };
+      if (!degrees.length) return { x: along, y: up };
+      return { lat: up / METRES_PER_DEGREE, lon: turned(middle.lon + along / metresEast(middle.lat)) };
     };
     drawn = spots.map(([spot, point]) => [x(spot[0]), y(spot[1]), point]);
     const radius = drawn.length > 2000 ? 1.5 : drawn.length > 300 ? 2.5 : 4;

@@ -6,16 +6,18 @@ import { key } from "./api.js";
 const quoted = (text) => `'${text.replaceAll("'", "'\\''")}'`;
 
 function curl(query, name) {
-  const parts = [`curl -F image=@${quoted(name)}`];
+  const file = name.replaceAll(/["\\]/g, "\\$&"); // within its quotes curl splits a name at no comma
+  const parts = [`curl -F ${quoted(`image=@"${file}"`)}`];
   if (key.get()) parts.push('-H "X-Api-Key: $REVISIT_KEY"');
-  for (const [field, value] of Object.entries(query)) parts.push(`-F ${quoted(`${field}=${value}`)}`);
+  // curl takes what begins with @ or < for a file to send, and a semicolon for the end, in -F.
+  for (const [field, value] of Object.entries(query)) parts.push(`--form-string ${quoted(`${field}=${value}`)}`);
   return [...parts, `${location.origin}/query`].join(" \\\n  ");
 }
 
 const NUMBERS = ["top", "precision", "candidates", "drive_timeout"];
 
 function python(query, name) {
-  const metadata = {};
+  const metadata = Object.create(null);
   const options = [];
   for (const [field, value] of Object.entries(query)) {
     if (field.startsWith("metadata.")) metadata[field.slice("metadata.".length)] = value;

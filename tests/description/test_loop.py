@@ -1,0 +1,60 @@
+"""The worker's loop: whatever fails, no job that it claimed is left lying."""
+
+import time
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from schemas.errors import StorageFailed
+from worker.loop import Loop
+from worker.service.trouble import StoringTrouble
+
+
+class Disk:
+    """Two jobs whose images cannot be read, and a store that refuses to put jobs back for a while."""
+
+    def __init__(self, refusals: int) -> None:
+        self.refusals, self.waiting, self.released = refusals, ["first", "second"], set[str]()
+
+    def claim(self, worker: str, count: int) -> list[Any]:
+        ids, self.waiting = self.waiting[:count], self.waiting[count:]
+        view = SimpleNamespace(image=SimpleNamespace(sha256="0"))
+        return [SimpleNamespace(job_id=one, view=SimpleNamespace(id=one, image=view.image)) for one in ids]
+
+    def claim_map_job(self, worker: str, now: object) -> None:
+        return None
+
+    def image(self, view_id: str) -> bytes:
+        raise StorageFailed("the disk does not answer")
+
+    def release(self, claim: Any) -> None:
+        if self.refusals:
+            self.refusals -= 1
+            raise StorageFailed("the database does not answer")
+        self.released.add(claim.job_id)
+
+
+@pytest.mark.parametrize("refusals", [0, 1, 3])
+def test_a_job_whose_image_cannot_be_read_is_put_back_also_when_that_fails_at_first(refusals: int) -> None:
+    disk = Disk(refusals)
+    loop = Loop(
+        jobs=cast(Any, disk),
+        views=disk,
+        pruning=cast(Any, SimpleNamespace(prune=lambda: 0)),
+        scheduler=cast(Any, None),
+        describers=cast(Any, None),
+        map_jobs={},
+        decode=cast(Any, None),
+        decoded=cast(Any, SimpleNamespace(take=lambda digest: None, clear=lambda: None)),
+        name="worker",
+        batch=1,
+        trouble=StoringTrouble("descriptions", 0.01),
+        idle_s=0.01,
+    )
+    loop.start()
+    until = time.monotonic() + 5
+    while disk.released != {"first", "second"} and time.monotonic() < until:
+        time.sleep(0.01)
+    loop.stop()
+    assert disk.released == {"first", "second"}
