@@ -181,8 +181,10 @@ def test_the_examples_of_its_readme_run(wheel: Path, tmp_path: Path) -> None:
     finally:
         service.stop()
 
-    view, status, match, refusal = (line.split() for line in printed)
+    view, status, match, refusal, detail, errors = (line.split() for line in printed)
     assert view[1] == "True"
     assert status[0] == "matched"
     assert match[:2] == ["1", "entrance"]
     assert refusal[0] == "not-found"
+    assert detail[:5] == ["there", "is", "no", "map", "'attic';"]
+    assert errors == ["[]"]

@@ -50,7 +50,6 @@ def test_a_job_whose_image_cannot_be_read_is_put_back_also_when_that_fails_at_fi
         name="worker",
         batch=1,
         trouble=StoringTrouble("descriptions", 0.01),
-        idle_s=0.01,
     )
     loop.start()
     until = time.monotonic() + 5
