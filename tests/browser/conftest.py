@@ -1,6 +1,7 @@
 """A browser on a running service: Debian's Chromium, driven by Playwright; nothing is downloaded."""
 
 import re
+import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -89,7 +90,9 @@ class Tab:
         """Press the button that removes something, once no image is on its way: of what is gone there is none."""
         button = self.page.get_by_role("button", name=name, exact=True)
         button.scroll_into_view_if_needed()
+        until = time.monotonic() + PATIENCE_MS / 1000
         while self._fetched:
+            assert time.monotonic() < until, f"never arrived: {[request.url for request in self._fetched]}"
             self.page.wait_for_timeout(50)
         button.press("Enter")
 

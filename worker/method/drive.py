@@ -53,6 +53,7 @@ SHARPNESS = 2.0
 """By how many gaps of wrong answers a score must be higher for the view to be e times as likely."""
 
 MOST_SURE = 1 - 1e-9
+"""Largest probability of a first place that is read: the odds of certainty are infinite."""
 
 KEPT, LEAST = 256, 1e-5
 """Views whose probability is kept one by one, at most, and the least that is kept; all others share what is left
@@ -131,7 +132,7 @@ class Single:
 
 
 def spread(scores: Doubles, first: npt.NDArray[np.bool_], sure: float, gap: float) -> Doubles:
-    """Share the probability of a single image's first place among its views, and some of the rest among the others.
+    """Share the tempered probability of an image's first place among its views, and some of the rest among the others.
 
     Parameters
     ----------
@@ -151,7 +152,8 @@ def spread(scores: Doubles, first: npt.NDArray[np.bool_], sure: float, gap: floa
     """
     weights = np.exp((scores - scores.max()) / (SHARPNESS * gap))
     shared = np.zeros(len(scores))
-    odds = (min(sure, MOST_SURE) / (1 - min(sure, MOST_SURE))) ** TEMPERED
+    sure = min(sure, MOST_SURE)
+    odds = (sure / (1 - sure)) ** TEMPERED
     sure = odds / (1 + odds)
     for views, mass in ((first, sure), (~first, OTHERS * (1 - sure))):
         if views.any():
