@@ -83,6 +83,8 @@ class MapLevels:
         90th percentile of `Comparison`'s, what a sure view of the same place gets; None when no comparison has one.
     paired : int
         Number of compared views that have another view of their place.
+    current : int
+        Number of compared views that need not be compared again.
     """
 
     compared: int = 0
@@ -94,3 +96,4 @@ class MapLevels:
     breadth: float | None = None
     own: float | None = None
     paired: int = 0
+    current: int = 0

@@ -24,7 +24,8 @@ CODES: tuple[Code, ...] = (
 
 @dataclass(frozen=True)
 class Uncompared:
-    """Views of a map whose comparison is missing or was made when the map was less than half as large."""
+    """Views of a map whose comparison is missing or was made when the map was less than half as large, or, of a small
+    map, of another size."""
 
     map: str
     recipe: str

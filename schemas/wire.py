@@ -277,7 +277,9 @@ class MapDecision(Answer):
         description="cohort: mostly what wrong answers get in other maps, while few views are compared; own-views: "
         "mostly what they get in this one; calibration: that, by a curve adjusted to labelled queries of this map."
     )
-    views_compared: int
+    views_compared: int = Field(
+        description="Views compared with the map as it is: once it rests all that are `ready`, at most 2,000."
+    )
     expected: ExpectedDecisions
     updated_at: Moment | None = Field(description="Of the calibration, or of the latest comparison of its views.")
 

@@ -11,7 +11,8 @@ from hypothesis import settings
 from tests import NUMPY_SPLITS_SUMS
 
 # A busy machine is slow, not wrong.
-settings.register_profile("revisit", deadline=None, max_examples=60, print_blob=True)
+settings.register_profile("revisit", deadline=None, max_examples=60, derandomize=True)
+settings.register_profile("explore", deadline=None, max_examples=600, print_blob=True)
 settings.load_profile("revisit")
 
 ROOT = Path(__file__).parents[1]

@@ -155,7 +155,7 @@ def _map_decision(state: MapState) -> wire.MapDecision:
     source = "own-views" if own_share(levels) > 0.5 else "cohort"
     return wire.MapDecision(
         source=source if own is None else "calibration",
-        views_compared=levels.compared,
+        views_compared=levels.current,
         expected=wire.ExpectedDecisions(
             precision=wanted if own is None else own.precision(wanted),
             matched_share=state.calibration.share(wanted),

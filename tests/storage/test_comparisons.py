@@ -8,6 +8,7 @@ from schemas.comparisons import Comparison, KnownView
 from schemas.map_changes import MapChanges
 from schemas.records import Position
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, recipe
+from worker.storage.comparisons import SMALL
 from worker.storage.store import SqlStore
 
 ID = RECIPE.description.id
@@ -23,22 +24,45 @@ def described(store: SqlStore, *names: str) -> list[int]:
     return seqs
 
 
-def due(store: SqlStore, sample: int = 100, count: int = 100) -> set[int]:
-    found = store.comparisons.uncompared(sample, count)
+def due(store: SqlStore, sample: int = 100, count: int = 100, *, busy: bool = False) -> set[int]:
+    found = store.comparisons.uncompared(sample, count, busy=busy)
     return set() if found is None else set(found.seqs)
 
 
 def test_views_are_due_until_they_are_compared_and_again_when_the_map_has_doubled(store: SqlStore) -> None:
     first = described(store, "gate", "pond")
-    assert due(store) == set(first)
+    assert due(store, busy=True) == set(first)
     store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in first], NOW)
-    assert due(store) == set()
+    assert due(store, busy=True) == set()
 
     later = described(store, "stairs")
-    assert due(store) == set(later)
+    assert due(store, busy=True) == set(later)
     store.comparisons.keep("campus", ID, [compared(seq, 3) for seq in later], NOW)
     described(store, "hall")
-    assert set(first) < due(store)
+    assert set(first) < due(store, busy=True)
+
+
+def test_a_small_map_is_compared_again_whenever_it_changed_and_nothing_waits(store: SqlStore) -> None:
+    first = described(store, "gate", "pond", "hall")
+    store.comparisons.keep("campus", ID, [compared(seq, 3) for seq in first], NOW)
+    assert (due(store), store.comparisons.levels("campus").current) == (set(), 3)
+
+    later = described(store, "stairs")
+    store.comparisons.keep("campus", ID, [compared(seq, 4) for seq in later], NOW)
+    assert (due(store), due(store, busy=True)) == (set(first), set())
+    levels = store.comparisons.levels("campus")
+    assert (levels.compared, levels.current) == (4, 1)  # what was compared before counts until then
+
+    store.removals.delete_view(store.views.at(later)[later[0]].id)
+    assert due(store) == set()
+
+
+def test_a_larger_map_waits_until_it_has_doubled(store: SqlStore) -> None:
+    first = described(store, *(f"view {i}" for i in range(SMALL)))
+    store.comparisons.keep("campus", ID, [compared(seq, SMALL) for seq in first], NOW)
+    later = described(store, "one more")
+    assert due(store) == set(later)
+    assert store.comparisons.levels("campus").current == SMALL
 
 
 def test_the_only_view_of_a_map_has_nothing_to_be_compared_with(store: SqlStore) -> None:

@@ -9,15 +9,19 @@ from scenes import scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
-from worker.runtime import build
+from worker.runtime import Runtime, build
 
 pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
-    data = tmp_path_factory.mktemp("data")
-    with CheckedClient(create_app(build(Settings(data=data, encoder="compact", threads=1, compare=False)))) as opened:
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> Runtime:
+    return build(Settings(data=tmp_path_factory.mktemp("data"), encoder="compact", threads=1, compare=False))
+
+
+@pytest.fixture(scope="module")
+def client(runtime: Runtime) -> Iterator[CheckedClient]:
+    with CheckedClient(create_app(runtime)) as opened:
         yield opened
 
 
@@ -45,3 +49,23 @@ def test_the_only_view_of_a_map_is_not_everywhere(client: CheckedClient) -> None
     assert later["status"] == "matched"
     assert elsewhere["status"] == "no_match"
     assert elsewhere["confidence"] < 0.3
+
+
+def test_it_does_not_depend_on_how_fast_images_were_enrolled(client: CheckedClient, runtime: Runtime) -> None:
+    """While a robot pauses, the map compares its views with each other before it is whole."""
+    places = ("mill lane", "station road", "rose garden", "market street", "castle park", "school lane", "harbour")
+    answers = []
+    for name, pauses in (("fast", ()), ("slow", range(4, 7)), ("halting", (5,))):
+        for number, place in enumerate(places, 1):
+            enrolled = client.post(
+                f"/enroll?map={name}&place={place}", content=photo(scene(place)), headers={"content-type": "image/jpeg"}
+            )
+            enrolled.raise_for_status()
+            if number in pauses:
+                runtime.comparer.all()
+        runtime.comparer.all()
+        assert client.get(f"/maps/{name}").json()["decision"]["views_compared"] == len(places)
+        taken = photo(scene("rose garden").seen_from(dx=0.4, turn=-3).behind("bus"))
+        answer = client.post(f"/query?map={name}", content=taken, headers={"content-type": "image/jpeg"}).json()
+        answers.append((answer["status"], answer["confidence"], answer["decision"]["features"]))
+    assert answers[1:] == answers[:1] * 2

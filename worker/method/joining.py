@@ -97,6 +97,7 @@ def pooled(levels: Sequence[MapLevels]) -> MapLevels:
         else None,
         own=sum((one.own or 0.0) * one.paired for one in levels) / paired if paired else None,
         paired=paired,
+        current=sum(one.current for one in levels),
     )
 
 

@@ -49,8 +49,8 @@ class ComparisonStore(ComparisonReader, Protocol):
         """The last revision given to any map."""
         ...
 
-    def uncompared(self, sample: int, count: int) -> Uncompared | None:
-        """Up to `count` views, of one map, that should be compared, or None."""
+    def uncompared(self, sample: int, count: int, *, busy: bool = False) -> Uncompared | None:
+        """Up to `count` views, of one map, that should be compared, or None; `busy`: only what cannot wait."""
         ...
 
     def keep(self, name: str, recipe: str, comparisons: list[Comparison], now: datetime) -> None:
@@ -100,14 +100,14 @@ class MapComparer:
         Parameters
         ----------
         busy : bool
-            Images wait to be described: compare no more than `FIRST` of each map.
+            Images wait to be described: compare no more than `FIRST` of each map, and small maps not again.
         rest : function
             Called with 0 after each view, and after the portion with the time that it took. A job that waits ends both.
         """
         sample, revision = FIRST if busy else SAMPLE, self._comparisons.last_revision()
         if (sample, revision) == self._nothing_due:
             return False
-        due = self._comparisons.uncompared(sample, PORTION)
+        due = self._comparisons.uncompared(sample, PORTION, busy=busy)
         if due is None:
             self._nothing_due = sample, revision
             return False
@@ -143,7 +143,7 @@ class MapComparer:
     def _attempt(
         self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
     ) -> Comparison | None:
-        """As `_compare`; a view that cannot be compared is logged and left until the map has doubled."""
+        """As `_compare`; a view that cannot be compared is logged and left until the map is another."""
         try:
             return self._compare(seq, index, recipe, config, among)
         except Exception:

@@ -24,6 +24,10 @@ NOTHING: frozenset[int] = frozenset()
 OWN_QUANTILE = 0.9
 """Of what views of one place get of each other: names may hold views that share nothing."""
 
+SMALL = 40
+"""Views of a map that is compared again whenever their number changed. A larger one is when it has doubled: compared
+with twenty others or more, a view finds what it finds in a map of any size."""
+
 MOST_KEPT = 1000
 """Maps whose levels are kept in memory while they do not change."""
 
@@ -47,7 +51,7 @@ class Comparisons(Part):
         with self._database.reading() as connection:
             return clock.read(connection)
 
-    def uncompared(self, sample: int, count: int) -> Uncompared | None:
+    def uncompared(self, sample: int, count: int, *, busy: bool = False) -> Uncompared | None:
         """Up to `count` views, of one map, that should be compared, or None.
 
         Parameters
@@ -55,13 +59,15 @@ class Comparisons(Part):
         sample : int
             Views of each map that are compared at most; a larger map is sampled.
         count : int
+        busy : bool
+            Leave small maps too until they have doubled.
         """
         with self._database.reading() as connection:
             for row in connection.execute(sa.select(MAPS).where(MAPS.c.name.is_not(None)).order_by(MAPS.c.id)):
                 among = connection.scalar(_ready(row)) or 0
                 named = COMPARISONS.c.level.is_(None) | COMPARISONS.c.rival.is_not(None)  # since migration 0010
                 broad = COMPARISONS.c.gap.is_(None) | COMPARISONS.c.breadth.is_not(None)  # since migration 0017
-                fresh = (*_of(row), COMPARISONS.c.among * 2 > among, named, broad)
+                fresh = (*_of(row), _current(among, SMALL * (not busy)), named, broad)
                 done = connection.scalar(sa.select(sa.func.count()).select_from(COMPARISONS).where(*fresh)) or 0
                 left = min(count, min(among, sample) - done)
                 if among < 2 or left <= 0:
@@ -118,7 +124,8 @@ class Comparisons(Part):
             kept = self._levels.get(key)
             if kept is not None and kept.revision == row.revision:
                 return kept
-            levels = _levels(connection, row, key[1])
+            described = connection.scalar(_ready(row)) or 0
+            levels = _levels(connection, row, key[1], described)
         if key[1] == row.recipe:  # comparisons by another one give the map no revision
             self._levels[key] = levels
             while len(self._levels) > MOST_KEPT:
@@ -156,6 +163,11 @@ class Comparisons(Part):
 
 def _of(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
     return COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == row.recipe
+
+
+def _current(among: int, small: int) -> sa.ColumnElement[bool]:
+    """Whether a comparison still says what it would say in a map that has `among` views now."""
+    return COMPARISONS.c.among == among if among <= small else COMPARISONS.c.among * 2 > among
 
 
 def _described(row: sa.Row[Any]) -> tuple[sa.ColumnElement[bool], ...]:
@@ -216,15 +228,16 @@ def _whole_same_spot(row: sa.Row[Any]) -> frozenset[int] | None:
         return None
 
 
-def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str) -> MapLevels:
+def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str, described: int) -> MapLevels:
     # Within the range of scores: one damaged number must not carry the mean away.
     level, gap = (sa.case((column.between(0, 1), column)) for column in (COMPARISONS.c.level, COMPARISONS.c.gap))
     breadth = sa.case((COMPARISONS.c.breadth.between(0, 1000), COMPARISONS.c.breadth))
     made_at = COMPARISONS.c.made_at
     means = (sa.func.avg(column) for column in (breadth, level, gap, COMPARISONS.c.others))
     of = COMPARISONS.c.map_id == row.id, COMPARISONS.c.recipe == recipe
-    found = sa.select(sa.func.count(level), sa.func.max(made_at), *means).where(*of)
-    count, latest, broad, *mean = connection.execute(found).one()
+    current = sa.func.count(sa.case((_current(described, SMALL), level)))
+    found = sa.select(sa.func.count(level), current, sa.func.max(made_at), *means).where(*of)
+    count, up_to_date, latest, broad, *mean = connection.execute(found).one()
     whole = COMPARISONS.c.level.is_not(None), COMPARISONS.c.own.between(0, 1)
     own = [float(value) for value in connection.scalars(sa.select(COMPARISONS.c.own).where(*of, *whole))]
     level_mean, gap_mean, others = (round(float(value or 0), DECIMALS) for value in mean)
@@ -238,4 +251,5 @@ def _levels(connection: sa.Connection, row: sa.Row[Any], recipe: str) -> MapLeve
         breadth=None if broad is None else round(float(broad), DECIMALS),
         own=float(np.quantile(own, OWN_QUANTILE)) if own else None,
         paired=len(own),
+        current=up_to_date,
     )
