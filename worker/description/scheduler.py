@@ -1,8 +1,7 @@
-"""The scheduler of the encoder: batches images, queries before enrolments."""
+"""The scheduler of the encoder: batches images, in the order of `worker.description.turns`."""
 
 import contextvars
 import logging
-import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,12 +14,11 @@ from schemas.description import PixelField
 from schemas.errors import Busy, EncoderAway, Unavailable
 from schemas.image import Image
 from worker.description.ports import Encoder, Segmenter
+from worker.description.turns import CLOSE, ENROLMENT, QUERY, Turns, Waiting
 
 T = TypeVar("T")
 Finish = Callable[..., T]
 """Called with an image and its pixel field, and the result of `parallel` where that was given."""
-
-QUERY, ENROLMENT, CLOSE = 0, 1, 2
 
 log = logging.getLogger("revisit.scheduler")
 
@@ -43,19 +41,17 @@ class Timed(Generic[T]):
     finish_ms: float
 
 
-@dataclass(order=True)
-class _Request:
-    urgency: int
-    number: int
-    image: Image = field(compare=False)
-    finish: Finish[Any] = field(compare=False)
-    future: "Future[Timed[Any]]" = field(compare=False)
-    since: float = field(compare=False)
-    segment: bool = field(compare=False, default=False)
-    waits: bool = field(compare=False, default=True)
-    parallel: Callable[[Image], Any] | None = field(compare=False, default=None)
-    made: "Future[Any] | None" = field(compare=False, default=None)
-    context: contextvars.Context = field(compare=False, default_factory=contextvars.copy_context)  # of its log lines
+@dataclass(eq=False)
+class _Request(Waiting):
+    image: Image
+    finish: Finish[Any]
+    future: "Future[Timed[Any]]"
+    since: float
+    segment: bool = False
+    waits: bool = True
+    parallel: Callable[[Image], Any] | None = None
+    made: "Future[Any] | None" = None
+    context: contextvars.Context = field(default_factory=contextvars.copy_context)  # of its log lines
 
 
 class Scheduler:
@@ -64,8 +60,9 @@ class Scheduler:
     Work that does not need the pixel field (local features) runs parallel to the encoder; that of queries has a thread
     of its own, so that it does not wait for enrolments. An enrolment is described while the next image is encoded.
 
-    A query waits for the running batch and for earlier queries, never for queued enrolments. Its `finish` runs in the
-    encoder's thread, so that it does not wait for the description of an enrolment either.
+    A query waits for the running batch and for earlier queries; of queued enrolments one has its turn after each
+    `IN_A_ROW` queries. Its `finish` runs in the encoder's thread, so that it does not wait for the description of an
+    enrolment either.
 
     While a shared encoder is away queries fail with EncoderAway; enrolments wait until it is back.
 
@@ -85,7 +82,7 @@ class Scheduler:
         self._segmenter = segmenter
         self._batch = batch
         self._queries = queries
-        self._queue: queue.PriorityQueue[_Request] = queue.PriorityQueue()
+        self._queue: Turns[_Request] = Turns()
         self._numbers = count()
         self._lock = threading.Lock()
         self._pending_queries = 0
@@ -210,24 +207,16 @@ class Scheduler:
     def _run(self) -> None:
         while (first := self._next()).urgency != CLOSE:
             batch = [first]
-            while len(batch) < self._batch:
-                try:
-                    following = self._queue.get_nowait()
-                except queue.Empty:
-                    break
-                if following.urgency != first.urgency:
-                    self._queue.put(following)
-                    break
+            while len(batch) < self._batch and (following := self._queue.get_alike(first)) is not None:
                 batch.append(following)
             self._serve([r for r in batch if r.future.running() or r.future.set_running_or_notify_cancel()])
 
     def _next(self) -> _Request:
         """The next request. While enrolments are held back for the encoder, others join them, and queries go on."""
         while True:
-            try:
-                rest_s = max(0.0, self._rest_until - time.monotonic()) if self._held else None
-                request = self._queue.get(timeout=rest_s)
-            except queue.Empty:
+            rest_s = max(0.0, self._rest_until - time.monotonic()) if self._held else None
+            request = self._queue.get(rest_s)
+            if request is None:
                 self._let_go()
                 continue
             if request.urgency == CLOSE and self._held:

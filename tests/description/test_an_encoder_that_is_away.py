@@ -1,0 +1,162 @@
+"""While a shared encoder is away queries are told, and enrolments wait for it."""
+
+from collections.abc import Iterator, Sequence
+
+import pytest
+
+from schemas.description import PixelField
+from schemas.errors import EncoderAway
+from schemas.image import Image
+from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
+from worker.description.scheduler import Scheduler
+
+
+class AwayEncoder(GatedEncoder):
+    """One that is shared, and away until it is said to be there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.there = False
+        self.tried: list[bool] = []
+        self.gate.release(99)
+
+    def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+        self.tried.append(urgent)
+        if not self.there:
+            raise EncoderAway("the encoder at http://encoder does not answer", 0)
+        yield from super().encode(images)
+
+
+def test_while_the_encoder_is_away_queries_are_told_and_enrolments_wait() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=2, queries=5)
+    scheduler.start()
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2, 3)]
+    for number in (7, 8):
+        with pytest.raises(EncoderAway, match="does not answer"):
+            scheduler.submit(image(number), number_of, urgent=True).result(5)
+    later = scheduler.submit(image(4), number_of, urgent=False)
+    assert scheduler.away is not None
+    assert not any(one.done() for one in [*enrolments, later])
+
+    encoder.there = True
+    assert [one.result(5).value for one in [*enrolments, later]] == [1, 2, 3, 4]
+    assert encoder.seen == [1, 2, 3, 4]
+    assert scheduler.away is None
+    assert scheduler.submit(image(9), number_of, urgent=True).result(5).value == 9
+    assert {True, False} == set(encoder.tried)
+    assert scheduler.queries_waiting == 0
+    scheduler.stop()
+
+
+def test_a_query_that_gets_through_lets_the_enrolments_go_too() -> None:
+    class OnceAway(AwayEncoder):
+        def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+            if not self.there:
+                raise EncoderAway("away for an hour", 3600)
+            yield from super().encode(images)
+
+    encoder = OnceAway()
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    scheduler.start()
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=True).result(5)
+    encoder.there = True
+
+    assert scheduler.submit(image(3), number_of, urgent=True).result(5).value == 3
+    assert enrolment.result(5).value == 1
+    scheduler.stop()
+
+
+def test_stopping_does_not_wait_for_an_encoder_that_is_away() -> None:
+    scheduler = Scheduler(AwayEncoder(), batch=1, queries=5)
+    scheduler.start()
+    enrolments = [scheduler.submit(image(n), number_of, urgent=False) for n in (1, 2)]
+
+    scheduler.stop()
+
+    assert [type(one.exception(5)) for one in enrolments] == [EncoderAway, EncoderAway]
+
+
+def test_an_image_that_is_to_be_blurred_does_not_wait_for_an_encoder_that_is_away() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=3, queries=5, segmenter=FinerSegmenter())
+    blurred = [scheduler.submit(image(1), number_of, urgent=False, segment=True)]
+    described = [scheduler.submit(image(2), number_of, urgent=False)]  # in one batch with what is to be blurred
+    blurred.append(scheduler.submit(image(3), number_of, urgent=False, segment=True))
+    scheduler.start()
+    assert [one.result(5).value for one in blurred] == [1, 3]
+    described.append(scheduler.submit(image(4), number_of, urgent=False))
+    later = scheduler.submit(image(5), number_of, urgent=False, segment=True)
+
+    assert later.result(5).value == 5
+    assert not any(one.done() for one in described)
+    encoder.there = True
+    assert [one.result(5).value for one in described] == [2, 4]
+    scheduler.stop()
+
+
+def test_a_drawing_says_nothing_of_an_encoder_that_is_away() -> None:
+    encoder = AwayEncoder()
+    scheduler = Scheduler(encoder, batch=1, queries=5, segmenter=FinerSegmenter())
+    scheduler.start()
+    enrolment = scheduler.submit(image(1), number_of, urgent=False)
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=True).result(5)
+
+    assert scheduler.submit(image(3), number_of, urgent=True, segment=True).result(5).value == 3
+    assert scheduler.away is not None
+    assert not enrolment.done()
+    scheduler.stop()
+
+
+class SharedSegmenter(FinerSegmenter):
+    """One of a shared encoder."""
+
+    shared = True
+
+    def __init__(self) -> None:
+        self.there = False
+        self.urgent: list[bool] = []
+
+    def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
+        self.urgent.append(urgent)
+        if not self.there:
+            raise EncoderAway("its segmenter does not answer", 0)
+        return super().segment(image)
+
+
+def test_while_a_shared_segmenter_is_away_only_segmentations_are_told_or_wait() -> None:
+    encoder, segmenter = AwayEncoder(), SharedSegmenter()
+    encoder.there = True
+    scheduler = Scheduler(encoder, batch=4, queries=5, segmenter=segmenter)
+    patient = scheduler.submit(image(1), number_of, urgent=False, segment=True)
+    hurried = scheduler.submit(image(2), number_of, urgent=False, segment=True, waits=False)
+    described = scheduler.submit(image(3), number_of, urgent=False)  # in one batch with them
+    scheduler.start()
+
+    with pytest.raises(EncoderAway, match="segmenter"):
+        hurried.result(5)
+    with pytest.raises(EncoderAway, match="segmenter"):
+        scheduler.submit(image(4), number_of, urgent=True, segment=True).result(5)
+    assert described.result(5).value == 3
+    assert scheduler.submit(image(5), number_of, urgent=True).result(5).value == 5
+    assert scheduler.away is None
+    assert not patient.done()
+    assert set(segmenter.urgent) == {True, False}
+    segmenter.there = True
+    assert patient.result(5).value == 1
+    scheduler.stop()
+
+
+def test_an_image_that_may_not_wait_is_told_at_once_that_the_encoder_is_away() -> None:
+    scheduler = Scheduler(AwayEncoder(), batch=1, queries=5)
+    scheduler.start()
+    waiting = scheduler.submit(image(1), number_of, urgent=False)
+
+    with pytest.raises(EncoderAway):
+        scheduler.submit(image(2), number_of, urgent=False, waits=False).result(5)
+
+    assert not waiting.done()
+    scheduler.stop()

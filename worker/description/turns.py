@@ -1,0 +1,80 @@
+"""Whose turn it is at the encoder: queries first, but never for long while enrolments wait."""
+
+import heapq
+import threading
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+QUERY, ENROLMENT, CLOSE = 0, 1, 2
+"""Urgencies, the most urgent first."""
+
+IN_A_ROW = 8
+"""Queries that may go before an enrolment that waits. A query then waits for one image more in nine, and whoever enrols
+while others ask without pause gets a ninth of the encoder."""
+
+
+@dataclass(order=True)
+class Waiting:
+    """A request.
+
+    Parameters
+    ----------
+    urgency : int
+        `QUERY`, `ENROLMENT` or `CLOSE`.
+    number : int
+        Requests of the same urgency are served by it, the least first.
+    """
+
+    urgency: int
+    number: int
+
+
+R = TypeVar("R", bound=Waiting)
+
+
+class Turns(Generic[R]):
+    """A queue that any threads may use: queries before enrolments, `CLOSE` after everything.
+
+    After `IN_A_ROW` queries that an enrolment waited for, one enrolment has its turn.
+    """
+
+    def __init__(self) -> None:
+        self._requests: dict[int, list[R]] = {QUERY: [], ENROLMENT: [], CLOSE: []}
+        self._count = threading.Semaphore(0)
+        self._lock = threading.Lock()
+        self._in_a_row = 0
+
+    def put(self, request: R) -> None:
+        """Add a request, or give one back: it keeps its place."""
+        with self._lock:
+            heapq.heappush(self._requests[request.urgency], request)
+        self._count.release()
+
+    def get(self, timeout_s: float | None = None) -> R | None:
+        """The next request; None when there was none for so many seconds."""
+        if not self._count.acquire(timeout=timeout_s):
+            return None
+        with self._lock:
+            return self._take(self._turn())
+
+    def get_alike(self, request: R) -> R | None:
+        """The next request if there is one and it is as urgent: it can join the batch."""
+        if not self._count.acquire(blocking=False):
+            return None
+        with self._lock:
+            if self._turn() == request.urgency:
+                return self._take(request.urgency)
+        self._count.release()
+        return None
+
+    def _turn(self) -> int:
+        """Whose turn it is, while something waits."""
+        queries, enrolments = self._requests[QUERY], self._requests[ENROLMENT]
+        if enrolments and (not queries or self._in_a_row >= IN_A_ROW):
+            return ENROLMENT
+        return QUERY if queries else CLOSE
+
+    def _take(self, urgency: int) -> R:
+        passed = urgency == QUERY and bool(self._requests[ENROLMENT])
+        self._in_a_row = self._in_a_row + 1 if passed else 0
+        return heapq.heappop(self._requests[urgency])
