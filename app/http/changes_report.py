@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from schemas import wire
 from schemas.errors import Busy
-from worker.method.changes import Change, Spot
+from worker.method.changes import Change
+from worker.method.lost_regions import Spot
 from worker.service.changes import Comparison
 
 

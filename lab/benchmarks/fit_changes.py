@@ -2,8 +2,8 @@
 
 Draws places that are refurnished, other ones than `changes` measures on, finds the regions that one photo of each
 lacks, and fits the log-odds that such a region is a piece of furniture that was taken away, put or moved. Prints what
-is to stand in worker/method/changes.py, beside what stands there; and how many things would be told as moved at which
-similarity. The same places give the same numbers.
+is to stand in worker/method/lost_regions.py, beside what stands there; and how many things would be told as moved at
+which similarity. The same places give the same numbers.
 """
 
 import argparse
@@ -19,7 +19,9 @@ from schemas.image import Image
 from schemas.settings import Settings
 from worker.description.describer import components
 from worker.method import changes
-from worker.method.changes import BIAS, SAME_THING, WEIGHTS, Doubles, Lost, Region
+from worker.method.changes import SAME_THING, Lost
+from worker.method.lost_cells import Doubles
+from worker.method.lost_regions import BIAS, WEIGHTS, Region
 from worker.runtime import Runtime
 
 FIRST = 1000

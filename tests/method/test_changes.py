@@ -8,7 +8,8 @@ import pytest
 from schemas.description import Floats
 from worker.description.describer import components
 from worker.method import changes
-from worker.method.changes import PhotoCells, Region
+from worker.method.lost_cells import PhotoCells
+from worker.method.lost_regions import Region
 from worker.method.unit_length import unit
 
 ROWS, COLUMNS, CHANNELS = 40, 60, 24

@@ -23,8 +23,8 @@ from worker.description.ports import Encoder
 from worker.description.vocabularies import Vocabulary
 from worker.method import context_graph, dense_cells, labels, sampling, static_mask, vocabulary
 from worker.method.byte_vectors import Product, float_product, quantise
-from worker.method.changes import PhotoCells
 from worker.method.context_graph import Regions
+from worker.method.lost_cells import PhotoCells
 
 
 @dataclass(frozen=True, eq=False)

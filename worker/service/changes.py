@@ -19,7 +19,8 @@ from worker.description.local_features import local_features
 from worker.description.scheduler import Scheduler, field_alone
 from worker.images.changes import Mark, Side, changes_png
 from worker.method import changes, verification
-from worker.method.changes import Change, Changes, Doubles, PhotoCells
+from worker.method.changes import Change, Changes
+from worker.method.lost_cells import Doubles, PhotoCells
 from worker.service.explanations import Explanations
 from worker.service.ports import Maps, Views
 from worker.service.sheets import name_of

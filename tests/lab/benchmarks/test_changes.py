@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lab.benchmarks.changes import Tally, Truth, judge, refurnished
-from worker.method.changes import Change, Changes, Kind, Spot
+from worker.method.changes import Change, Changes, Kind
+from worker.method.lost_regions import Spot
 
 
 def box(left: int) -> np.ndarray:

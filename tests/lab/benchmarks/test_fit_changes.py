@@ -5,7 +5,7 @@ import pytest
 
 from lab.benchmarks.changes import Truth
 from lab.benchmarks.fit_changes import Example, Pair, fit, moved, moved_pieces
-from worker.method.changes import WEIGHTS, Region, Spot
+from worker.method.lost_regions import WEIGHTS, Region, Spot
 from worker.method.unit_length import unit
 
 SAME = np.array([[1.0, 0, 0], [0, 1, 0]])
