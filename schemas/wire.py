@@ -6,188 +6,84 @@ from pydantic import Field
 
 from .wire_calibration import (
     CalibrationReport as CalibrationReport,
-)
-from .wire_calibration import (
     HeldOutFigures as HeldOutFigures,
-)
-from .wire_calibration import (
     MeasuredRate as MeasuredRate,
-)
-from .wire_calibration import (
     PrecisionThreshold as PrecisionThreshold,
 )
 from .wire_changes import (
     Change as Change,
-)
-from .wire_changes import (
     Changes as Changes,
-)
-from .wire_changes import (
     Spot as Spot,
 )
 from .wire_deletions import (
     Deleted as Deleted,
-)
-from .wire_deletions import (
     HoldingSnapshot as HoldingSnapshot,
 )
 from .wire_health import (
     HealthCode as HealthCode,
-)
-from .wire_health import (
     HealthFinding as HealthFinding,
-)
-from .wire_health import (
     MapHealth as MapHealth,
-)
-from .wire_health import (
     ScoreFall as ScoreFall,
 )
 from .wire_inbox import (
     DismissedPlace as DismissedPlace,
-)
-from .wire_inbox import (
     NamedPlace as NamedPlace,
-)
-from .wire_inbox import (
     Proposal as Proposal,
-)
-from .wire_inbox import (
     Proposals as Proposals,
-)
-from .wire_inbox import (
     UnknownPlace as UnknownPlace,
-)
-from .wire_inbox import (
     UnknownPlaces as UnknownPlaces,
 )
 from .wire_query import (
     ChannelMatch as ChannelMatch,
-)
-from .wire_query import (
     DecisionFacts as DecisionFacts,
-)
-from .wire_query import (
     DenseMatch as DenseMatch,
-)
-from .wire_query import (
     Difference as Difference,
-)
-from .wire_query import (
     DriveFacts as DriveFacts,
-)
-from .wire_query import (
     DrivePlace as DrivePlace,
-)
-from .wire_query import (
     Estimate as Estimate,
-)
-from .wire_query import (
     GraphMatch as GraphMatch,
-)
-from .wire_query import (
     MapAnswer as MapAnswer,
-)
-from .wire_query import (
     Match as Match,
-)
-from .wire_query import (
     MatchLinks as MatchLinks,
-)
-from .wire_query import (
     NodePair as NodePair,
-)
-from .wire_query import (
     PlaceProbability as PlaceProbability,
-)
-from .wire_query import (
     QueryAnswer as QueryAnswer,
-)
-from .wire_query import (
     QueryFacts as QueryFacts,
-)
-from .wire_query import (
     Reason as Reason,
-)
-from .wire_query import (
     Rival as Rival,
-)
-from .wire_query import (
     ScoredId as ScoredId,
-)
-from .wire_query import (
     VerificationMatch as VerificationMatch,
 )
 from .wire_readiness import (
     MapReadiness as MapReadiness,
-)
-from .wire_readiness import (
     Readiness as Readiness,
 )
 from .wire_shadow import (
     Job as Job,
-)
-from .wire_shadow import (
     JobProgress as JobProgress,
-)
-from .wire_shadow import (
     Jobs as Jobs,
-)
-from .wire_shadow import (
     Shadow as Shadow,
-)
-from .wire_shadow import (
     ShadowAnswer as ShadowAnswer,
-)
-from .wire_shadow import (
     ShadowQuery as ShadowQuery,
-)
-from .wire_shadow import (
     ShadowSide as ShadowSide,
-)
-from .wire_shadow import (
     ShadowTable as ShadowTable,
-)
-from .wire_shadow import (
     ShadowTotals as ShadowTotals,
 )
 from .wire_snapshots import (
     RestoredMap as RestoredMap,
-)
-from .wire_snapshots import (
     Snapshot as Snapshot,
-)
-from .wire_snapshots import (
     Snapshots as Snapshots,
 )
 from .wire_views import (
     Answer as Answer,
-)
-from .wire_views import (
     DescriptionFacts as DescriptionFacts,
-)
-from .wire_views import (
     Failure as Failure,
-)
-from .wire_views import (
     ImageFacts as ImageFacts,
-)
-from .wire_views import (
     LabelShare as LabelShare,
-)
-from .wire_views import (
     Moment as Moment,
-)
-from .wire_views import (
     Position as Position,
-)
-from .wire_views import (
     View as View,
-)
-from .wire_views import (
     ViewLinks as ViewLinks,
-)
-from .wire_views import (
     rfc3339 as rfc3339,
 )
 

@@ -126,8 +126,7 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
 
 
 def _opened(path: Path) -> "PilImage.Image":
-    from PIL import Image as PilImage
-    from PIL import ImageOps
+    from PIL import Image as PilImage, ImageOps
 
     with PilImage.open(path) as pil_image:
         upright = ImageOps.exif_transpose(pil_image).convert("RGB")

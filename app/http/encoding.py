@@ -15,8 +15,7 @@ from prometheus_client import Gauge, Histogram
 
 from app.http import problems
 from app.http.keys import presented
-from app.http.metrics import MEDIA_TYPE as METRICS_TYPE
-from app.http.metrics import Metrics
+from app.http.metrics import MEDIA_TYPE as METRICS_TYPE, Metrics
 from app.http.middleware import STARTING_RETRY_S, BodyLimit, ReadinessGate, RequestContext
 from app.version import VERSION
 from schemas.description import SEMANTIC, PixelField

@@ -5,8 +5,15 @@ Names and units follow https://prometheus.io/docs/practices/naming/. No label ho
 
 from collections.abc import Callable, Mapping
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, PlatformCollector, ProcessCollector
-from prometheus_client import generate_latest as _generate
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    PlatformCollector,
+    ProcessCollector,
+    generate_latest as _generate,
+)
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 
 from app.http.statistics import StatisticsCollector

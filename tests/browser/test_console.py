@@ -16,8 +16,7 @@ import pytest
 from app.http.examples import VIEW
 from lab.benchmarks import first_answer
 from tests.browser.conftest import LAPTOP, PHONE, PLACES, Open, Tab
-from tests.sample_images import drawn, encoded, exif_of_a_phone
-from tests.sample_images import photo as drawn_photo
+from tests.sample_images import drawn, encoded, exif_of_a_phone, photo as drawn_photo
 from tests.stories.running import RunningService
 
 if TYPE_CHECKING:

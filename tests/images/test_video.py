@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from schemas.errors import BadBody, BodyTooLarge
 from tests.drawn_videos import frames, video

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from schemas.description import DETAIL, SEMANTIC, Int8s
 from tests.method.views_in_a_dictionary import (

@@ -1,8 +1,7 @@
 """K random static cells, the same for the same image."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from worker.method import sampling

@@ -1,8 +1,7 @@
 """The mask of static cells: by the paper's rule, by a margin, and with a bounded share."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from worker.method.labels import label_map

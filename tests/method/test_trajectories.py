@@ -3,8 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from revisit_client import recordings
 
 from worker.service.trajectories import LISTS, NAMES, Pose, is_list, is_trajectory, poses_of, read_list, read_poses

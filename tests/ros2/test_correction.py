@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from revisit_ros.correction import Correction, map_to_odom
 from revisit_ros.frames import FORWARD, Transform, level, quaternion_of_yaw, yaw_of
 from revisit_ros.health import ERROR, OK, WARN, Report

@@ -4,8 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from revisit_ros.encoding import CHANNELS, Unusable, as_file, checked
 
 from tests.sample_images import drawn

@@ -4,8 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from revisit_client.wire import QueryAnswer, View
 from revisit_ros.frames import FORWARD, Transform
 from revisit_ros.landmarks import Landmarks, name_of, number_of

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from schemas.description import Floats
 from schemas.records import Candidates, Changes, Selection

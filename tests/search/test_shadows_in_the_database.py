@@ -9,9 +9,15 @@ import pytest
 from schemas.errors import Conflict, NotFound
 from schemas.recipe import MapRecipe
 from schemas.records import Filters
-from tests.search.test_database_index import Node, assert_same, attributes, describe_all, drawn
-from tests.search.test_database_index import nodes as nodes  # fixtures
-from tests.search.test_database_index import url as url
+from tests.search.test_database_index import (
+    Node,
+    assert_same,
+    attributes,
+    describe_all,
+    drawn,
+    nodes as nodes,  # fixtures
+    url as url,
+)
 from tests.storage.material import NOW, RECIPE, enroll, give_sign, recipe
 from worker.storage.store import SqlStore
 

@@ -3,8 +3,7 @@
 from datetime import timedelta
 from itertools import accumulate, pairwise
 
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from schemas.records import Filters, ViewAttributes
 from tests.storage.conftest import Open

@@ -15,8 +15,7 @@ from tests.recorded_bags import START, bag, fix, image, odometry, pose
 from tests.sample_images import drawn, photo
 from tests.stories.importing import ended, is_emptied
 from tests.stories.running import RunningService
-from worker.images.apart import bag as reading
-from worker.images.apart import bag_child
+from worker.images.apart import bag as reading, bag_child
 from worker.images.codec import Limits
 from worker.service import opening, recordings
 from worker.service.bags import position_at

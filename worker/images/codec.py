@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 import simplejpeg
-from PIL import Image as PilImage
-from PIL import UnidentifiedImageError
+from PIL import Image as PilImage, UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
 from schemas.errors import BadImage, BodyTooLarge

@@ -6,8 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from PIL import ExifTags
-from PIL import Image as PilImage
+from PIL import ExifTags, Image as PilImage
 
 import worker.images.heic  # noqa: F401 (Pillow reads HEIC then)
 

@@ -23,9 +23,14 @@ from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.removals import Removals
 from worker.storage.rows import as_json, attribute_columns, batches, inserting, keep_recipe, log
-from worker.storage.snapshot_files import COMPARISONS as COMPARISON_PARTS
-from worker.storage.snapshot_files import FACTS, IMAGE, VOCABULARY, SnapshotReader
-from worker.storage.snapshot_files import VIEWS as VIEW_PARTS
+from worker.storage.snapshot_files import (
+    COMPARISONS as COMPARISON_PARTS,
+    FACTS,
+    IMAGE,
+    VIEWS as VIEW_PARTS,
+    VOCABULARY,
+    SnapshotReader,
+)
 from worker.storage.snapshot_rows import attributes, description_rows, facts, read_comparisons, read_lines
 from worker.storage.tables import COMPARISONS, MAPS, VIEWS, VOCABULARIES
 

@@ -22,8 +22,7 @@ from worker.storage.snapshot_contents import SnapshotContents
 from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotWriter
 from worker.storage.snapshot_places import WRITING, SnapshotPlace
 from worker.storage.snapshot_rows import comparison_lines, view_lines
-from worker.storage.tables import CELLS, JOBS, VOCABULARIES
-from worker.storage.tables import VIEWS as VIEW_ROWS
+from worker.storage.tables import CELLS, JOBS, VIEWS as VIEW_ROWS, VOCABULARIES
 
 PORTION = 32
 """Views whose lines are in memory at once."""

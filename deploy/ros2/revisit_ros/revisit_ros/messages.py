@@ -4,8 +4,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import Pose as PoseMessage, PoseWithCovarianceStamped, TransformStamped
 from revisit_client.wire import QueryAnswer
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header, String
