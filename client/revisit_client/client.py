@@ -16,14 +16,15 @@ from revisit_client.connection import Connection
 from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
 from revisit_client.jobs import JobCalls
-from revisit_client.parameters import Image, Time, address, filters, listed, named, recipe_fields, texts, utc
+from revisit_client.maps import MapCalls
+from revisit_client.parameters import Image, Time, address, filters, listed, named, texts, utc
 from revisit_client.shadows import ShadowCalls
 from revisit_client.snapshots import SnapshotCalls
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 
-class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
+class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
     """A client of one service. A `with` statement closes its connections; threads may share it.
 
     Parameters
@@ -295,92 +296,6 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         chosen = filters(near, geographic, after, before, place, metadata, where, exclude_last, exclude)
         params = texts({"map": map, "all": True if all else None, **chosen})
         return self._connection.receive(wire.Deleted, "DELETE", "/views", params=params)
-
-    # maps, places
-
-    def maps(self) -> list[wire.MapFacts]:
-        """All maps, by name."""
-        return self._connection.receive(wire.Maps, "GET", "/maps").maps
-
-    def map(self, name: str) -> wire.MapFacts:
-        """One map."""
-        return self._connection.receive(wire.MapFacts, "GET", address("maps", name))
-
-    def put_map(
-        self,
-        name: str,
-        *,
-        labels: Sequence[str] | None = None,
-        dynamic: Sequence[str] | None = None,
-        preset: str | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        ranking: Mapping[str, Any] | None = None,
-    ) -> wire.MapFacts:
-        """Make a map, or give an empty one other labels, preset, parameters or ranking."""
-        recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
-        return self._connection.receive(wire.MapFacts, "PUT", address("maps", name), json=recipe)
-
-    def switch_recipe(
-        self,
-        name: str,
-        *,
-        labels: Sequence[str] | None = None,
-        dynamic: Sequence[str] | None = None,
-        preset: str | None = None,
-        parameters: Mapping[str, Any] | None = None,
-        ranking: Mapping[str, Any] | None = None,
-        shadow: int | None = None,
-    ) -> wire.Job:
-        """Describe all views of a map by another recipe; until that is done, queries use the old one.
-
-        With `shadow` the map does not change over: so many of its last queries are answered by both recipes. See
-        `shadow`, `switch_to_shadow` and `discard_shadow`.
-        """
-        recipe = recipe_fields(labels, dynamic, preset, parameters, ranking)
-        if shadow is not None:
-            recipe["shadow"] = shadow
-        return self._connection.receive(wire.Job, "POST", address("maps", name, "recipe"), json=recipe, repeat=False)
-
-    def preview_dynamic(self, name: str, dynamic: Sequence[str], *, limit: int | None = None) -> wire.DynamicPreview:
-        """What `switch_recipe` with these dynamic labels would leave out of a map's views; shares are upper bounds."""
-        given = texts({"dynamic": listed(dynamic), "limit": limit})
-        return self._connection.receive(wire.DynamicPreview, "GET", address("maps", name, "dynamic"), params=given)
-
-    def change_ranking(self, name: str, **ranking: Any) -> wire.MapFacts:
-        """Change fields of a map's ranking config, from the next query on; the others stay."""
-        return self.change_map(name, ranking=ranking)
-
-    def train_vocabulary(self, name: str) -> wire.Job:
-        """Train a vocabulary on the map's own views, then describe them by it."""
-        return self._connection.receive(wire.Job, "POST", address("maps", name, "vocabulary"), repeat=False)
-
-    def calibrate(
-        self,
-        name: str,
-        *,
-        observed: Sequence[Mapping[str, Any]] = (),
-        queries: Sequence[Mapping[str, Any]] = (),
-        **options: Any,
-    ) -> wire.CalibrationReport:
-        """Fit a map's confidences to labelled queries: answers ``{"features": answer.decision.features, "right": ...}``
-        or views ``{"view": id, "place": ...}``; options as in the body of the call, such as ``dry_run=True``."""
-        labels = {"observed": [*map(dict, observed)], "queries": [*map(dict, queries)], **options}
-        return self._connection.receive(
-            wire.CalibrationReport, "POST", address("maps", name, "calibration"), json=labels
-        )
-
-    def forget_calibration(self, name: str) -> wire.MapFacts:
-        """Return a map to the shipped calibration."""
-        return self._connection.receive(wire.MapFacts, "DELETE", address("maps", name, "calibration"))
-
-    def delete_map(self, name: str) -> wire.Deleted:
-        """Delete a map, its views and their images."""
-        return self._connection.receive(wire.Deleted, "DELETE", address("maps", name))
-
-    def places(self, map: str | None = None) -> Iterator[wire.Place]:
-        """Iterate over all places, fetched in pages as needed."""
-        for page in self._connection.pages(wire.Places, "/places", texts({"map": map})):
-            yield from page.places
 
     # the service
 

@@ -1,7 +1,6 @@
-"""The client's calls about settings and health of maps, their unknown places, and proposed views."""
+"""Calls about the health of maps, their unknown places, and proposed views."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 from revisit_client import wire
 from revisit_client.connection import Connection
@@ -9,7 +8,7 @@ from revisit_client.parameters import address, texts
 
 
 class HealthCalls:
-    """Calls of `Revisit` about settings and health of maps, their unknown places, and proposed views."""
+    """The calls of a client about the health of maps, their unknown places, and proposed views."""
 
     _connection: Connection
 
@@ -17,64 +16,6 @@ class HealthCalls:
         """What makes a map's answers wrong or missing: `limit` findings of each kind, or of the kind `code` alone."""
         params = texts({"code": code, "limit": limit})
         return self._connection.receive(wire.MapHealth, "GET", address("maps", name, "health"), params=params)
-
-    def change_map(
-        self,
-        name: str,
-        *,
-        ranking: Mapping[str, Any] | None = None,
-        blur: Sequence[str] | None = None,
-        keep_images: bool | None = None,
-        keep_queries: int | None = None,
-        keep_matches: int | None = None,
-        refuse_poor: bool | None = None,
-    ) -> wire.MapFacts:
-        """Change settings of a map together: all that are given, or, when one of them is refused, none.
-
-        Parameters
-        ----------
-        name : str
-        ranking : mapping or None
-            Fields of the ranking config to change, from the next query on; the others stay.
-        blur : sequence of str or None
-            What is covered in each image before it is stored: `people`, `vehicles`, labels; empty: nothing.
-        keep_images : bool or None
-            False removes all images, for good, and each later one once its view is described.
-        keep_queries, keep_matches : int or None
-            How many queries are kept at most that matched nothing, or a view that they look unlike; 0: none.
-        refuse_poor : bool or None
-            Refuse to enrol images that are dark, overexposed, covered or blurred.
-        """
-        given = {
-            "ranking": None if ranking is None else dict(ranking),
-            "blur": None if blur is None else list(blur),
-            "keep_images": keep_images,
-            "keep_queries": keep_queries,
-            "keep_matches": keep_matches,
-            "refuse_poor": refuse_poor,
-        }
-        changes = {field: value for field, value in given.items() if value is not None}
-        return self._connection.receive(wire.MapFacts, "PATCH", address("maps", name), json=changes)
-
-    def keep_images(self, name: str, wanted: bool) -> wire.MapFacts:
-        """Keep a map's images, or remove them for good: all now, and each later one once its view is described."""
-        return self.change_map(name, keep_images=wanted)
-
-    def blur(self, name: str, *words: str) -> wire.MapFacts:
-        """Cover `people`, `vehicles` or labels in each image of a map before it is stored; no words: nothing."""
-        return self.change_map(name, blur=words)
-
-    def refuse_poor(self, name: str, wanted: bool = True) -> wire.MapFacts:
-        """Refuse to enrol images that are dark, overexposed, covered or blurred, or no longer."""
-        return self.change_map(name, refuse_poor=wanted)
-
-    def keep_queries(self, name: str, count: int) -> wire.MapFacts:
-        """Keep at most `count` queries of a map that matched nothing; 0 deletes those that are kept."""
-        return self.change_map(name, keep_queries=count)
-
-    def keep_matches(self, name: str, count: int) -> wire.MapFacts:
-        """Keep at most `count` queries of a map that matched a view although they look unlike it; 0 deletes them."""
-        return self.change_map(name, keep_matches=count)
 
     def proposals(self, name: str, *, limit: int | None = None) -> wire.Proposals:
         """Queries that would refresh places: they matched one although they look unlike its views."""
