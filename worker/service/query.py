@@ -14,6 +14,7 @@ from schemas.errors import InvalidParameters, NotFound, RevisitError
 from schemas.image import Image
 from schemas.records import Filters
 from worker.description.describer import components
+from worker.description.scheduler import Timed
 from worker.method.cell_evidence import Region, contrast
 from worker.method.decision import GROUPED, Decision, blame_image, decide
 from worker.method.joining import Joined, join
@@ -206,18 +207,7 @@ class QueryService:
         found, described = self._searcher.describe_and_search(
             image, wanted, describers, top=max(top, GROUPED if drive is None else DRIVEN), candidates=candidates
         )
-        decisions = [
-            decide(
-                one.results.ranking,
-                one.results.levels,
-                one.results.calibration,
-                precision or one.results.recipe.ranking.precision,
-                searched=one.results.searched,
-                shown=top,
-                measured_alike=candidates != 0 or one.results.recipe.ranking.candidates == 0,
-            )
-            for one in found
-        ]
+        decisions = [_decide(one.results, precision, top, candidates) for one in found]
         driven = None
         if drive is not None:
             [one], [decision] = found, decisions
@@ -240,13 +230,7 @@ class QueryService:
             differs=(),
             explained=explain,
             driven=driven,
-            timing_ms={
-                "decode": (decoded - began) * 1000,
-                "queue": sum(one.queue_ms for one in described),
-                "encode": sum(one.encode_ms for one in described),
-                "describe": sum(one.finish_ms for one in described),
-                **_sums([one.results.timing_ms for one in found]),
-            },
+            timing_ms={"decode": (decoded - began) * 1000, **_timing_ms(described, found)},
         )
         whole = filters in (None, Filters()) and candidates != 0  # "not here" is said of the map, not of a part of it
         if keep and whole:
@@ -329,7 +313,27 @@ class QueryService:
         return tuple(contrast(ours, theirs, explained.description.appearance.extent, components).regions)
 
 
-def _sums(timings: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Time of each stage over all maps."""
-    stages = dict.fromkeys(chain.from_iterable(timings))
-    return {stage: sum(one.get(stage, 0.0) for one in timings) for stage in stages}
+def _decide(results: RankedResults, precision: float | None, top: int, candidates: int | None) -> Decision:
+    """The verdict on what one search found, by its map's precision and candidates where the query names none."""
+    ranking = results.recipe.ranking
+    return decide(
+        results.ranking,
+        results.levels,
+        results.calibration,
+        precision or ranking.precision,
+        searched=results.searched,
+        shown=top,
+        measured_alike=candidates != 0 or ranking.candidates == 0,
+    )
+
+
+def _timing_ms(described: Sequence[Timed[Description]], found: Sequence[SearchOutcome]) -> dict[str, float]:
+    """Milliseconds of each stage of describing and searching, over all recipes and maps."""
+    searches = [one.results.timing_ms for one in found]
+    stages = dict.fromkeys(chain.from_iterable(searches))
+    return {
+        "queue": sum(one.queue_ms for one in described),
+        "encode": sum(one.encode_ms for one in described),
+        "describe": sum(one.finish_ms for one in described),
+        **{stage: sum(one.get(stage, 0.0) for one in searches) for stage in stages},
+    }

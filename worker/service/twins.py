@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from schemas.comparisons import MapLevels
+from schemas.comparisons import Comparison, MapLevels
 from schemas.health import HealthFinding, SurveyedView
 from worker.method.calibration import Calibration
 from worker.method.decision import expected_levels, features, floor
@@ -68,12 +68,7 @@ def find_twins(
         rival = None if compared.rival is None else of.get(compared.rival)
         if rival is None or compared.level is None or not places.told_apart(view.seq, rival.seq):
             continue
-        wins = compared.own is not None and compared.level >= compared.own
-        if not wins:
-            next_best = 0.0 if compared.gap is None else compared.level - compared.gap
-            breadth = compared.breadth or 0.0
-            wins = would_match(compared.level, next_best, breadth, compared.others, precision, levels, calibration)
-        if wins:
+        if _fools(compared, compared.level, precision, levels, calibration):
             found = pair(view, rival)
             found.fooled += 1
             found.add(compared.level, view.id, rival.id)
@@ -89,6 +84,18 @@ def find_twins(
             views=tuple(found.views[:SHOWN]),
             count=len(found.views),
         )
+
+
+def _fools(compared: Comparison, level: float, precision: float, levels: MapLevels, calibration: Calibration) -> bool:
+    """Whether a query with a view would be answered with its rival, which scores `level`.
+
+    It is when the rival comes before any further view of the own place, or would be `matched` without that place.
+    """
+    if compared.own is not None and level >= compared.own:
+        return True
+    next_best = 0.0 if compared.gap is None else level - compared.gap
+    breadth = compared.breadth or 0.0
+    return would_match(level, next_best, breadth, compared.others, precision, levels, calibration)
 
 
 def would_match(
