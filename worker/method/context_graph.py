@@ -155,16 +155,7 @@ def _compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: fl
             np.zeros((count, n_query), np.float32),
             np.zeros(count, np.int64),
         )
-    sizes = np.array([len(c) for c in candidates])
-    slot = np.arange(most)[None, :] < sizes[:, None]
-    labels = np.full((count, most), -1, np.int16)
-    positions = np.zeros((count, most, 2), np.float32)
-    labels[slot] = np.concatenate([c.labels for c in candidates])
-    positions[slot] = np.concatenate([c.positions for c in candidates])
-    similarity = np.full((n_query, count, most), -np.inf, np.float32)
-    similarity[:, slot] = unit(query.embeddings) @ unit(np.concatenate([c.embeddings for c in candidates])).T
-    similarity[query.labels[:, None, None] != labels[None]] = -np.inf
-
+    similarity, positions = _similarities(query, candidates, most)
     best_in_candidate = similarity.argmax(axis=2)  # (n_query, count)
     best_in_query = similarity.argmax(axis=0)  # (count, most)
     value = np.take_along_axis(similarity, best_in_candidate[..., None], axis=2)[..., 0]
@@ -173,6 +164,56 @@ def _compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: fl
     matched = np.where(paired, best_in_candidate.T, -1)
 
     pairs = paired.sum(axis=1)
+    common, either = _edges(query, positions, matched, tau)
+    edges = np.where(either > 0, common / np.maximum(either, 1), 1.0) * (pairs >= 2)
+    nodes = pairs / (n_query + np.array([len(c) for c in candidates]) - pairs)
+    return GraphComparison(
+        similarity=(nodes * (1 + edges) / 2).astype(np.float32),
+        matched=matched,
+        cosines=np.where(paired, value.T, 0).astype(np.float32),
+        edges_agreeing=common.astype(np.int64),
+    )
+
+
+def _similarities(query: ContextGraph, candidates: Sequence[ContextGraph], most: int) -> tuple[Floats, Floats]:
+    """Cosines of nodes with the same label, and positions, of candidates padded to `most` nodes.
+
+    Returns
+    -------
+    float32 of shape (n_query, candidates, most)
+        -inf where labels differ, and in the padding.
+    float32 of shape (candidates, most, 2)
+    """
+    count = len(candidates)
+    slot = np.arange(most)[None, :] < np.array([len(c) for c in candidates])[:, None]
+    labels = np.full((count, most), -1, np.int16)
+    positions = np.zeros((count, most, 2), np.float32)
+    labels[slot] = np.concatenate([c.labels for c in candidates])
+    positions[slot] = np.concatenate([c.positions for c in candidates])
+    similarity = np.full((len(query), count, most), -np.inf, np.float32)
+    similarity[:, slot] = unit(query.embeddings) @ unit(np.concatenate([c.embeddings for c in candidates])).T
+    similarity[query.labels[:, None, None] != labels[None]] = -np.inf
+    return similarity, positions
+
+
+def _edges(
+    query: ContextGraph, positions: Floats, matched: npt.NDArray[np.intp], tau: float
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """How many edges between matched nodes both graphs have, and how many either has.
+
+    Parameters
+    ----------
+    query : ContextGraph
+    positions : float32 of shape (candidates, most, 2)
+    matched : int of shape (candidates, n_query)
+        Node of the candidate that corresponds to each node of the query; -1: none.
+    tau : float
+
+    Returns
+    -------
+    int of shape (candidates,), int of shape (candidates,)
+    """
+    paired = matched >= 0
     used = np.flatnonzero(paired.any(axis=0))  # only matched nodes can have edges
     both = np.triu(paired[:, used, None] & paired[:, None, used], k=1)
     seen = np.take_along_axis(positions, np.maximum(matched[:, used], 0)[..., None], axis=1)  # (count, used, 2)
@@ -180,14 +221,7 @@ def _compare(query: ContextGraph, candidates: Sequence[ContextGraph], cosine: fl
     near_candidate = _distances(seen) <= tau
     common = (both & near_query & near_candidate).sum(axis=(1, 2))
     either = (both & (near_query | near_candidate)).sum(axis=(1, 2))
-    edges = np.where(either > 0, common / np.maximum(either, 1), 1.0) * (pairs >= 2)
-    nodes = pairs / (n_query + sizes - pairs)
-    return GraphComparison(
-        similarity=(nodes * (1 + edges) / 2).astype(np.float32),
-        matched=matched,
-        cosines=np.where(paired, value.T, 0).astype(np.float32),
-        edges_agreeing=common.astype(np.int64),
-    )
+    return common, either
 
 
 def _distances(points: Floats) -> Floats:

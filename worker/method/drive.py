@@ -192,9 +192,7 @@ def follow(drive: Drive, single: Single) -> tuple[Drive, Doubles]:
     foretold = float(weighed.sum()) + elsewhere + nowhere
     coherence, moves = drive.coherence, drive.moves
     if drive.images:
-        by_chance = float((alone * ratios).sum()) + 1 - float(alone.sum())
-        walks = coherence * (1 - CHANGE) + (1 - coherence) * CHANGE
-        coherence = walks * foretold / (walks * foretold + (1 - walks) * by_chance)
+        coherence = walking(coherence, foretold, float((alone * ratios).sum()) + 1 - float(alone.sum()))
         moves = learnt(drive, order, coherence * ratio / foretold)
     walked = weighed / foretold
     followed = Drive(
@@ -210,6 +208,20 @@ def follow(drive: Drive, single: Single) -> tuple[Drive, Doubles]:
     )
     together = coherence * walked[here] + (1 - coherence) * single.probabilities
     return followed, together
+
+
+def walking(coherence: float, foretold: float, by_chance: float) -> float:
+    """Probability that a drive is a walk, after one more image.
+
+    Parameters
+    ----------
+    coherence : float
+        That probability before the image.
+    foretold, by_chance : float
+        How likely the image is if the drive is a walk, and if each image is of anywhere.
+    """
+    walks = coherence * (1 - CHANGE) + (1 - coherence) * CHANGE
+    return walks * foretold / (walks * foretold + (1 - walks) * by_chance)
 
 
 def shortened(drive: Drive) -> Drive:

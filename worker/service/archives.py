@@ -5,6 +5,7 @@ import stat
 import struct
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
@@ -87,6 +88,7 @@ class Archive:
             raise ValueError(f"is damaged in the archive ({error})") from None
 
     def _sort(self, packed: int, most_bytes: int) -> None:
+        """Sort the files into images, the manifest and others; raises BadBody, BodyTooLarge."""
         infos = self._zip.infolist()
         if len(infos) > MOST_FILES:
             raise BodyTooLarge(f"the archive has {len(infos):,} files; at most {MOST_FILES:,} are taken")
@@ -112,18 +114,8 @@ class Archive:
                 self.images.append(entry)
             else:
                 self.others.append(entry)
-        unpacked = sum(info.file_size for info in infos)
-        if unpacked > max(FREE_BYTES, MOST_RATIO * packed):
-            raise _refused(
-                f"its {packed:,} bytes would become {unpacked:,}, more than {MOST_RATIO} times as many, as no photos do"
-            )
-        if unpacked > most_bytes:
-            raise BodyTooLarge(f"the archive would become {unpacked:,} bytes; at most {most_bytes:,} are taken")
-        if len(manifests) > 1:
-            raise _refused(f"it has {len(manifests)} manifests, such as {manifests[0].name} and {manifests[1].name}")
-        self.manifest = manifests[0] if manifests else None
-        if self.manifest is not None and self.manifest.size > MOST_MANIFEST_BYTES:
-            raise _refused(f"its manifest has {self.manifest.size:,} bytes; at most {MOST_MANIFEST_BYTES:,} are taken")
+        _check_unpacked(sum(info.file_size for info in infos), packed, most_bytes)
+        self.manifest = _only(manifests)
         self.images.sort(key=lambda entry: entry.name)
         if not self.images:
             raise _refused(f"it holds no image ({', '.join(sorted(SUFFIXES))})")
@@ -146,6 +138,25 @@ def _checked_name(info: zipfile.ZipInfo) -> str:
     if ".." in path.split("/"):
         raise _refused(f"the name {name[:80]!r} leads out of the archive")
     return path
+
+
+def _check_unpacked(unpacked: int, packed: int, most_bytes: int) -> None:
+    """Raise where so many bytes would become too many more, or too many."""
+    if unpacked > max(FREE_BYTES, MOST_RATIO * packed):
+        raise _refused(
+            f"its {packed:,} bytes would become {unpacked:,}, more than {MOST_RATIO} times as many, as no photos do"
+        )
+    if unpacked > most_bytes:
+        raise BodyTooLarge(f"the archive would become {unpacked:,} bytes; at most {most_bytes:,} are taken")
+
+
+def _only(manifests: Sequence[Entry]) -> Entry | None:
+    """The one manifest, if any; raises BadBody where there are several, or it is too large."""
+    if len(manifests) > 1:
+        raise _refused(f"it has {len(manifests)} manifests, such as {manifests[0].name} and {manifests[1].name}")
+    if manifests and manifests[0].size > MOST_MANIFEST_BYTES:
+        raise _refused(f"its manifest has {manifests[0].size:,} bytes; at most {MOST_MANIFEST_BYTES:,} are taken")
+    return manifests[0] if manifests else None
 
 
 def _check_entry(info: zipfile.ZipInfo, name: str) -> None:

@@ -215,14 +215,7 @@ class ShadowService:
         )  # fmt: skip
         among = np.union1d(present, changes.seqs)  # views enrolled from now on would be found by one alone
         queries = self._queries_of(name, shadow.wanted, old, new, np.intersect1d(present, changes.seqs))
-        rows = []
-        for done, one in enumerate(queries):
-            _unless(stopping)
-            self._jobs.report(claim, JobProgress(done, len(queries)))
-            if isinstance(one, KeptQuery):
-                rows.append(self._of_kept(name, one, old, new, among))
-            else:
-                rows.append(self._of_view(name, one, old, new, among))
+        rows = self._answered(claim, queries, old, new, among, stopping)
         return ShadowTable(
             wanted=shadow.wanted,
             recipe=by.id,
@@ -233,8 +226,28 @@ class ShadowService:
             new_views=len(changes.seqs),
             old_compared=old_levels.compared,
             new_compared=new_levels.compared,
-            queries=tuple(sorted((row for row in rows if row is not None), key=lambda row: row.agree)),
+            queries=tuple(sorted(rows, key=lambda row: row.agree)),
         )
+
+    def _answered(
+        self,
+        claim: MapClaim,
+        queries: Sequence[KeptQuery | int],
+        old: Side,
+        new: Side,
+        among: Sequence64,
+        stopping: Callable[[], bool],
+    ) -> list[ShadowQuery]:
+        """The queries by both recipes, without those that were removed meanwhile; reports the job's progress."""
+        rows = []
+        for done, one in enumerate(queries):
+            _unless(stopping)
+            self._jobs.report(claim, JobProgress(done, len(queries)))
+            if isinstance(one, KeptQuery):
+                rows.append(self._of_kept(claim.map, one, old, new, among))
+            else:
+                rows.append(self._of_view(claim.map, one, old, new, among))
+        return [row for row in rows if row is not None]
 
     def _compare_views(
         self,
