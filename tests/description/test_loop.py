@@ -1,12 +1,12 @@
 """The worker's loop: whatever fails, no job that it claimed is left lying."""
 
-import time
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from schemas.errors import StorageFailed
+from tests.waiting import until
 from worker.loop import Loop
 from worker.service.trouble import StoringTrouble
 
@@ -52,8 +52,7 @@ def test_a_job_whose_image_cannot_be_read_is_put_back_also_when_that_fails_at_fi
         trouble=StoringTrouble("descriptions", 0.01),
     )
     loop.start()
-    until = time.monotonic() + 5
-    while disk.released != {"first", "second"} and time.monotonic() < until:
-        time.sleep(0.01)
-    loop.stop()
-    assert disk.released == {"first", "second"}
+    try:
+        until(lambda: disk.released == {"first", "second"})
+    finally:
+        loop.stop()

@@ -9,6 +9,7 @@ from schemas.errors import Busy, Unavailable
 from schemas.image import Image
 from schemas.log_context import bound, fields
 from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
+from tests.waiting import PATIENCE_S
 from worker.description.scheduler import Scheduler
 from worker.description.turns import IN_A_ROW
 
@@ -22,8 +23,8 @@ def test_a_query_overtakes_every_enrolment_that_is_not_yet_under_way() -> None:
     query = scheduler.submit(image(7), number_of, urgent=True)
     encoder.gate.release(4)
 
-    assert query.result(5).value == 7
-    assert [future.result(5).value for future in enrolments] == [1, 2, 3]
+    assert query.result(PATIENCE_S).value == 7
+    assert [future.result(PATIENCE_S).value for future in enrolments] == [1, 2, 3]
     assert encoder.seen == [1, 7, 2, 3]
     scheduler.stop()
 
@@ -38,8 +39,8 @@ def test_an_enrolment_has_its_turn_among_queries_without_end() -> None:
     queries += [scheduler.submit(image(51 + n), number_of, urgent=True) for n in range(2 * IN_A_ROW + 3)]
     encoder.gate.release(99)
 
-    assert [future.result(5).value for future in enrolments] == [1, 2]
-    assert [future.result(5).value for future in queries] == list(range(50, 54 + 2 * IN_A_ROW))
+    assert [future.result(PATIENCE_S).value for future in enrolments] == [1, 2]
+    assert [future.result(PATIENCE_S).value for future in queries] == list(range(50, 54 + 2 * IN_A_ROW))
     assert [encoder.seen.index(n) for n in (1, 2)] == [1 + IN_A_ROW, 2 + 2 * IN_A_ROW]
     scheduler.stop()
 
@@ -52,13 +53,13 @@ def test_a_query_is_answered_while_an_enrolment_is_still_being_described() -> No
     answered = threading.Event()
 
     def slow(shown: Image, field: PixelField) -> int:
-        assert answered.wait(5)
+        assert answered.wait(PATIENCE_S)
         return number_of(shown, field)
 
     enrolments = [scheduler.submit(image(n), slow, urgent=False) for n in (1, 2)]
-    assert scheduler.submit(image(7), number_of, urgent=True).result(5).value == 7
+    assert scheduler.submit(image(7), number_of, urgent=True).result(PATIENCE_S).value == 7
     answered.set()
-    assert [future.result(5).value for future in enrolments] == [1, 2]
+    assert [future.result(PATIENCE_S).value for future in enrolments] == [1, 2]
     scheduler.stop()
 
 
@@ -75,9 +76,9 @@ def test_what_needs_no_field_is_made_while_the_network_is_busy() -> None:
     query = scheduler.submit(
         image(7), lambda p, f, keypoints: (number_of(p, f), keypoints), urgent=True, parallel=found
     )
-    assert made.wait(5)  # and the encoder is still held back
+    assert made.wait(PATIENCE_S)  # and the encoder is still held back
     encoder.gate.release()
-    assert query.result(5).value == (7, "picture 7")
+    assert query.result(PATIENCE_S).value == (7, "picture 7")
     scheduler.stop()
 
 
@@ -90,14 +91,14 @@ def test_a_query_waits_for_nothing_that_runs_in_parallel_for_an_enrolment() -> N
 
     def slow(_: Image) -> bool:
         begun.set()
-        return answered.wait(5)
+        return answered.wait(PATIENCE_S)
 
     enrolment = scheduler.submit(image(1), lambda p, f, waited: waited, urgent=False, parallel=slow)
-    assert begun.wait(5)
+    assert begun.wait(PATIENCE_S)
     query = scheduler.submit(image(7), lambda p, f, keypoints: keypoints, urgent=True, parallel=lambda _: "keypoints")
-    assert query.result(3).value == "keypoints"
+    assert query.result(PATIENCE_S / 2).value == "keypoints"
     answered.set()
-    assert enrolment.result(5).value
+    assert enrolment.result(PATIENCE_S).value
     scheduler.stop()
 
 
@@ -111,8 +112,8 @@ def test_a_failure_in_parallel_to_the_encoder_belongs_to_its_request() -> None:
         raise ValueError("no keypoints today")
 
     with pytest.raises(ValueError, match="no keypoints"):
-        scheduler.submit(image(1), lambda p, f, keypoints: keypoints, urgent=True, parallel=fail).result(5)
-    assert scheduler.submit(image(2), number_of, urgent=True).result(5).value == 2
+        scheduler.submit(image(1), lambda p, f, keypoints: keypoints, urgent=True, parallel=fail).result(PATIENCE_S)
+    assert scheduler.submit(image(2), number_of, urgent=True).result(PATIENCE_S).value == 2
     scheduler.stop()
 
 
@@ -123,10 +124,10 @@ def test_one_failing_image_does_not_take_its_batch_down() -> None:
     encoder.gate.release(9)
     scheduler.start()
 
-    assert futures[0].result(5).value == 1
+    assert futures[0].result(PATIENCE_S).value == 1
     with pytest.raises(RuntimeError, match="kills"):
-        futures[1].result(5)
-    assert futures[2].result(5).value == 3
+        futures[1].result(PATIENCE_S)
+    assert futures[2].result(PATIENCE_S).value == 3
     scheduler.stop()
 
 
@@ -165,8 +166,8 @@ def test_an_error_of_the_finish_belongs_to_its_request() -> None:
         raise ValueError("nothing static here")
 
     with pytest.raises(ValueError, match="nothing static"):
-        scheduler.submit(image(1), refuse, urgent=True).result(5)
-    assert scheduler.submit(image(2), number_of, urgent=True).result(5).value == 2
+        scheduler.submit(image(1), refuse, urgent=True).result(PATIENCE_S)
+    assert scheduler.submit(image(2), number_of, urgent=True).result(PATIENCE_S).value == 2
     scheduler.stop()
 
 
@@ -182,7 +183,7 @@ def test_images_to_be_drawn_get_the_segmenters_field_among_others_that_do_not() 
     futures = [scheduler.submit(image(n), number_and_rows, urgent=True, segment=segment) for n, segment in wanted]
     scheduler.start()
 
-    assert [future.result(5).value for future in futures] == [(1, 1), (2, 2), (3, 1), (4, 1)]
+    assert [future.result(PATIENCE_S).value for future in futures] == [(1, 1), (2, 2), (3, 1), (4, 1)]
     scheduler.stop()
 
 
@@ -205,6 +206,6 @@ def test_a_line_of_any_thread_carries_the_request_that_caused_it() -> None:
         with bound(request_id=name):
             futures.append(scheduler.submit(image(1), finish, urgent=name == "r1", parallel=parallel))
     encoder.gate.release(2)
-    assert [future.result(10).value for future in futures] == [1, 1]
+    assert [future.result(PATIENCE_S).value for future in futures] == [1, 1]
     scheduler.stop()
     assert set(seen) == {(stage, name) for stage in ("finish", "parallel") for name in ("r1", "r2")}

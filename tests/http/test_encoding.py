@@ -15,6 +15,7 @@ from schemas.description import PixelField
 from schemas.image import Bytes2D, Image, PreparedImage
 from schemas.inference import JSON_LENGTH, PIXELS, Tensor, packed, unpacked
 from schemas.settings import read_settings
+from tests.waiting import PATIENCE_S, until
 from worker.encoders.color import ColorEncoder
 from worker.service.encoding import MOST_SEGMENTED, EncodingService
 
@@ -33,7 +34,7 @@ class GatedEncoder(ColorEncoder):
     def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
         numbers = [int(image.pixels[0, 0, 0]) for image in images]
         self.batches.append(numbers)
-        self.open.wait(10)
+        self.open.wait(PATIENCE_S)
         if 99 in numbers:
             raise RuntimeError("this picture kills the network")
         return super().encode(images)
@@ -57,7 +58,7 @@ class GatedSegmenter:
     def segment(self, image: Image, *, urgent: bool = False) -> PixelField:
         assert isinstance(image, PreparedImage)
         self.urgent.append(urgent)
-        self.open.wait(10)
+        self.open.wait(PATIENCE_S)
         drawn = np.array([scale[0, 0, 0] for scale in image.scales], np.float32)
         return PixelField({"semantic": np.broadcast_to(drawn, (*image.grid, 2)).copy()}, image.extent)
 
@@ -93,10 +94,7 @@ def ask(
 
 
 def numbers_waiting(client: TestClient, count: int) -> None:
-    until = time.monotonic() + 5
-    while client.app.state.shared.service.waiting < count:  # type: ignore[attr-defined]
-        assert time.monotonic() < until
-        time.sleep(0.005)
+    until(lambda: client.app.state.shared.service.waiting >= count)  # type: ignore[attr-defined]
 
 
 def test_layers_are_those_of_the_encoder_to_the_byte(client: TestClient, encoder: GatedEncoder) -> None:
@@ -258,10 +256,11 @@ def test_it_says_what_it_is_as_the_protocol_has_it(client: TestClient, encoder: 
 
 
 def test_it_is_ready_when_it_encodes_and_says_why_not(encoder: GatedEncoder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.http.encoding.CHECK_S", 0.2)
+    monkeypatch.setattr("app.http.encoding.CHECK_S", PATIENCE_S)
     with serving(encoder) as client:
         assert client.get("/readyz").json()["checks"] == {"encoder": "ok"}
         assert encoder.batches == [[127]]
+        monkeypatch.setattr("app.http.encoding.CHECK_S", 0.2)
         encoder.open.clear()
         time.sleep(0.25)
 
@@ -271,8 +270,7 @@ def test_it_is_ready_when_it_encodes_and_says_why_not(encoder: GatedEncoder, mon
         assert answer.json()["checks"] == {"encoder": "it has encoded no image for 0 s"}
         assert "retry-after" in answer.headers
         encoder.open.set()
-        time.sleep(0.25)
-        assert client.get("/readyz").status_code == 200
+        until(lambda: client.get("/readyz").status_code == 200)
 
 
 def test_only_who_has_the_key_is_let_in(encoder: GatedEncoder) -> None:
@@ -338,7 +336,7 @@ def test_nothing_waits_for_a_drawing_and_few_drawings_wait(encoder: GatedEncoder
         assert int(refused.headers["retry-after"]) >= 1
         segmenter.open.set()
         assert {one.result().status_code for one in waiting} == {200}
-        assert client.app.state.shared.service.waiting == 0  # type: ignore[attr-defined]
+        until(lambda: client.app.state.shared.service.waiting == 0)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

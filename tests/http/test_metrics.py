@@ -10,6 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from app.http.problems import KINDS
 from app.http.statistics import MAPS, OTHER, PATIENCE_S, StatisticsCollector, StatisticsReader
 from schemas.statistics import IndexLag, MapStatistics, ServiceStatistics, StoreStatistics
+from tests import waiting
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -96,7 +97,7 @@ def test_statistics_that_hang_leave_the_last_ones_and_never_the_caller() -> None
 
     def gather() -> ServiceStatistics:
         if hanging.is_set():
-            release.wait(30)
+            release.wait(2 * waiting.PATIENCE_S)
         return gathered
 
     async def story() -> None:
@@ -109,7 +110,7 @@ def test_statistics_that_hang_leave_the_last_ones_and_never_the_caller() -> None
         again, age = await reader.read()
         assert again is gathered
         assert age >= PATIENCE_S * 0.9
-        assert asyncio.get_running_loop().time() - began < PATIENCE_S + 2
+        assert asyncio.get_running_loop().time() - began < waiting.PATIENCE_S
         release.set()
         reader.close()
 

@@ -11,6 +11,7 @@ from schemas.ageing import DayScore
 from schemas.errors import DiskFull
 from schemas.recipe import MapRecipe
 from tests.storage.material import RECIPE, recipe
+from tests.waiting import until
 from worker.service import day_scores
 from worker.service.day_scores import ScoreKeeper
 
@@ -39,10 +40,7 @@ def kept() -> Kept:
 
 def wait_for_one(kept: Kept) -> None:
     """Until something is written."""
-    until = time.monotonic() + 10
-    while not kept.added:
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    until(lambda: kept.added)
 
 
 def test_scores_of_a_day_are_one_row(kept: Kept) -> None:
@@ -85,9 +83,9 @@ def test_what_could_not_be_written_is_written_later_by_itself(kept: Kept) -> Non
 
 
 def test_nothing_is_written_after_a_stop(kept: Kept) -> None:
+    kept.full = True
     keeper = ScoreKeeper(kept, pace_s=0.05)
     keeper.note("campus", RECIPE, 7, 0.5, NOON)
-    kept.full = True
     keeper.stop()
     kept.full = False
     time.sleep(0.2)

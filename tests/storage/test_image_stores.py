@@ -1,7 +1,6 @@
 """What is promised of images holds wherever they lie: in a folder, or in an S3-compatible store."""
 
 import functools
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Thread
@@ -14,6 +13,7 @@ from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import postgres_schema, sqlite_url
 from tests.storage.material import NOW, describe_all, enroll, facts, image
 from tests.storage.object_store import ADDRESS, BUCKET, PREFIX, ObjectStore, aws, refusing
+from tests.waiting import until
 from worker.storage.examining import examine
 from worker.storage.repairing import repair
 from worker.storage.store import SqlStore, open_store
@@ -108,10 +108,7 @@ def test_an_image_that_a_crash_left_without_a_row_is_swept(place: Place) -> None
 def test_the_start_begins_a_sweep(place: Place) -> None:
     place.put(facts(image("gate")).sha256, image("gate"))
     place.store.recover()
-    until = time.monotonic() + 20
-    while place.digests():
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    until(lambda: not place.digests())
 
 
 def test_a_damaged_a_lost_and_an_empty_image_are_named_and_healed_by_enrolling_again(place: Place) -> None:

@@ -13,13 +13,18 @@ from schemas.records import ViewAttributes
 from schemas.settings import read_settings
 from tests.sample_images import photo
 from tests.storage.databases import postgres_schema
+from tests.waiting import until
 from worker.runtime import Runtime, build
 from worker.service import settlements
 from worker.storage import dialect, notices
 from worker.storage.notices import Notices
 
-SOON_S = 5.0
-"""On a machine with other work; polling is stretched to a minute where it matters."""
+SOON_S = 30.0
+"""On a machine with other work; polling is stretched to two minutes where it matters."""
+
+
+def until_listening(heard: Notices) -> None:
+    until(lambda: heard.listening)
 
 
 class Heard:
@@ -31,12 +36,6 @@ class Heard:
         self.got: queue.Queue[str] = queue.Queue()
         self.notices.start(on_work=lambda: self.got.put("work"), on_settled=self.got.put)
 
-    def until_listening(self) -> None:
-        until = time.monotonic() + 20
-        while not self.notices.listening:
-            assert time.monotonic() < until
-            time.sleep(0.01)
-
     def next(self) -> str:
         return self.got.get(timeout=SOON_S)
 
@@ -45,7 +44,7 @@ class Heard:
 def hearing(url: str) -> Iterator[Heard]:
     one = Heard(url)
     try:
-        one.until_listening()
+        until_listening(one.notices)
         yield one
     finally:
         one.notices.stop()
@@ -88,11 +87,12 @@ def test_a_connection_that_ends_is_made_anew(url: str, monkeypatch: pytest.Monke
             )
             assert len(list(ended)) >= 2
             connection.rollback()
-        until = time.monotonic() + 20
-        while b.got.empty():
-            assert time.monotonic() < until
+
+        def told() -> bool:
             a.notices.work()
-            time.sleep(0.1)
+            return not b.got.empty()
+
+        until(told)
 
 
 def started(data: Path, url: str, inline: bool, serving: bool) -> Runtime:
@@ -107,21 +107,19 @@ def started(data: Path, url: str, inline: bool, serving: bool) -> Runtime:
 def test_an_enrolment_on_a_node_is_described_at_once_by_a_worker_elsewhere(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(settlements, "LOOK_AGAIN_S", 60.0)
-    monkeypatch.setattr("worker.loop.MAP_WORK_EVERY_S", 60.0)
-    monkeypatch.setattr("worker.loop.IDLE_S", 60.0)
+    monkeypatch.setattr(settlements, "LOOK_AGAIN_S", 120.0)
+    monkeypatch.setattr("worker.loop.MAP_WORK_EVERY_S", 120.0)
+    monkeypatch.setattr("worker.loop.IDLE_S", 120.0)
     node = started(tmp_path, url, False, True)
     worker = started(tmp_path, url, True, False)
     try:
         for runtime in (node, worker):
-            until = time.monotonic() + 20
-            while runtime.store.notices is None or not runtime.store.notices.listening:
-                assert time.monotonic() < until
-                time.sleep(0.01)
+            assert runtime.store.notices is not None
+            until_listening(runtime.store.notices)
         took = []
         for number in range(6):
             began = time.monotonic()
-            enrolled = node.services.enroll.enroll(photo(number), "default", ViewAttributes(), patience_s=30)
+            enrolled = node.services.enroll.enroll(photo(number), "default", ViewAttributes(), patience_s=4 * SOON_S)
             took.append(time.monotonic() - began)
             assert enrolled.view.state == "ready"
     finally:

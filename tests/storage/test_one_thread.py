@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 
+from tests.waiting import until
 from worker.storage.one_thread import OneThread
 
 
@@ -30,7 +31,8 @@ def test_no_more_waits_than_there_is_room_for() -> None:
 
     giving = threading.Thread(target=give)
     giving.start()
-    giving.join(0.2)
+    until(lambda: given == [10, 10])
+    giving.join(0.2)  # time enough to give more, if there were room
     assert given == [10, 10]
     go_on.set()
     giving.join()
@@ -53,6 +55,10 @@ def test_what_went_wrong_is_raised_later_and_the_rest_is_given_up() -> None:
     block = threading.Event()
     thread.do(1, lambda: block.wait(60) and None)
     thread.do(1, lambda: done.append("never"))
-    threading.Timer(0.1, block.set).start()
-    thread.close()
+    closing = threading.Thread(target=thread.close)
+    closing.start()
+    given_up = thread._given[-1][1]
+    until(given_up.cancelled)
+    block.set()
+    closing.join()
     assert done == []

@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 
 from tests.sample_images import drawn, encoded
+from tests.waiting import PATIENCE_S
 
 ZIP = {"content-type": "application/zip"}
 
@@ -39,7 +40,7 @@ def ended(client: httpx.Client, job_id: str, within_s: float = 60) -> dict[str, 
     raise AssertionError(f"the job has not ended: {job}")
 
 
-def is_emptied(folder: Path, within_s: float = 10) -> bool:
+def is_emptied(folder: Path, within_s: float = PATIENCE_S) -> bool:
     """Whether nothing is in a folder, or soon is not: an upload is removed after its job has ended."""
     until = time.monotonic() + within_s
     while any(folder.iterdir()):

@@ -9,6 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests import waiting
 from tests.sample_images import photo
 from tests.storage.databases import postgres_schema
 from tests.storage.object_store import ObjectStore
@@ -98,9 +99,7 @@ def test_a_worker_is_killed_in_an_import_and_another_finishes_it(
         assert (job["state"], job["progress"]) == ("done", {"done": IMAGES, "total": IMAGES})
         assert (job["result"]["enrolled"], job["result"]["already_there"], job["result"]["errors"]) == (IMAGES, 0, [])
         assert a.get("/maps/walk").json()["views"] == {"pending": 0, "ready": IMAGES, "failed": 0}
-        deadline = time.monotonic() + 10
-        while others(objects) and time.monotonic() < deadline:  # it is removed right after the job has ended
-            time.sleep(0.02)
+        waiting.until(lambda: not others(objects))  # it is removed right after the job has ended
         assert (others(objects), len(objects.names())) == ([], IMAGES)
         assert [left(tmp_path / name) for name in ("a", "b", "second")] == [[], [], []]
         with worker(tmp_path / "first", **there):

