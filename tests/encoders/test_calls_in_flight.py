@@ -13,6 +13,7 @@ from schemas.image import Image
 from schemas.inference import Tensor
 from tests.encoders.test_shared import Handler, InferenceServer, local, says, server
 from tests.sample_images import drawn
+from tests.waiting import until
 from worker.description.scheduler import Scheduler, field_alone
 from worker.encoders.compact.encoder import CompactEncoder
 from worker.encoders.compact.input_size import resized
@@ -30,7 +31,7 @@ PATIENCE_S = 8.0
 
 @pytest.fixture
 def shared(server: InferenceServer) -> Iterator[SharedCompactEncoder]:
-    one = SharedCompactEncoder(server.url, None, 10)
+    one = SharedCompactEncoder(server.url, None, 4 * PATIENCE_S)
     server.received.clear()
     yield one
     one.close()
@@ -150,8 +151,7 @@ def test_a_query_goes_before_the_enrolments_that_wait(server: InferenceServer, s
     scheduler = Scheduler(shared, 8, 8)
     sent = [scheduler.submit(image, field_alone, urgent=False) for image in EIGHT * 2]
     scheduler.start()
-    while len(server.received) < 2:
-        time.sleep(0.01)
+    until(lambda: len(server.received) >= 2)
     query = scheduler.submit(EIGHT[3], field_alone, urgent=True)
     queried.set()
     query.result(30)

@@ -69,7 +69,7 @@ def test_a_deaf_collector_delays_no_caller_and_a_stop_by_three_seconds(tmp_path:
         for _ in range(20):
             began = time.monotonic()
             assert httpx.get(f"{service.url}/maps", timeout=30).status_code == 200
-            assert time.monotonic() - began < 2
+            assert time.monotonic() - began < CONTAINERS_GRACE_S / 2  # half of what one export may take
         began = time.monotonic()
         assert service.stop() == 0
         assert time.monotonic() - began < CONTAINERS_GRACE_S
