@@ -39,7 +39,9 @@ def views(service: RunningService, map_name: str) -> list[dict[str, Any]]:
 def enrolled(service: RunningService, map_name: str, seeds: range, **fields: str) -> None:
     for seed in seeds:
         data = {"map": map_name, **fields}
-        httpx.post(f"{service.url}/enroll", files={"image": drawn_photo(seed)}, data=data).raise_for_status()
+        httpx.post(
+            f"{service.url}/enroll", files={"image": drawn_photo(seed)}, data=data, timeout=60
+        ).raise_for_status()
 
 
 # ask
@@ -238,7 +240,7 @@ def test_a_table_that_cannot_be_used_says_why(opened: Open, tmp_path: Path) -> N
         table = tmp_path / "positions.csv"
         table.write_text(text)
         tab.page.get_by_label("Positions (CSV)").set_input_files(table)
-        assert reason in tab.page.get_by_role("alert").inner_text()
+        tab.page.get_by_role("alert").filter(has_text=reason).wait_for()
 
 
 # maps

@@ -232,7 +232,7 @@ def test_a_place_in_another_light_is_taken_as_a_view_of_it(opened: Open, service
 def test_another_recipe_is_tried_in_the_shadow_and_switched_to(opened: Open, service: RunningService) -> None:
     for place in ("mill lane", "rose garden", "castle park"):
         enrolled(service, "shade", seen(place), place=place)
-    httpx.patch(f"{service.url}/maps/shade", json={"keep_queries": 5})
+    httpx.patch(f"{service.url}/maps/shade", json={"keep_queries": 5}, timeout=60)
     for place in ("river meadow", "harbour"):
         httpx.post(f"{service.url}/query", data={"map": "shade"}, files={"image": seen(place)}, timeout=60)
     tab = opened("maps/shade", bypass_csp=True)
@@ -287,7 +287,7 @@ def test_a_map_is_saved_to_a_file_and_restored_under_another_name(
     tab.page.get_by_label("Choose a snapshot file").set_input_files(file)
     tab.page.get_by_role("button", name="Restore").click()
     tab.page.locator("main").get_by_text(re.compile("Restored as hamlet: 8 views")).wait_for()
-    httpx.delete(f"{service.url}/maps/hamlet").raise_for_status()
+    httpx.delete(f"{service.url}/maps/hamlet", timeout=60).raise_for_status()
 
     tab.page.get_by_label("Delete the snapshot of town").click()
     tab.confirm("Delete the snapshot")

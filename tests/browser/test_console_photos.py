@@ -12,6 +12,7 @@ from tests.browser.conftest import Open, Tab
 from tests.browser.test_console_maps import check, enrolled, seen
 from tests.stories.photos import jpeg
 from tests.stories.running import RunningService
+from tests.waiting import until
 
 HALL = scene("corridor refurnished")
 CUPBOARD, CHAIR = Piece("cupboard", -0.8, 4.0, 1), Piece("chair", 0.7, 3.6, 2)
@@ -26,7 +27,7 @@ def facts(service: RunningService, name: str) -> Any:
 
 
 def made(service: RunningService, name: str) -> None:
-    httpx.put(f"{service.url}/maps/{name}", json={}).raise_for_status()
+    httpx.put(f"{service.url}/maps/{name}", json={}, timeout=60).raise_for_status()
 
 
 # what becomes of photos
@@ -96,9 +97,8 @@ def test_what_a_map_refuses_is_said(opened: Open, service: RunningService) -> No
 def test_a_receipt_says_what_is_gone_and_which_snapshots_have_it(opened: Open, service: RunningService) -> None:
     for place in ("mill lane", "rose garden"):
         enrolled(service, "yard", seen(place), place=place)
-    job = httpx.post(f"{service.url}/maps/yard/snapshots").json()
-    while httpx.get(f"{service.url}/jobs/{job['id']}").json()["state"] != "done":
-        pass
+    job = httpx.post(f"{service.url}/maps/yard/snapshots", timeout=60).json()
+    until(lambda: httpx.get(f"{service.url}/jobs/{job['id']}").json()["state"] == "done")
     tab = opened("maps/yard", bypass_csp=True)
     tab.page.get_by_label("View 1: mill lane").click()
     tab.page.get_by_role("button", name="Delete this view …").click()
@@ -179,8 +179,8 @@ def test_a_view_is_compared_with_an_earlier_one_of_its_place(opened: Open, servi
 
 
 def test_why_nothing_can_be_compared_is_said(opened: Open, service: RunningService) -> None:
-    httpx.put(f"{service.url}/maps/gone", json={}).raise_for_status()
-    httpx.patch(f"{service.url}/maps/gone", json={"keep_images": False}).raise_for_status()
+    httpx.put(f"{service.url}/maps/gone", json={}, timeout=60).raise_for_status()
+    httpx.patch(f"{service.url}/maps/gone", json={"keep_images": False}, timeout=60).raise_for_status()
     for quality in (90, 80):
         enrolled(service, "gone", seen("mill lane", quality), place="mill lane")
     tab = opened("maps/gone", refusals=True)

@@ -208,7 +208,10 @@ def test_an_import_is_followed_while_it_runs(client: httpx.Client) -> None:
 
 
 def test_events_end_with_the_service(tmp_path: Path) -> None:
-    with RunningService(tmp_path, REVISIT_COMPARE="false") as service, httpx.Client(base_url=service.url) as client:
+    with (
+        RunningService(tmp_path, REVISIT_COMPARE="false") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
         job_id = client.post("/maps/long/imports", content=zipped(photos(300, 96)), headers=ZIP).json()["id"]
         with client.stream("GET", f"/jobs/{job_id}/events") as answer:
             jobs = jobs_of(answer)

@@ -71,7 +71,7 @@ def test_enrolments_that_wait_are_answered_at_once_and_kept(tmp_path: Path) -> N
 def test_queries_before_and_after_the_signal_are_answered(tmp_path: Path) -> None:
     """Thirty queries are on their way; as many come while the service drains, on connections that it kept open."""
     with ExitStack() as connections, RunningService(tmp_path) as service, ThreadPoolExecutor(30) as threads:
-        assert httpx.post(f"{service.url}/enroll", content=image(0), headers=JPEG).status_code == 201
+        assert httpx.post(f"{service.url}/enroll", content=image(0), headers=JPEG, timeout=60).status_code == 201
         # One request holds the drain open: its body is not complete.
         held = connections.enter_context(connect(service))
         body = image(0)

@@ -115,12 +115,18 @@ def test_a_file_that_only_begins_like_a_video_is_refused(client: httpx.Client, s
 def test_a_kill_in_the_middle_of_a_video_loses_nothing_and_doubles_nothing(tmp_path: Path) -> None:
     body = video(tmp_path / "a.avi", frames(60, 128), 1)
     environment = {"REVISIT_COMPARE": "false", "REVISIT_LEASE_S": "1"}
-    with RunningService(tmp_path / "data", **environment) as service, httpx.Client(base_url=service.url) as client:
+    with (
+        RunningService(tmp_path / "data", **environment) as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
         job_id = client.post("/maps/walk/imports", content=body, headers=MP4, timeout=60).json()["id"]
         while client.get("/maps/walk").json()["views"]["ready"] < 10:
             time.sleep(0.01)
         service.kill()
-    with RunningService(tmp_path / "data", **environment) as service, httpx.Client(base_url=service.url) as client:
+    with (
+        RunningService(tmp_path / "data", **environment) as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
         assert counts(ended(client, job_id)["result"]) == (60, 60, 0, 0)
         assert client.get("/maps/walk").json()["views"] == {"pending": 0, "ready": 60, "failed": 0}
 

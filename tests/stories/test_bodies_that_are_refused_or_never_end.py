@@ -32,7 +32,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService
 @pytest.mark.parametrize("chunked", [False, True], ids=["content-length", "chunked"])
 def test_httpx_sees_the_refusal(service: RunningService, chunked: bool) -> None:
     body = (TOO_LARGE[i : i + 10_000] for i in range(0, len(TOO_LARGE), 10_000)) if chunked else TOO_LARGE
-    answer = httpx.post(f"{service.url}/enroll", content=body, headers={"content-type": "image/jpeg"})
+    answer = httpx.post(f"{service.url}/enroll", content=body, headers={"content-type": "image/jpeg"}, timeout=60)
     assert (answer.status_code, answer.json()["type"]) == (413, "urn:revisit:problem:body-too-large")
     assert answer.headers["connection"] == "close"
 

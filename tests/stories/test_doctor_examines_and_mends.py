@@ -242,9 +242,14 @@ def test_one_photo_in_three_formats_is_no_fault(tmp_path: Path) -> None:
             buffer = io.BytesIO()
             pixels.save(buffer, kind, **extra)
             sent = {"content-type": f"image/{kind}"}
-            assert httpx.post(f"{service.url}/enroll", content=buffer.getvalue(), headers=sent).status_code == 201
+            assert (
+                httpx.post(f"{service.url}/enroll", content=buffer.getvalue(), headers=sent, timeout=60).status_code
+                == 201
+            )
         other = jpeg(scene("rose garden").pixels)
-        assert httpx.post(f"{service.url}/enroll", content=other, headers={"content-type": "image/jpeg"}).is_success
+        assert httpx.post(
+            f"{service.url}/enroll", content=other, headers={"content-type": "image/jpeg"}, timeout=60
+        ).is_success
         command = [sys.executable, "-m", "app.cli", "doctor", "--data", str(service.data), "--url", service.url]
         told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert told.returncode == 0, told.stdout + told.stderr

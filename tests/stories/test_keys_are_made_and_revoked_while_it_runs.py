@@ -36,9 +36,9 @@ def test_a_robot_gets_a_key_works_and_loses_it(tmp_path: Path) -> None:
 
         sent = {"content-type": "image/jpeg", "authorization": f"Bearer {key}"}
         for path in ("/enroll?map=campus", "/query?map=campus"):
-            assert httpx.post(f"{service.url}{path}", content=image, headers=sent).status_code in (200, 201)
-        assert httpx.post(f"{service.url}/enroll?map=depot", content=image, headers=sent).status_code == 403
-        assert httpx.delete(f"{service.url}/maps/campus", headers=sent).status_code == 403
+            assert httpx.post(f"{service.url}{path}", content=image, headers=sent, timeout=60).status_code in (200, 201)
+        assert httpx.post(f"{service.url}/enroll?map=depot", content=image, headers=sent, timeout=60).status_code == 403
+        assert httpx.delete(f"{service.url}/maps/campus", headers=sent, timeout=60).status_code == 403
 
         # The checks are some seconds old.
         until(lambda: "campus" in httpx.get(f"{service.url}/readyz", headers=sent).json()["maps"])

@@ -71,12 +71,18 @@ def test_without_a_worker_callers_are_told_and_a_killed_one_is_noticed_within_se
 def test_a_killed_service_finds_its_own_claims_again_at_once(tmp_path: Path) -> None:
     """Its jobs were claimed by a process that is gone: nobody waits for a lease to end."""
     data = tmp_path / "data"
-    with RunningService(data, REVISIT_LEASE_S="600") as service, httpx.Client(base_url=service.url) as client:
+    with (
+        RunningService(data, REVISIT_LEASE_S="600") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
         jobs = [
             client.post("/enroll?wait=false", content=photo(seed), headers=JPEG).json()["job"] for seed in range(30)
         ]
         service.kill()
-    with RunningService(data, REVISIT_LEASE_S="600") as service, httpx.Client(base_url=service.url) as client:
+    with (
+        RunningService(data, REVISIT_LEASE_S="600") as service,
+        httpx.Client(base_url=service.url, timeout=60) as client,
+    ):
         until(lambda: all(is_done(client, job) for job in jobs))  # or else their leases end in ten minutes
 
 

@@ -80,7 +80,7 @@ def test_three_machines_serve_and_one_of_them_may_be_away(tmp_path: Path) -> Non
         headers = {"authorization": f"Bearer {key}"}
         client = stack.enter_context(httpx.Client(base_url=address, headers=headers, timeout=90))
         until(client)
-        assert httpx.post(f"{address}/query", content=photo(1), headers=JPEG).status_code == 401
+        assert httpx.post(f"{address}/query", content=photo(1), headers=JPEG, timeout=60).status_code == 401
         view = client.post("/enroll", content=photo(1), headers=JPEG).json()["view"]["id"]
         job = client.post("/maps/walk/imports", content=zipped(photos(20)), headers=ZIP).json()["id"]
         assert ended(client, job)["result"]["enrolled"] == 20
