@@ -106,10 +106,7 @@ def run_views(arguments: argparse.Namespace) -> int:
         wrong_use("--limit is at least 1")
     filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
     if arguments.delete and arguments.id is None:
-        if arguments.map is None or not any(filters.values()):
-            wrong_use("--delete needs the id of a view; or --map and filters, of which all that pass are deleted")
-        if arguments.words or arguments.state or arguments.newest:
-            wrong_use("--words, --state and --newest choose no views to delete; give filters")
+        _check_what_is_deleted(arguments, filters)
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete and arguments.id is None:
             receipt = revisit.delete_views(arguments.map, **filters)
@@ -139,6 +136,14 @@ def run_views(arguments: argparse.Namespace) -> int:
     if len(views) == arguments.limit:
         say(f"the first {arguments.limit}; --limit shows more")
     return DONE
+
+
+def _check_what_is_deleted(arguments: argparse.Namespace, filters: Mapping[str, object]) -> None:
+    """End with the right use where options do not say which views of a map are deleted."""
+    if arguments.map is None or not any(filters.values()):
+        wrong_use("--delete needs the id of a view; or --map and filters, of which all that pass are deleted")
+    if arguments.words or arguments.state or arguments.newest:
+        wrong_use("--words, --state and --newest choose no views to delete; give filters")
 
 
 def _draw(revisit: "Revisit", view_id: str, files: Mapping[str, Path | None]) -> None:

@@ -25,6 +25,7 @@ from app.cli.console import (
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
+    from revisit_client.wire import Enrolled
 
 
 Work: TypeAlias = "tuple[Path, images.Known]"
@@ -41,6 +42,29 @@ class Summary:
     skipped: list[dict[str, str]] = field(default_factory=list)
     warned: list[dict[str, str]] = field(default_factory=list)
     views: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def done(self) -> int:
+        """Images that are in the map."""
+        return self.enrolled + self.already_there
+
+    def add(self, path: Path, answer: "Enrolled") -> None:
+        """Note what became of an image that was taken."""
+        if answer.created:
+            self.enrolled += 1
+        else:
+            self.already_there += 1
+        view = answer.view
+        self.warned += [{"file": str(path), "reason": one.detail} for one in answer.warnings]
+        self.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
+        if view.state == "failed" and view.failure is not None:
+            self.failed.append({"file": str(path), "reason": view.failure.detail})
+
+    def sort(self, paths: Sequence[Path]) -> None:
+        """Sort what is listed as the images are."""
+        order = {str(path): i for i, path in enumerate(paths)}
+        for listed in (self.warned, self.failed, self.views):
+            listed.sort(key=lambda one: order[one["file"]])
 
 
 def add(verbs: Verbs) -> None:
@@ -131,12 +155,9 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
     if (arguments.x is None) != (arguments.y is None):
         wrong_use("--x and --y are one position: give both")
     metadata = json_object("--metadata", arguments.metadata, '{"floor": 2}')
+    of_all = _of_all(arguments, metadata)
     for path in images.found(arguments.paths, skipped):
-        known: images.Known = {"map": arguments.map, "place": arguments.place}
-        if arguments.refuse_poor:
-            known["refuse_poor"] = True
-        given = {"x": arguments.x, "y": arguments.y, "heading": arguments.heading, "metadata": metadata}
-        known |= {name: value for name, value in given.items() if value is not None}
+        known = dict(of_all)
         if arguments.place_from_folder:
             known["place"] = path.resolve().parent.name
         if arguments.exif:
@@ -155,6 +176,15 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
         if unused := positions.unused():
             say(f"{len(unused)} rows of {positions.path} name no image given here, such as {unused[0]}")
     return work
+
+
+def _of_all(arguments: argparse.Namespace, metadata: dict[str, Any] | None) -> images.Known:
+    """The attributes that the options give to all images."""
+    known: images.Known = {"map": arguments.map, "place": arguments.place}
+    if arguments.refuse_poor:
+        known["refuse_poor"] = True
+    given = {"x": arguments.x, "y": arguments.y, "heading": arguments.heading, "metadata": metadata}
+    return known | {name: value for name, value in given.items() if value is not None}
 
 
 def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], parallel: int) -> Summary:
@@ -184,15 +214,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
                 stop.append(error)
                 return
             with lock:
-                if answer.created:
-                    summary.enrolled += 1
-                else:
-                    summary.already_there += 1
-                view = answer.view
-                summary.warned += [{"file": str(path), "reason": one.detail} for one in answer.warnings]
-                summary.views.append({"file": str(path), "id": view.id, "place": view.place, "created": answer.created})
-                if view.state == "failed" and view.failure is not None:
-                    summary.failed.append({"file": str(path), "reason": view.failure.detail})
+                summary.add(path, answer)
                 step(path.name)
 
     with progress_bar(len(work), "images") as step:
@@ -202,12 +224,10 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
         for thread in threads:
             thread.join()
     if stop:
-        done = summary.enrolled + summary.already_there
-        raise Failure(f"{stop[0]}\n{done} of {len(work)} images are enrolled; run the same command again to go on")
-    order = {str(path): i for i, (path, _) in enumerate(work)}
-    summary.warned.sort(key=lambda warned: order[warned["file"]])
-    summary.failed.sort(key=lambda failure: order[failure["file"]])
-    summary.views.sort(key=lambda view: order[view["file"]])
+        raise Failure(
+            f"{stop[0]}\n{summary.done} of {len(work)} images are enrolled; run the same command again to go on"
+        )
+    summary.sort([path for path, _ in work])
     return summary
 
 

@@ -111,8 +111,16 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
-    # The middleware added last is outermost: RequestContext sees every answer, and no body is read before
-    # ReadinessGate, KeyGate, OtherSites, RateLimit and BodyLimit let the request through.
+    _add_middleware(app, service, metrics, tracer_provider)
+    return app
+
+
+def _add_middleware(app: FastAPI, service: Service, metrics: Metrics, tracer_provider: Any) -> None:
+    """Add what each request passes through.
+
+    What is added last is outermost: RequestContext sees every answer, and no body is read before ReadinessGate,
+    KeyGate, OtherSites, RateLimit and BodyLimit let the request through.
+    """
     app.add_middleware(BodyLimit, settings=service.settings)
     app.add_middleware(RateLimit, settings=service.settings)
     app.add_middleware(OtherSites, origins=service.settings.cors_origins, any_name=service.settings.open)
@@ -129,4 +137,3 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         draining=lambda: service.lifecycle.draining,
         slow_s=service.settings.slow_s,
     )
-    return app

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -296,15 +296,19 @@ def main(arguments: Sequence[str] | None = None, over_http: OverHttp | None = No
         "disk MB": round(disk / 1e6),
         **{name: version(name) for name in ("onnxruntime", "torch", "faiss-cpu", "numpy")},
     }
+    _print(facts, rows, yardstick)
+    if options.json is not None:
+        options.json.write_text(json.dumps({"facts": facts, "rows": [vars(one) for one in rows]}, indent=1))
+    return 0
+
+
+def _print(facts: Mapping[str, object], rows: Sequence[Row], yardstick: Took) -> None:
     print("  ".join(f"{name}: {value}" for name, value in facts.items()))
     print(f"{'stage':34}{'views':>9}{'ms':>10}{'ratio':>9}{'CPU ms':>10}{'ratio':>9}")
     for one in rows:
         at = "" if one.views is None else f"{one.views:,}"
         cpu = "" if one.cpu_ms is None else f"{one.cpu_ms:>10.2f}{one.cpu_ms / yardstick.cpu:>9.2f}"
         print(f"{one.stage:34}{at:>9}{one.ms:>10.2f}{one.ms / yardstick.wall:>9.2f}{cpu}")
-    if options.json is not None:
-        options.json.write_text(json.dumps({"facts": facts, "rows": [vars(one) for one in rows]}, indent=1))
-    return 0
 
 
 def _described(runtime: Runtime, describer: Describer, image: Image) -> Description:
