@@ -4,7 +4,7 @@ A job of the kind ``recipe`` runs until the last of the map's views is described
 claimed by a worker, which compares answers (see shadow_jobs.py). One of the kind ``vocabulary`` is
 first claimed by a worker, which trains the vocabulary, and then runs like one of the kind ``recipe``. One of the kind
 ``snapshot`` is claimed by a worker, which writes the file. It leaves its map as it is and may run beside the others.
-``import`` is claimed by a worker until the last image of its recording is described.
+``import`` is claimed by a worker until the last image of its recording is described (see import_jobs.py).
 """
 
 import json
@@ -22,7 +22,6 @@ from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, switching
 from worker.storage.jobs import ATTEMPTS, Jobs
-from worker.storage.maps import make_map
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, maps_named
 from worker.storage.switching import UNFINISHED
@@ -68,7 +67,7 @@ class MapJobs(Jobs):
             row = find_map(connection, name)
             refuse_second(connection, row)
             switching.refuse_without_images(connection, row)
-            return _queue(connection, row, "vocabulary", now)
+            return queue(connection, row, "vocabulary", now)
 
     # snapshot
 
@@ -84,7 +83,7 @@ class MapJobs(Jobs):
                     f"a snapshot of the map {name!r} is being made already, by the job {job_id}; wait until it has "
                     f"finished, or DELETE /jobs/{job_id}"
                 )
-            return _queue(connection, row, "snapshot", now)
+            return queue(connection, row, "snapshot", now)
 
     def finish_snapshot(self, claim: MapClaim, result: Mapping[str, Any], now: datetime) -> None:
         """End a claimed job as done; raises LeaseLost."""
@@ -93,49 +92,6 @@ class MapJobs(Jobs):
             ended = {"state": "done", "finished_at": now, "token": None}
             done = {"progress_done": job.progress_total, "result": as_json(dict(result))}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **done))
-
-    # import
-
-    def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
-        """Queue the import of a recording that is kept already; creates the map (with `recipe`) when there is none."""
-        with self._database.writing() as connection:
-            try:
-                row = find_map(connection, name)
-            except NotFound:
-                make_map(connection, name, recipe, now)
-                row = find_map(connection, name)
-            new = {"id": job_id, "kind": "import", "map_id": row.id, "background": True}
-            connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
-            return record_of(connection, job_id)
-
-    def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
-        """Report the progress of an import and what came of it so far; raises LeaseLost, also when it was cancelled.
-
-        One that was resumed begins anew with what is there already: its progress is not told before it gets further,
-        and from then on the attempts count anew.
-        """
-        with self._database.writing(in_turn=False) as connection:
-            job = held(connection, claim)
-            values: dict[str, Any] = {"progress_total": progress.total}
-            if job.progress_done is None or progress.done > job.progress_done:
-                values |= {"progress_done": progress.done, "result": as_json(result), "attempts": 1}
-            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
-
-    def finish_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any], now: datetime) -> None:
-        """End an import as done; raises LeaseLost."""
-        with self._database.writing(in_turn=False) as connection:
-            job = held(connection, claim)
-            ended = {"state": "done", "token": None, "finished_at": now}
-            told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
-            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
-
-    def unfinished_imports(self, name: str | None = None) -> set[str]:
-        """Ids of the imports, into a map if one is named, that wait or run."""
-        mine = sa.select(JOBS.c.id).where(JOBS.c.kind == "import", JOBS.c.state.in_(UNFINISHED))
-        if name is not None:
-            mine = mine.where(JOBS.c.map_id.in_(maps_named([name])))
-        with self._database.reading() as connection:
-            return set(connection.scalars(mine))
 
     # claims
 
@@ -281,9 +237,11 @@ def refuse_second(connection: sa.Connection, row: sa.Row[Any]) -> None:
     switching.refuse_with_shadow(row)
 
 
-def _queue(connection: sa.Connection, row: sa.Row[Any], kind: JobKind, now: datetime) -> JobRecord:
-    """Queue a job of a map for a worker to claim."""
-    job_id = str(uuid7())
+def queue(
+    connection: sa.Connection, row: sa.Row[Any], kind: JobKind, now: datetime, job_id: str | None = None
+) -> JobRecord:
+    """Queue a job of a map for a worker to claim; `job_id` None makes one."""
+    job_id = job_id or str(uuid7())
     new = {"id": job_id, "kind": kind, "map_id": row.id, "background": True}
     connection.execute(inserting(JOBS), {**new, "state": "waiting", "attempts": 0, "created_at": now})
     return record_of(connection, job_id)

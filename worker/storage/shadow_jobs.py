@@ -18,7 +18,8 @@ from schemas.records import JobRecord, MapClaim
 from schemas.shadow import ShadowRecord, ShadowState
 from worker.storage import switching
 from worker.storage.image_store import forgets
-from worker.storage.map_jobs import MapJobs, held, record_of, refuse_second
+from worker.storage.import_jobs import ImportJobs
+from worker.storage.map_jobs import held, record_of, refuse_second
 from worker.storage.rows import as_json, find_map, find_recipe, inserting, keep_recipe, ranking_of
 from worker.storage.tables import JOBS, MAPS
 
@@ -28,8 +29,8 @@ SAME = (
 )
 
 
-class ShadowJobs(MapJobs):
-    """Jobs of all kinds, and the shadows of maps."""
+class ShadowJobs(ImportJobs):
+    """Jobs of all kinds, imports, and the shadows of maps."""
 
     def begin_shadow(self, name: str, recipe: MapRecipe, wanted: int, now: datetime) -> JobRecord:
         """Begin to describe a map's views by another recipe, to which the map changes over only when it is told.

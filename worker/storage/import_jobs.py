@@ -1,0 +1,59 @@
+"""Imports: jobs that enrol the images of a recording, and report after each what came of it."""
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import sqlalchemy as sa
+
+from schemas.errors import NotFound
+from schemas.recipe import MapRecipe
+from schemas.records import JobProgress, JobRecord, MapClaim
+from worker.storage.map_jobs import MapJobs, held, queue
+from worker.storage.maps import make_map
+from worker.storage.rows import as_json, find_map, maps_named
+from worker.storage.switching import UNFINISHED
+from worker.storage.tables import JOBS
+
+
+class ImportJobs(MapJobs):
+    """Jobs of all kinds, and imports of recordings."""
+
+    def queue_import(self, job_id: str, name: str, recipe: MapRecipe, now: datetime) -> JobRecord:
+        """Queue the import of a recording that is kept already; creates the map (with `recipe`) when there is none."""
+        with self._database.writing() as connection:
+            try:
+                row = find_map(connection, name)
+            except NotFound:
+                make_map(connection, name, recipe, now)
+                row = find_map(connection, name)
+            return queue(connection, row, "import", now, job_id)
+
+    def report_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any]) -> None:
+        """Report the progress of an import and what came of it so far; raises LeaseLost, also when it was cancelled.
+
+        One that was resumed begins anew with what is there already: its progress is not told before it gets further,
+        and from then on the attempts count anew.
+        """
+        with self._database.writing(in_turn=False) as connection:
+            job = held(connection, claim)
+            values: dict[str, Any] = {"progress_total": progress.total}
+            if job.progress_done is None or progress.done > job.progress_done:
+                values |= {"progress_done": progress.done, "result": as_json(result), "attempts": 1}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**values))
+
+    def finish_import(self, claim: MapClaim, progress: JobProgress, result: Mapping[str, Any], now: datetime) -> None:
+        """End an import as done; raises LeaseLost."""
+        with self._database.writing(in_turn=False) as connection:
+            job = held(connection, claim)
+            ended = {"state": "done", "token": None, "finished_at": now}
+            told = {"progress_done": progress.done, "progress_total": progress.total, "result": as_json(result)}
+            connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**ended, **told))
+
+    def unfinished_imports(self, name: str | None = None) -> set[str]:
+        """Ids of the imports, into a map if one is named, that wait or run."""
+        mine = sa.select(JOBS.c.id).where(JOBS.c.kind == "import", JOBS.c.state.in_(UNFINISHED))
+        if name is not None:
+            mine = mine.where(JOBS.c.map_id.in_(maps_named([name])))
+        with self._database.reading() as connection:
+            return set(connection.scalars(mine))
