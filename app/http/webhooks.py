@@ -138,11 +138,14 @@ class Webhooks:
                 elif one.attempts > len(self._delays_s) or self._ends_at is not None:
                     self._settle(one, "given_up", said.text)
                 else:
-                    delay = self._delays_s[one.attempts - 1] * random.uniform(0.9, 1.1)
-                    logger.info("webhook %s: %s; again in %.0f s", one.id, said.text, delay)
-                    with self._lock:
-                        one.due = time.monotonic() + delay
-                        heapq.heappush(self._waiting, one)
+                    self._try_later(one, said.text)
+
+    def _try_later(self, one: "_Event", why: str) -> None:
+        delay = self._delays_s[one.attempts - 1] * random.uniform(0.9, 1.1)
+        logger.info("webhook %s: %s; again in %.0f s", one.id, why, delay)
+        with self._lock:
+            one.due = time.monotonic() + delay
+            heapq.heappush(self._waiting, one)
 
     def _next(self) -> "_Event | None":
         """The next event, once it is due; None at the end."""
