@@ -179,6 +179,8 @@ class Connection:
                 refused = isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol)
                 again, wait = repeat and (lost or not refused), pause
                 lost = again
+            except UnicodeEncodeError as error:
+                raise Unsendable(f"{error.object[:100]!r} is no Unicode, and cannot be sent") from None
             except httpx.DecodingError as error:
                 raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
             else:
