@@ -16,7 +16,7 @@ from revisit_client.connection import Connection
 from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
 from revisit_client.jobs import JobCalls
-from revisit_client.parameters import Image, Time, address, filters, listed, named, recipe_fields, texts, utc
+from revisit_client.parameters import Image, Time, address, filters, listed, named, readable, recipe_fields, texts, utc
 from revisit_client.shadows import ShadowCalls
 from revisit_client.snapshots import SnapshotCalls
 
@@ -146,8 +146,9 @@ class Revisit(ImageCalls, JobCalls, HealthCalls, ShadowCalls, SnapshotCalls):
         # One key for all repetitions of this call: the service does the work once even when an answer is lost.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = named(image)
+        name = readable(filename) if filename else name
         return self._connection.receive(
-            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (filename or name, data)}, headers=headers
+            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (name, data)}, headers=headers
         )
 
     def query(
