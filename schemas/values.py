@@ -15,6 +15,9 @@ MOST_MAPS = 16
 METADATA_BYTES = 16 * 1024
 METADATA_DEPTH = 8
 
+MOST_DIGITS = 4300
+"""Of a whole number in JSON: more are not read, as they take long."""
+
 FARTHEST_M = 1e9
 """Metres from the origin of a map's frame: beyond, distances would be of numbers that are not what was meant."""
 
@@ -183,7 +186,9 @@ def strict_json(text: str | bytes) -> Any:
     """
     try:
         whole = text if isinstance(text, str) else text.decode(json.detect_encoding(text))
-        value = json.loads(whole, parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique)
+        value = json.loads(
+            whole, parse_constant=_no_constant, parse_float=_finite, parse_int=_whole_number, object_pairs_hook=_unique
+        )
         if _SURROGATE.search(whole) and not all(map(_is_unicode, _texts(value))):
             raise ValueError("contains half of a surrogate pair")
         return value
@@ -204,6 +209,12 @@ def _finite(text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"contains the number {text[:40]}, which is too large")
     return number
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"contains the number {text[:40]}… of {len(text)} digits; at most {MOST_DIGITS} are taken")
+    return int(text)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

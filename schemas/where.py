@@ -28,7 +28,13 @@ DEEPEST = 8
 
 LONGEST_VALUE = 1000
 
-Value = str | float | bool | datetime
+EXACT = 2**53
+"""Integers from here on are no exact float64."""
+
+Number = float | int
+"""A float; an int only from `EXACT` on: stamps in nanoseconds are such."""
+
+Value = str | Number | bool | datetime
 Ordering = Literal["$gt", "$gte", "$lt", "$lte"]
 ORDERINGS: tuple[Ordering, ...] = ("$gt", "$gte", "$lt", "$lte")
 OPERATORS = ("$eq", "$ne", *ORDERINGS, "$in", "$nin", "$prefix", "$exists")
@@ -48,7 +54,7 @@ class Compared:
 
     path: tuple[str, ...]
     operator: Ordering
-    bound: float | datetime
+    bound: Number | datetime
 
 
 @dataclass(frozen=True)
@@ -176,12 +182,12 @@ def _operator(path: tuple[str, ...], operator: str, operand: object) -> Predicat
 _TYPES: Mapping[str, tuple[Callable[[object], bool], str]] = {
     **dict.fromkeys(TEXTS, (lambda value: isinstance(value, str), "a text")),
     **dict.fromkeys(NUMBERS, (lambda value: isinstance(value, float), "a number")),
-    "metadata": (lambda value: isinstance(value, str | float | bool), "a text, a number, true or false"),
+    "metadata": (lambda value: isinstance(value, str | Number | bool), "a text, a number, true or false"),
 }
 
 
 def _value(path: tuple[str, ...], value: object) -> Value:
-    """A value of the type that the field has; numbers as float."""
+    """A value of the type that the field has; numbers as float, those of metadata that no float is as int."""
     name = ".".join(path)
     if path[0] in TIMES:
         try:
@@ -190,15 +196,16 @@ def _value(path: tuple[str, ...], value: object) -> Value:
             raise ValueError(f"{name}: {error}") from None
     if isinstance(value, int) and not isinstance(value, bool):
         try:
-            value = float(value)
+            nearest = float(value)
         except OverflowError:
             raise ValueError(f"{name}: the number is too large") from None
+        value = value if path[0] == "metadata" and abs(value) >= EXACT else nearest
     fits, wanted = _TYPES[path[0]]
     if not fits(value):
         raise ValueError(f"{name}: needs {wanted}, not {_shown(value)}")
     if isinstance(value, str) and (len(value) > LONGEST_VALUE or "\0" in value):
         raise ValueError(f"{name}: a text has at most {LONGEST_VALUE} characters, none of them U+0000")
-    assert isinstance(value, str | float | bool)
+    assert isinstance(value, str | Number | bool)
     return value
 
 

@@ -16,6 +16,12 @@ class QueryFacts(Answer):
     height: int
     labels: list[LabelShare]
     static_share: float
+    fixed_share: float = Field(
+        0.0,
+        description="Share that was left out because it is the same in every view of the map: a bonnet, black bars.",
+        ge=0,
+        le=1,
+    )
 
 
 class ChannelMatch(Answer):

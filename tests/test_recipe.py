@@ -233,6 +233,13 @@ class TestRefusals:
             ParameterError(f"ranking.{name}", "belongs to `parameters`, not to `ranking`")
         ]
 
+    @pytest.mark.parametrize("value", [True, "5", 5.5])
+    def test_what_is_no_whole_number_is_not_taken_for_one(self, value: object) -> None:
+        [parameters] = refused(Wanted(parameters={"local_features": value}))
+        [ranking] = refused(Wanted(ranking={"candidates": value}))
+        for one in (parameters, ranking):
+            assert one.detail == f"Input should be a valid integer (got {value!r})"
+
     def test_a_name_that_neither_knows_comes_with_those_that_are_known(self) -> None:
         [parameters] = refused(Wanted(parameters={"kandidates": 7}))
         [ranking] = refused(Wanted(ranking={"kandidates": 7}))

@@ -30,17 +30,22 @@ def wrong_use(text: str) -> NoReturn:
 
 def say(text: str) -> None:
     """Print a message on stderr, so that a pipe gets results only."""
-    print(text, file=sys.stderr, flush=True)
+    print(_printable(text), file=sys.stderr, flush=True)
 
 
 def show(text: str) -> None:
     """Print a result on stdout, in one write: lines of a log that share the terminal do not come between."""
-    print(f"{text}\n", end="", flush=True)
+    print(f"{_printable(text)}\n", end="", flush=True)
 
 
 def show_json(value: Any) -> None:
     """Print a result on stdout as JSON."""
-    print(json.dumps(value, indent=2, ensure_ascii=False, default=str), flush=True)
+    print(_printable(json.dumps(value, indent=2, ensure_ascii=False, default=str)), flush=True)
+
+
+def _printable(text: str) -> str:
+    r"""Bytes of a file's name that are no UTF-8, which Python keeps as lone surrogates, as \udcff: in JSON too."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

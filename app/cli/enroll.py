@@ -189,7 +189,7 @@ def _of_all(arguments: argparse.Namespace, metadata: dict[str, Any] | None) -> i
 
 def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], parallel: int) -> Summary:
     """Send images, `parallel` at once, so that the service can batch them."""
-    from revisit_client import ClientError, RevisitProblem
+    from revisit_client import RevisitProblem, Unsendable
 
     waiting: queue.SimpleQueue[tuple[Path, images.Known]] = queue.SimpleQueue()
     for item in work:
@@ -205,12 +205,12 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
                 return
             try:
                 answer = revisit.enroll(path, **known)
-            except (RevisitProblem, OSError) as error:
+            except (RevisitProblem, Unsendable, OSError) as error:
                 with lock:
                     summary.failed.append({"file": str(path), "reason": _reason(error)})
                     step(path.name)
                 continue
-            except ClientError as error:
+            except Exception as error:  # of ClientError, or none that was thought of: no image is left out in silence
                 stop.append(error)
                 return
             with lock:

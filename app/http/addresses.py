@@ -6,10 +6,13 @@ import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.refusing import refuse
-from schemas.errors import InvalidParameters, ParameterError
+from schemas.errors import InvalidParameters, NotFound, ParameterError
 
 NO_MAP, DEFAULT_MAP = "/compat/compreface/api/", "/compat/compreface/default/api/"
 """Beginnings of addresses of a service that knows no maps, and what they mean here."""
+
+
+NAMELESS = "the name or id behind the last slash is missing, or is `.` or `..`; nothing was deleted"
 
 
 class Addresses:
@@ -18,6 +21,9 @@ class Addresses:
     `NO_MAP` is the map ``default``. (A map that is named ``api`` has that part twice.)
 
     A body that would be streamed is ended at once: HEAD of a snapshot reads no file, that of events does not last.
+
+    Only a DELETE with a slash at its end is refused: what it names is missing, or was ``.`` or ``..``, of which clients
+    make such addresses. ``/maps/campus/`` is what they make of ``/maps/campus/unknown/..``, and would delete the map.
 
     A slash is not answered with a redirect, for which a client would have to send its image again. Parameters that are
     not UTF-8 are refused: frameworks put other characters in the place of such bytes, and would keep a name so.
@@ -33,6 +39,9 @@ class Addresses:
             return
         path: str = scope["path"]
         if len(path) > 1 and path.endswith("/"):
+            if scope["method"] == "DELETE":
+                await refuse(NotFound("address", path, NAMELESS), scope, receive, send)
+                return
             scope["path"] = path[:-1]
             scope["raw_path"] = scope.get("raw_path", b"").removesuffix(b"/")
         if path.startswith(NO_MAP) and not path.startswith(f"{NO_MAP}api/"):

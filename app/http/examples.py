@@ -75,6 +75,7 @@ QUERY_ANSWER: dict[str, Any] = {
         "height": 720,
         "labels": [{"label": "building", "share": 0.55}],
         "static_share": 0.9,
+        "fixed_share": 0.0,
     },
     "map": "campus",
     "revision": 42,

@@ -17,7 +17,7 @@ from app.http.metrics import Metrics
 from app.http.notes import Notes, noting
 from app.http.problems import internal
 from app.http.refusing import refuse
-from schemas.errors import BodyTooLarge, RequestTimeout, Unavailable
+from schemas.errors import BadBody, BodyTooLarge, RequestTimeout, Unavailable
 from schemas.log_context import bound
 from schemas.settings import MEGA, Settings
 
@@ -25,6 +25,9 @@ access = logging.getLogger("revisit.access")
 
 _SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
 _IMPORTS = re.compile("/maps/[^/]+/imports")
+_PACKED = re.compile(r"\b(x-)?(gzip|compress|deflate|br|zstd)\b", re.IGNORECASE)
+"""Codings of a body (RFC 9110, 8.4.1) that it would have to be unpacked from, beyond its bounds."""
+
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 ALWAYS_OPEN = frozenset({"/livez", "/readyz", "/metrics"})
@@ -187,7 +190,8 @@ class ReadinessGate:
 
 
 class BodyLimit:
-    """Refuses bodies that are too large, by Content-Length before reading, else while reading; or that arrive too late.
+    """Refuses bodies that are too large, by Content-Length before reading, else while reading; that arrive too late, or
+    are packed.
 
     Parameters
     ----------
@@ -212,6 +216,11 @@ class BodyLimit:
         most = self._most_imported if _IMPORTS.fullmatch(scope["path"]) else self._most
         announced = Headers(scope=scope).get("content-length", "")
         bounded = (scope["method"], scope["path"]) not in STREAMED
+        packed = _PACKED.search(Headers(scope=scope).get("content-encoding", ""))
+        if packed is not None and has_body(scope):
+            detail = f"the body is packed (Content-Encoding: {packed[0]}); send it unpacked, without that header"
+            await refuse(BadBody("malformed-body", detail), scope, receive, send)
+            return
         if bounded and announced.isdigit() and int(announced) > most:
             await refuse(_too_large(f"{int(announced):,}", most), scope, receive, send)
             return

@@ -64,7 +64,7 @@ class Mqtt:
             self._client.username_pw_set(unquote(to.username), password)
         if to.scheme == "mqtts":
             self._client.tls_set(cert_reqs=ssl.CERT_REQUIRED)
-        self._client.max_queued_messages_set(WAITING)
+        self._client.max_queued_messages_set(0)  # `tell` bounds the events; the status has its place beside them
         self._client.reconnect_delay_set(*AGAIN_S)
         self._client.will_set(f"{topic}/status", "offline", qos=1, retain=True)
         self._client.on_connect, self._client.on_disconnect = self._connected, self._disconnected

@@ -12,6 +12,7 @@ from schemas.description import ContextGraph, Floats
 from schemas.recipe import DescriptionRecipe
 from schemas.records import JobRecord, Position, ViewRecord
 from worker.images.palette import colour
+from worker.method.camera_fixed import share_left_out
 from worker.method.decision import Decision, PlaceProbability, own_share
 from worker.method.estimate import locate
 from worker.method.evidence import GraphEvidence
@@ -203,6 +204,7 @@ def query_answer(result: QueryResult) -> wire.QueryAnswer:
             height=result.image.height,
             labels=label_shares(result.description.label_shares, recipe.labels),
             static_share=result.description.static_share,
+            fixed_share=share_left_out(result.description, results.query),
         ),
         map=first.name,
         revision=first.revision,

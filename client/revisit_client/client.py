@@ -17,7 +17,7 @@ from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
 from revisit_client.jobs import JobCalls
 from revisit_client.maps import MapCalls
-from revisit_client.parameters import Image, Time, address, filters, listed, named, texts, utc
+from revisit_client.parameters import Image, Time, address, filters, listed, named, readable, texts, utc
 from revisit_client.shadows import ShadowCalls
 from revisit_client.snapshots import SnapshotCalls
 
@@ -147,8 +147,9 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         # One key for all repetitions of this call: the service does the work once even when an answer is lost.
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
         name, data = named(image)
+        name = readable(filename) if filename else name
         return self._connection.receive(
-            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (filename or name, data)}, headers=headers
+            wire.Enrolled, "POST", "/enroll", data=fields, files={"image": (name, data)}, headers=headers
         )
 
     def query(

@@ -94,7 +94,7 @@ class Connection:
         """
         try:
             with self._http.stream("GET", path) as answer:
-                if answer.status_code >= 400:
+                if answer.status_code >= 300:
                     answer.read()
                     raise RevisitProblem(problem_of(answer), retry_after(answer))
                 yield from answer.iter_raw(chunk_size)
@@ -117,7 +117,7 @@ class Connection:
         """
         try:
             with self._http.stream("GET", path, timeout=httpx.Timeout(silence, connect=min(5.0, silence))) as answer:
-                if answer.status_code >= 400:
+                if answer.status_code >= 300:
                     answer.read()
                     raise RevisitProblem(problem_of(answer), retry_after(answer))
                 if not answer.headers.get("content-type", "").startswith("text/event-stream"):
@@ -166,27 +166,43 @@ class Connection:
         ------
         RevisitProblem, Unreachable
         """
-        deadline, pause = self._clock() + self._patience, FIRST_PAUSE_S
+        deadline, pause, lost = self._clock() + self._patience, FIRST_PAUSE_S, False
         while True:
             trouble: ClientError
             try:
                 answer = self._http.request(method, path, **request)
             except httpx.TransportError as error:
                 trouble = Unreachable(self.url, reason(error))
-                # A refused connection is reported at once. When a connection breaks, the service may have received the
-                # request already: then only requests with `repeat` are sent again.
-                again, wait = repeat and not isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol), pause
+                # A refused connection is reported at once, unless a service has just broken one off: it may be starting
+                # again. When a connection breaks, the service may have received the request already: then only requests
+                # with `repeat` are sent again.
+                refused = isinstance(error, httpx.ConnectError | httpx.UnsupportedProtocol)
+                again, wait = repeat and (lost or not refused), pause
+                lost = again
+            except UnicodeEncodeError as error:
+                raise Unsendable(f"{error.object[:100]!r} is no Unicode, and cannot be sent") from None
+            except httpx.DecodingError as error:
+                raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
             else:
-                if answer.status_code < 400 or answer.status_code == accept:
+                if answer.status_code < 300 or answer.status_code == accept:
                     return answer
                 named = retry_after(answer)
                 trouble = RevisitProblem(problem_of(answer), named)
                 # 429 and 503 are answered before any work is done: every request may be repeated.
-                again, wait = answer.status_code in (429, 503), pause if named is None else named
+                again = answer.status_code in (429, 503) or (lost and _still_runs(answer))
+                # A time that is over by a clock that is ahead must not make calls without a pause.
+                wait = pause if named is None or named < FIRST_PAUSE_S else named
             if once or not again or self._clock() + wait > deadline:
                 raise trouble
             self._sleep(wait)
             pause = min(LONGEST_PAUSE_S, pause * 2)
+
+
+def _still_runs(answer: httpx.Response) -> bool:
+    """Whether a call with an Idempotency-Key is refused because the same call before, whose answer got lost, may still
+    run: a refusal of the work itself is replayed the next time."""
+    keyed = "idempotency-key" in answer.request.headers
+    return keyed and answer.status_code == 409 and "idempotent-replayed" not in answer.headers
 
 
 def _address(url: str) -> httpx.URL:

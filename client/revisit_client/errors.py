@@ -100,10 +100,11 @@ def problem_of(answer: httpx.Response) -> wire.Problem:
     try:
         return wire.Problem.model_validate(answer.json(), extra="ignore")
     except (ValidationError, ValueError):
+        moved = answer.headers.get("location", "")[:200] if answer.is_redirect else ""
         return wire.Problem(
             type="about:blank",
             title=f"HTTP {answer.status_code} {answer.reason_phrase}".strip(),
             status=answer.status_code,
-            detail=answer.text.strip()[:200],
+            detail=f"the address redirects to {moved}; give that one" if moved else answer.text.strip()[:200],
             request_id=answer.headers.get("x-request-id", ""),
         )

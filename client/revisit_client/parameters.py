@@ -22,7 +22,13 @@ def named(image: Image) -> tuple[str | None, bytes]:
     if isinstance(image, bytes):
         return None, image
     path = Path(image)
-    return path.name, path.read_bytes()
+    return readable(path.name), path.read_bytes()
+
+
+def readable(name: str) -> str:
+    """A file name as text that can be sent: bytes that are no UTF-8, lone surrogates in Python, become such as %FF."""
+    shown = "".join(f"%{ord(c) & 0xFF:02X}" if "\udc80" <= c <= "\udcff" else c for c in name)
+    return shown.encode("utf-8", "replace").decode()
 
 
 def utc(moment: datetime) -> datetime:

@@ -4,6 +4,8 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from revisit_client.parameters import readable
+
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
 """Of images, which are sent of a folder."""
 
@@ -97,7 +99,10 @@ def _zipped(files: list[tuple[Path, str]]) -> Iterator[bytes]:
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:  # type: ignore[call-overload]
         for path, name in files:
             # Of the year 1980, like all: the archive of a folder is the same whenever it is made.
-            with path.open("rb") as source, archive.open(zipfile.ZipInfo(name), "w", force_zip64=True) as target:
+            with (
+                path.open("rb") as source,
+                archive.open(zipfile.ZipInfo(readable(name)), "w", force_zip64=True) as target,
+            ):
                 while piece := source.read(PIECE):
                     target.write(piece)
                     yield out.take()

@@ -1,11 +1,13 @@
 """Folders, globs, positions, EXIF; what is there already, what is refused, what goes on later."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 from PIL import Image as PilImage
 from PIL.TiffImagePlugin import IFDRational
+from revisit_client import Revisit
 
 from app.cli import images
 from app.cli.__main__ import main
@@ -75,6 +77,45 @@ def test_one_refused_image_does_not_stop_the_others(service: FakeService, folder
     assert summary["enrolled"] == 2
     assert summary["failed"][0]["file"].endswith("b.png")
     assert "cut off" in summary["failed"][0]["reason"]
+
+
+def test_an_image_whose_name_is_not_utf_8_is_enrolled_under_what_can_be_read_of_it(
+    service: FakeService, folder: Path, capsys: Out
+) -> None:
+    (folder / "b.png").rename(os.fsdecode(bytes(folder / "caf") + b"\xe9.png"))
+    service.replies["POST /enroll"] = lambda _: (201, answers.enrolled())
+
+    assert main(["enroll", str(folder), "--parallel", "1"]) == 0
+
+    assert capsys.readouterr().out.startswith("3 enrolled")
+    assert [b'filename="caf%E9.png"' in body for _, body in service.requests] == [False, True, False]
+    assert main(["enroll", str(folder), "--dry-run"]) == 0
+    assert r"caf\udce9.png" in capsys.readouterr().out
+
+
+def test_a_place_whose_folder_has_no_name_in_unicode_is_refused_alone(
+    service: FakeService, folder: Path, capsys: Out
+) -> None:
+    (folder / "inner").rename(os.fsdecode(bytes(folder / "caf") + b"\xe9"))
+    service.replies["POST /enroll"] = lambda _: (201, answers.enrolled())
+
+    assert main(["enroll", str(folder), "--place-from-folder"]) == 1
+
+    out, err = capsys.readouterr()
+    assert out == "2 enrolled, 0 already there, 1 failed, 1 skipped\n"
+    assert "is no Unicode, and cannot be sent" in err
+
+
+def test_an_error_that_nobody_thought_of_leaves_out_no_image_in_silence(
+    service: FakeService, folder: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(Revisit, "enroll", fails)
+
+    assert main(["enroll", str(folder), "--parallel", "1"]) == 1
+    assert "no such luck\n0 of 3 images are enrolled" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("nobody")

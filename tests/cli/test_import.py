@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,16 @@ def test_poses_go_along(service: FakeService, walk: Path) -> None:
 
     with packed(service) as archive:
         assert archive.namelist() == ["2.jpg", "front/1.jpg", "groundtruth.txt", "slam.tum"]
+
+
+def test_a_name_that_is_not_utf_8_is_packed_as_what_can_be_read_of_it(service: FakeService, walk: Path) -> None:
+    (walk / "2.jpg").rename(os.fsdecode(bytes(walk / "caf") + b"\xe9.jpg"))
+    replying(service)
+
+    assert main(["import", str(walk), "--map", answers.job()["map"]]) == 0
+
+    with packed(service) as archive:
+        assert archive.namelist() == ["caf%E9.jpg", "front/1.jpg"]
 
 
 def test_a_folder_is_packed_and_its_errors_are_listed(service: FakeService, walk: Path, capsys: Out) -> None:

@@ -155,31 +155,6 @@ def test_without_a_service_the_error_says_how_to_start_one() -> None:
         client(handler).maps()
 
 
-def test_a_request_whose_answer_got_lost_is_repeated() -> None:
-    tries: list[int] = []
-
-    def handler(request: httpx.Request) -> httpx.Response:
-        tries.append(1)
-        if len(tries) == 1:
-            raise httpx.ReadError("connection reset")
-        return httpx.Response(201, json=answers.enrolled())
-
-    assert client(handler).enroll(b"x").created
-
-
-def test_a_request_that_would_be_done_twice_is_not_repeated_when_its_answer_was_lost() -> None:
-    tries: list[int] = []
-
-    def handler(request: httpx.Request) -> httpx.Response:
-        tries.append(1)
-        raise httpx.ReadError("connection reset")
-
-    with pytest.raises(Unreachable):
-        client(handler).train_vocabulary("default")
-
-    assert len(tries) == 1
-
-
 def test_filters_of_a_query_are_sent_as_documented() -> None:
     bodies: list[str] = []
 

@@ -1,13 +1,14 @@
 """HEAD, trailing slashes and pages of other origins."""
 
 import re
+from urllib.parse import urljoin
 
 import pytest
 
 from app.http.cors import METHODS, READ, SENT
 from schemas.errors import SetupError
 from schemas.settings import Settings, read_settings
-from tests.http.fakes import FakeRuntime
+from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.keys_in_memory import KeyMaker
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -44,6 +45,23 @@ def test_head_of_an_address_that_takes_only_post_is_refused(client: CheckedClien
 def test_a_slash_at_the_end_changes_nothing(client: CheckedClient, path: str) -> None:
     plain, slashed = client.get(path), client.get(f"{path}/")
     assert (slashed.status_code, slashed.content) == (200, plain.content)
+
+
+SUBJECTS = "/compat/compreface/default/api/v1/recognition/subjects"
+
+
+@pytest.mark.parametrize("inside", ["/maps/default/unknown/..", f"{SUBJECTS}/.", f"{SUBJECTS}/", "/maps/default/"])
+def test_what_clients_make_of_a_missing_name_deletes_nothing(
+    client: CheckedClient, recogniser: FakeRecogniser, inside: str
+) -> None:
+    assert client.post("/enroll", files={"image": photo()}, data={"place": "hall"}).status_code == 201
+    sent = urljoin("http://testserver", inside)  # as fetch and others do
+
+    refused = client.delete(sent)
+
+    assert (refused.status_code, refused.json()["type"]) == (404, "urn:revisit:problem:not-found")
+    assert "nothing was deleted" in refused.json()["detail"]
+    assert len(recogniser.kept) == 1
 
 
 def test_an_image_is_sent_once_whatever_the_slash(client: CheckedClient) -> None:

@@ -1,6 +1,7 @@
 """`POST /enroll` takes images and their attributes; a refused request leaves nothing behind."""
 
 import asyncio
+import gzip
 from datetime import UTC, datetime
 from typing import Any
 
@@ -223,6 +224,17 @@ def test_a_body_larger_than_allowed_is_refused_by_its_announcement_and_by_its_co
     chunked = client.post("/enroll", content=(bytes(100_000) for _ in range(21)))
     assert (chunked.status_code, code(chunked)) == (413, "body-too-large")
     assert not recogniser.kept
+
+
+@pytest.mark.parametrize("coding", ["gzip", "x-gzip", "DEFLATE", "identity, br"])
+def test_a_packed_body_is_told_to_be_packed(client: CheckedClient, coding: str) -> None:
+    for method, path, body in (("POST", "/enroll", photo()), ("PATCH", "/views/x", b"{}")):
+        refused = client.request(method, path, content=gzip.compress(body), headers={"content-encoding": coding})
+        assert (refused.status_code, code(refused)) == (400, "malformed-body")
+        assert "send it unpacked" in refused.json()["detail"]
+    assert client.get("/views", headers={"content-encoding": coding}).status_code == 200
+    plain = client.post("/enroll", content=photo(), headers={"content-encoding": "identity"})
+    assert plain.status_code == 201
 
 
 def test_a_connection_that_closes_within_the_body_is_not_answered_500(

@@ -282,6 +282,11 @@ def test_deep_json_is_refused_before_it_is_deep(opening: bytes) -> None:
         asyncio.run(json_object(request(opening * (LARGEST_JSON // 8), "application/json")))
 
 
+def test_a_number_of_very_many_digits_is_refused_in_words() -> None:
+    with pytest.raises(RevisitError, match=r"the number 1{40}… of 5000 digits; at most 4300 are taken"):
+        asyncio.run(json_object(request(b'{"x": ' + b"1" * 5000 + b"}", "application/json")))
+
+
 values_ = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),

@@ -1,5 +1,6 @@
 """`/views` and the images of a view: list, show, correct, delete."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from io import BytesIO
 from typing import Any
@@ -9,12 +10,15 @@ from PIL import Image as PilImage
 
 from schemas.records import Filters, Position, ViewAttributes
 from schemas.where import condition
-from schemas.wire import rfc3339
+from schemas.wire import View, rfc3339
 from tests.http.fakes import FakeRecogniser
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
 
 UNKNOWN = "0195f2a4-7c1e-7b3a-9d52-000000000000"
+
+
+COMPREFACE = "/compat/compreface/default/api/v1/recognition"
 
 
 @pytest.fixture
@@ -304,3 +308,25 @@ def test_an_image_route_refuses_unknown_options(client: CheckedClient, view: str
 
 def test_a_time_of_long_ago_is_answered_as_it_was_sent() -> None:
     assert rfc3339(datetime(208, 4, 22, 10, 50, tzinfo=UTC)) == "0208-04-22T10:50:00.000000Z"
+
+
+def test_a_subject_is_renamed_though_an_example_of_it_is_deleted_or_moved_meanwhile(
+    client: CheckedClient, recogniser: FakeRecogniser, view: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone, moved = (
+        str(client.post("/enroll", files={"image": photo(seed)}, data={"place": "hall"}).json()["view"]["id"])
+        for seed in (1, 2)
+    )
+    patch = recogniser.patch_view
+
+    async def others_are_quicker(view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> View:
+        recogniser.kept.pop(gone, None)
+        recogniser.kept[moved].attributes = ViewAttributes(place="yard")
+        return await patch(view_id, change)
+
+    monkeypatch.setattr(recogniser, "patch_view", others_are_quicker)
+
+    renamed = client.put(f"{COMPREFACE}/subjects/hall", json={"subject": "foyer"})
+
+    assert (renamed.status_code, renamed.json()) == (200, {"updated": True})
+    assert {kept.id: kept.attributes.place for kept in recogniser.kept.values()} == {view: "foyer", moved: "yard"}

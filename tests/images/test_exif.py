@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from PIL import Image as PilImage
+from PIL.TiffImagePlugin import IFDRational
 
 from tests.sample_images import drawn, encoded
 from worker.images.exif import taken
@@ -28,3 +29,19 @@ def test_the_side_is_read_however_it_is_written(south: str | bytes) -> None:
 def test_degrees_without_a_side_are_no_place(sides: dict[int, str]) -> None:
     """A hemisphere is not guessed: the view would lie elsewhere on the globe."""
     assert taken(photo({2: SOUTH, 4: EAST, **sides})) == {}
+
+
+@pytest.mark.parametrize(
+    "clock", ["0001:01:01 00:00:00+14:00", "9999:12:31 23:59:59-12:00", "    :  :     :  :  +00:00"]
+)
+def test_a_clock_that_was_never_set_tells_no_time(clock: str) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8769).update({0x9003: clock[:-6], 0x9011: clock[-6:]})
+    assert taken(io.BytesIO(encoded(drawn(64, 48, 1), "jpeg", exif=exif))) == {}
+
+
+def test_a_height_beyond_what_a_position_may_be_is_none() -> None:
+    """4,294,967,295 m, of a receiver that writes -1 where it knows no height."""
+    unknown = IFDRational(2**32 - 1, 1)
+    known = taken(photo({1: "S", 2: SOUTH, 3: "E", 4: EAST, 5: b"\0", 6: unknown}))
+    assert known == pytest.approx({"lat": -33.86, "lon": 151.21})

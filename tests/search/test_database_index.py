@@ -133,6 +133,7 @@ def test_the_database_finds_what_memory_finds_after_every_change(nodes: tuple[No
             describe_all(store, draw)
 
         known = some_ids()
+        assert len({node.catalogue.index("campus")[0].sample() for node in nodes}) == 1
         all_filters = [
             Filters(),
             Filters(near=(4.0, 4.0, float(draw.integers(1, 5)))),

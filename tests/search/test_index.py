@@ -9,7 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from schemas.records import Changes, Selection
 from worker.search.flat_index import FlatIndex
-from worker.search.ports import Index
+from worker.search.ports import SAMPLE, Index
 
 DIMENSIONS = {"semantic": 3, "detail": 2}
 EVERYTHING = Selection(None, np.zeros(0, np.int64))
@@ -132,3 +132,24 @@ TestFollowing = Following.TestCase
 def test_nothing_selected_is_nothing_found(dtype: type) -> None:
     index, vectors = filled(5)
     assert nearest(index, vectors[0], "semantic", 3, Selection(np.zeros(0, dtype), NOBODY)) == []
+
+
+def test_a_sample_is_of_all_views_and_the_same_however_they_came() -> None:
+    vectors = np.zeros((500, 5), np.float32)
+    seqs = np.random.default_rng(3).permutation(np.arange(10, 510)).tolist()
+    at_once, in_parts = FlatIndex(DIMENSIONS, "r"), FlatIndex(DIMENSIONS, "r")
+    assert at_once.sample() == ()
+    at_once.apply(changes(1, sorted(seqs), vectors))
+    for revision, start in enumerate(range(0, 500, 125), 1):
+        part = sorted(seqs[start : start + 125])
+        in_parts.apply(changes(revision, part, vectors[:125]))
+        assert len(in_parts.sample()) == SAMPLE
+        assert set(in_parts.sample()) <= set(seqs[: start + 125])
+
+    sample = at_once.sample()
+    assert in_parts.sample() == sample == tuple(sorted(sample))
+    assert len({(seq - 10) * 4 // 500 for seq in sample}) == 4  # from each quarter of the map
+    at_once.apply(changes(9, [], vectors[:0], gone=list(sample[:3])))
+    assert set(sample[3:]) < set(at_once.sample())
+    few, _ = filled(5)
+    assert few.sample() == (10, 11, 12, 13, 14)

@@ -30,12 +30,21 @@ from worker.storage.filter_cache import FilterCache
 from worker.storage.store import SqlStore
 
 MOMENT = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
+STAMP = 1_772_357_400_123_456_789
+"""Nanoseconds, as ROS counts them: no float64 is this number."""
+
 VIEWS: Mapping[str, ViewAttributes] = {
     "gate": ViewAttributes(
-        "floor1/gate", Position(x=1.5, y=2.0, heading=350.0), MOMENT, {"floor": 1, "level": 1, "camera": "front"}
+        "floor1/gate",
+        Position(x=1.5, y=2.0, heading=350.0),
+        MOMENT,
+        {"floor": 1, "level": 1, "camera": "front", "stamp": STAMP},
     ),
     "hall": ViewAttributes(
-        "floor2/hall", Position(x=-3.0, y=0.0), MOMENT + timedelta(days=1), {"floor": 2.5, "level": 2.5, "lit": True}
+        "floor2/hall",
+        Position(x=-3.0, y=0.0),
+        MOMENT + timedelta(days=1),
+        {"floor": 2.5, "level": 2.5, "lit": True, "stamp": STAMP + 1},
     ),
     "yard": ViewAttributes(
         "Floor2/yard", Position(lat=52.0, lon=13.0, alt=40.0), None, {"floor": "2", "level": "2", "lit": False}
@@ -85,6 +94,10 @@ EVERY = set(VIEWS)
         ({"metadata.floor": "2"}, {"yard"}),  # a text is no number
         ({"metadata.floor": {"$gte": 1}}, {"gate", "hall", "attic"}),
         ({"metadata.floor": {"$lt": 1e308}}, {"gate", "hall"}),
+        ({"metadata.stamp": STAMP}, {"gate"}),
+        ({"metadata.stamp": {"$in": [STAMP, STAMP - 1]}}, {"gate"}),
+        ({"metadata.stamp": {"$gt": STAMP}}, {"hall"}),
+        ({"metadata.stamp": {"$lte": STAMP + 10**30}}, {"gate", "hall"}),
         ({"metadata.lit": True}, {"hall"}),
         ({"metadata.lit": {"$ne": True}}, EVERY - {"hall"}),
         ({"metadata.lit": 1}, set()),
@@ -163,6 +176,7 @@ FIELDS = (
     "metadata.floor",
     "metadata.level",
     "metadata.lit",
+    "metadata.stamp",
     "metadata.a.b.c",
     "metadata.nothing",
 )
@@ -171,7 +185,7 @@ VALUES: Mapping[str, st.SearchStrategy[Any]] = {
     "x": st.sampled_from([-3, 0, 1.5, 1e300]),
     "captured_at": st.sampled_from([MOMENT.isoformat(), (MOMENT + timedelta(days=1)).isoformat()]),
 }
-OF_METADATA = st.sampled_from([1, 2.5, 7, "2", "front", "", True, False, -1e308])
+OF_METADATA = st.sampled_from([1, 2.5, 7, "2", "front", "", True, False, -1e308, STAMP, -(10**30)])
 
 
 @st.composite

@@ -161,6 +161,7 @@ def test_what_was_found_while_the_broker_was_away_is_published_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(mqtt, "AGAIN_S", (1, 1))
+    monkeypatch.setattr(mqtt, "WAITING", 20)  # as many as will wait
     port, outcomes = free_port(), list[str]()
     teller = Mqtt(f"mqtt://127.0.0.1:{port}", None, "revisit")
     teller.on_outcome(outcomes.append)
@@ -182,7 +183,9 @@ def test_what_was_found_while_the_broker_was_away_is_published_when_it_is_back(
             until(lambda: len(outcomes) == 20)
             until(lambda: len(fleet.messages) >= 21)
             teller.close()
+            until(lambda: fleet.messages[-1] == ("revisit/status", b"offline"))
     assert set(outcomes) == {"delivered"}
+    assert [body for topic, body in fleet.messages if topic == "revisit/status"] == [b"online", b"offline"]
     found = {json.loads(body)["data"]["query"] for topic, body in fleet.messages if topic != "revisit/status"}
     assert found == {str(number) for number in range(20)}
     assert caplog.text.count("cannot be reached") == 1

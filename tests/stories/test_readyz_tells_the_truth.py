@@ -108,6 +108,19 @@ def test_it_is_not_ready_while_callers_are_refused_because_descriptions_could_no
     assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 201
 
 
+def test_it_stays_ready_when_a_file_is_refused_for_which_no_disk_has_room(client: CheckedClient) -> None:
+    until(client, True)
+    announced = {"content-type": "application/x-tar", "content-length": str(10**15)}
+
+    refused = client.post("/restore", content=b"x", headers=announced)
+
+    assert refused.status_code == 507
+    assert "has no room for 1000000000.0 MB more" in refused.json()["detail"]
+    for _ in range(3):
+        assert client.get("/readyz").json()["checks"]["disk"] == "ok"
+    assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 201
+
+
 def test_a_map_that_cannot_be_served_is_named_and_the_others_are_served(
     client: CheckedClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,5 +1,6 @@
 """Named presets, and map recipes built from a preset, an encoder and the user's changes."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -315,7 +316,8 @@ def _merged(
     if not changes:
         return base
     try:
-        return model.model_validate(_merge(base.model_dump(mode="json"), changes))
+        # Strictly, as JSON: true is no number, and neither is the text "5".
+        return model.model_validate_json(json.dumps(_merge(base.model_dump(mode="json"), changes)), strict=True)
     except ValidationError as error:
         errors += _listed(error, model, name)
         return base

@@ -9,6 +9,7 @@ from typing import Any, BinaryIO
 from PIL import ExifTags, Image as PilImage
 
 import worker.images.heic  # noqa: F401 (Pillow reads HEIC then)
+from schemas.values import FARTHEST_M, whole_turn
 
 Known = dict[str, Any]
 """What is known, by the names of `ViewAttributes` and `Position`."""
@@ -38,11 +39,12 @@ def taken(source: Path | BinaryIO) -> Known:
     known: Known = {}
     if (point := _point(gps)) is not None:
         known |= {"lat": point[0], "lon": point[1]}
-        if (height := _number(gps.get(6))) is not None:
+        height = _number(gps.get(6))
+        if height is not None and abs(height) <= FARTHEST_M:
             known["alt"] = -height if gps.get(5) in (1, b"\x01") else height
     direction, kind = _number(gps.get(17)), gps.get(16)
     if direction is not None and kind != "M":  # M: magnetic, which is not north
-        known["heading"] = direction % 360
+        known["heading"] = whole_turn(direction % 360)  # of next to nothing below 0 the rest is 360.0
     if (moment := _taken(camera, gps)) is not None:
         known["captured_at"] = moment
     return known
@@ -92,6 +94,6 @@ def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
             return day.replace(hour=int(hours), minute=int(minutes), second=int(seconds), tzinfo=UTC)
         if clock and zone:
             return datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # OverflowError: the year 1 or 9999, and a zone that leads out of it
         return None
     return None

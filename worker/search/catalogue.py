@@ -10,7 +10,9 @@ from datetime import datetime
 from schemas.errors import NotFound
 from schemas.recipe import DescriptionRecipe
 from schemas.records import MapRecord
-from worker.search.ports import DescriptionReader, Index, MapReader
+from worker.method.camera_fixed import CameraFixed
+from worker.search.fixed_cells import FixedCells
+from worker.search.ports import DescriptionReader, Index, MapReader, SearchableIndex
 
 MakeIndex = Callable[[DescriptionRecipe], Index]
 
@@ -53,6 +55,7 @@ class Catalogue:
     def __init__(self, maps: MapReader, descriptions: DescriptionReader, make: MakeIndex) -> None:
         self._maps, self._descriptions = maps, descriptions
         self._make = make
+        self._fixed = FixedCells(descriptions)
         self._indexes: dict[str, _Held] = {}
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
@@ -90,6 +93,10 @@ class Catalogue:
                     continue  # what ranks and calibrates may have changed between the two reads
                 self._look_ahead(record)
                 return held.index, record
+
+    def camera_fixed(self, index: SearchableIndex) -> CameraFixed | None:
+        """What is fixed to the camera that took the views of an index; None when nothing is."""
+        return self._fixed.of(index.sample(), index.recipe)
 
     def prepare(self, name: str, recipe: DescriptionRecipe) -> None:
         """Read what a map has by a recipe that it is about to change to, so that no query has to.

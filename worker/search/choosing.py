@@ -30,4 +30,4 @@ def make_catalogue(store: _Store, kind: Kind) -> tuple[Catalogue, Selecting]:
     """The catalogue of a kind of index, and what turns filters into the selections that it searches."""
     if store.vectors is None:
         return MemoryCatalogue(store.maps, store.descriptions, FlatIndex.of), store.listings
-    return DatabaseCatalogue(store.vectors, approximate=kind == "pgvector-hnsw"), InsideSearch()
+    return DatabaseCatalogue(store.vectors, store.descriptions, approximate=kind == "pgvector-hnsw"), InsideSearch()

@@ -1,5 +1,6 @@
 """Search inside the database: one index per map that holds no vectors, and the catalogue of them."""
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import count
@@ -9,9 +10,11 @@ import numpy as np
 from schemas.description import Floats
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Changes, Filters, MapRecord, Selection, VectorsFound
+from worker.method.camera_fixed import CameraFixed
 from worker.method.cascade import ViewGone
+from worker.search.fixed_cells import MOST_KEPT, FixedCells
 from worker.search.flat_index import FlatIndex
-from worker.search.ports import VectorReader
+from worker.search.ports import SAMPLE, DescriptionReader, SearchableIndex, VectorReader
 
 _NONE = np.zeros(0, np.int64)
 
@@ -74,6 +77,10 @@ class DatabaseIndex:
             raise ViewGone
         return _ranked(found, self.of, vectors, count)
 
+    def sample(self) -> tuple[int, ...]:
+        """Some views drawn from all; see `worker.search.ports.SearchableIndex`."""
+        return tuple(sorted(self.vectors.sample(self.map_id, self.recipe, SAMPLE)))
+
 
 def _ranked(found: VectorsFound, recipe: DescriptionRecipe, vectors: Mapping[str, Floats], count: int) -> Candidates:
     flat = FlatIndex.of(recipe)
@@ -89,12 +96,15 @@ class DatabaseCatalogue:
     Parameters
     ----------
     vectors : VectorReader
+    descriptions : DescriptionReader
     approximate : bool
         Whether HNSW may be used, where it was built.
     """
 
-    def __init__(self, vectors: VectorReader, *, approximate: bool = False) -> None:
+    def __init__(self, vectors: VectorReader, descriptions: DescriptionReader, *, approximate: bool = False) -> None:
         self._vectors, self._approximate = vectors, approximate
+        self._fixed = FixedCells(descriptions)
+        self._samples: OrderedDict[tuple[str, int], tuple[int, ...]] = OrderedDict()
 
     def index(self, name: str) -> tuple[DatabaseIndex, MapRecord]:
         """The index of a map, with all changes committed before this call, and the map at that revision.
@@ -114,6 +124,16 @@ class DatabaseCatalogue:
                 return DatabaseIndex(self._vectors, name, map_id, recipe, revision, self._approximate), record
             self._vectors.follow(name)
         raise AssertionError("unreachable")
+
+    def camera_fixed(self, index: SearchableIndex) -> CameraFixed | None:
+        """What is fixed to the camera that took the views of an index; its sample is read once for each revision."""
+        key = index.recipe, index.revision
+        sample = self._samples.get(key)
+        if sample is None:
+            sample = self._samples[key] = index.sample()
+            if len(self._samples) > MOST_KEPT:
+                self._samples.popitem(last=False)
+        return self._fixed.of(sample, index.recipe)
 
     def revisions(self) -> Mapping[str, int]:
         """The revision of each map that was searched."""

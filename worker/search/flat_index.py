@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas.description import Floats
+from schemas.draw import draw_order
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Changes, Selection, Sequence64
 from worker.search.merging import DECIMALS
+from worker.search.ports import SAMPLE
 
 SPARE = 8
 """Extra neighbours searched beyond `count`, so that ties at the limit are broken by enrolment order."""
@@ -37,6 +39,7 @@ class FlatIndex:
         self._dimensions = dict(dimensions)
         self._lock = threading.Lock()
         self._seqs: Sequence64 = np.zeros(0, np.int64)
+        self._sample: tuple[int, ...] | None = ()  # None: to be drawn again
         self._channels = {name: faiss.IndexFlatL2(size) for name, size in self._dimensions.items()}
 
     @classmethod
@@ -59,6 +62,8 @@ class FlatIndex:
             if len(changes.seqs):
                 self._add(changes.seqs, changes.vectors)
             self.revision = changes.revision
+            if replaced.any() or len(changes.seqs):
+                self._sample = None
 
     def _add(self, seqs: Sequence64, vectors: Floats) -> None:
         late = len(self._seqs) > 0 and seqs[0] < self._seqs[-1]
@@ -94,6 +99,15 @@ class FlatIndex:
             ranks[name] = np.zeros(len(union), np.int64)
             ranks[name][np.searchsorted(union, rows)] = np.arange(1, len(rows) + 1)
         return Candidates(revision, available, seqs, union, distances, ranks)
+
+    def sample(self) -> tuple[int, ...]:
+        """Some views drawn from all; see `SearchableIndex.sample`."""
+        with self._lock:
+            if self._sample is None:
+                order = draw_order(self._seqs)
+                first = np.argpartition(order, SAMPLE)[:SAMPLE] if len(order) > SAMPLE else slice(None)
+                self._sample = tuple(sorted(int(seq) for seq in self._seqs[first]))
+            return self._sample
 
     def _nearest(
         self, channel: str, vector: Floats, wanted: int, available: int, selector: "faiss.IDSelector | None"

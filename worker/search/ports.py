@@ -7,6 +7,10 @@ from schemas.comparisons import KnownView
 from schemas.description import Appearance, Floats, Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Candidates, Changes, Filters, MapRecord, Selection, VectorsFound
+from worker.method.camera_fixed import CameraFixed
+
+SAMPLE = 24
+"""Views of a map that tell what is fixed to its camera."""
 
 
 class SearchableIndex(Protocol):
@@ -40,6 +44,10 @@ class SearchableIndex(Protocol):
         """
         ...
 
+    def sample(self) -> tuple[int, ...]:
+        """Up to `SAMPLE` of its views, by sequence number, drawn from all; of the same views always the same."""
+        ...
+
 
 class Index(SearchableIndex, Protocol):
     """An index in memory."""
@@ -62,6 +70,10 @@ class Catalogue(Protocol):
         NotFound
             There is no such map.
         """
+        ...
+
+    def camera_fixed(self, index: SearchableIndex) -> CameraFixed | None:
+        """What is fixed to the camera that took the views of an index; None when nothing is."""
         ...
 
     def revisions(self) -> Mapping[str, int]:
@@ -116,6 +128,10 @@ class VectorReader(Protocol):
 
     def recalls(self) -> Mapping[str, float]:
         """The measured recall of each map that HNSW searches."""
+        ...
+
+    def sample(self, map_id: int, recipe: str, count: int) -> list[int]:
+        """Up to `count` views described by a recipe, the first by `schemas.draw`."""
         ...
 
     def nearest(

@@ -14,6 +14,7 @@ from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
+from worker.method.camera_fixed import without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
@@ -256,8 +257,9 @@ class CalibrationService:
             count = max(GROUPED, config.searched)
             try:
                 found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
+                query_shown = without_fixed(description, [self._catalogue.camera_fixed(index)])
                 ranking = cascade.rank(
-                    description, found, now.description, config, fetcher, top=GROUPED, product=self._product
+                    query_shown, found, now.description, config, fetcher, top=GROUPED, product=self._product
                 )
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
             except ViewGone as error:

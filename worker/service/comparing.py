@@ -17,6 +17,7 @@ from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 from schemas.records import Candidates, Selection
 from worker.method import cascade
 from worker.method.byte_vectors import Product
+from worker.method.camera_fixed import without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_VIEWS, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
@@ -154,9 +155,10 @@ class MapComparer:
         self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
     ) -> Comparison | None:
         """The comparison of one view; None when views were deleted meanwhile."""
-        query = self._descriptions.whole(seq, recipe)
-        if query is None:
+        whole = self._descriptions.whole(seq, recipe)
+        if whole is None:
             return None
+        query = without_fixed(whole, [self._catalogue.camera_fixed(index)])
         fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id)
         try:
             found = self._search(index, query, config, {seq})

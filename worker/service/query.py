@@ -291,7 +291,7 @@ class QueryService:
         """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""
         shown = replace(result.results, views=result.results.views[: result.top])
         rival = None if result.rival is None else result.rival[0]
-        explained = Explained(self._shrink(result.image), result.description, shown, headline(result.decision), rival)
+        explained = Explained(self._shrink(result.image), result.results.query, shown, headline(result.decision), rival)
         self._explanations.keep(result.id, explained)
         return self._differs(explained) if result.decision.reason.code == "look-alike" else ()
 

@@ -50,6 +50,8 @@ class RankedResults:
     ----------
     views : tuple of ScoredView
         Best first.
+    query : Description
+        As it was ranked: without what is fixed to the camera.
     ranking : Ranking
         All candidates.
     rival : ScoredView or None
@@ -66,6 +68,7 @@ class RankedResults:
     """
 
     views: tuple[ScoredView, ...]
+    query: Description
     ranking: Ranking
     rival: ScoredView | None
     levels: MapLevels

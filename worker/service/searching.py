@@ -18,6 +18,7 @@ from worker.description.scheduler import Scheduler, Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
+from worker.method.camera_fixed import without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.joining import pooled
 from worker.search.fetcher import Fetcher
@@ -199,8 +200,9 @@ class Searcher:
             index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
             for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
         ]
+        query = without_fixed(description, [self._catalogue.camera_fixed(index) for index, _ in indexes])
         ranked = cascade.rank(
-            description,
+            query,
             merged(several, count),
             recipe,
             config,
@@ -219,6 +221,7 @@ class Searcher:
         scored = [ScoredView(**vars(candidate), view=views[candidate.seq]) for candidate in shown]
         return RankedResults(
             views=tuple(scored[: len(ranked.first)]),
+            query=query,
             ranking=ranked,
             rival=None if ranked.opposed is None else scored[-1],
             levels=pooled([self._levels_of(record) for record in records]),

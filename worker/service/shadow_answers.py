@@ -17,6 +17,7 @@ from worker.description.scheduler import Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration, Verdict
+from worker.method.camera_fixed import CameraFixed, without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
@@ -37,6 +38,8 @@ class Side:
     recipe : MapRecipe
     index : SearchableIndex
         Of the map's views by it.
+    fixed : CameraFixed or None
+        What is fixed to the camera, by these views.
     fetcher : Fetcher
     levels : MapLevels
         What wrong answers get by it.
@@ -47,6 +50,7 @@ class Side:
 
     recipe: MapRecipe
     index: SearchableIndex
+    fixed: CameraFixed | None
     fetcher: Fetcher
     levels: MapLevels
     calibration: Calibration
@@ -84,12 +88,13 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
         Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
     """
     began, recipe, config = time.perf_counter(), side.recipe.description, side.recipe.ranking
+    query = without_fixed(description, [side.fixed])
     gone: set[int] = set() if own is None else {own}
     for _ in range(ROUNDS):
         selection = Selection(among, np.array(sorted(gone), np.int64))
         try:
             found = side.index.search(description.vectors, max(GROUPED, config.searched), selection)
-            ranking = cascade.rank(description, found, recipe, config, side.fetcher, top=GROUPED, product=product)
+            ranking = cascade.rank(query, found, recipe, config, side.fetcher, top=GROUPED, product=product)
         except ViewGone as error:
             gone |= error.seqs
             continue

@@ -206,7 +206,8 @@ class ShadowService:
         self._compare_views(name, following, recipe, changes.seqs, min(old_levels.compared, FIRST), stopping)
         new_levels = self._comparisons.levels(name, by.id)
         old, new = (
-            Side(which, of, Fetcher(self._descriptions, self._comparisons, which.description.id), levels, calibration,
+            Side(which, of, self._catalogue.camera_fixed(of),
+                 Fetcher(self._descriptions, self._comparisons, which.description.id), levels, calibration,
                  self._describer_of(which))
             for which, of, levels, calibration in (
                 (record.recipe, index, old_levels, self._calibration(record)),

@@ -11,6 +11,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from schemas.comparisons import Comparison, KnownView, MapLevels
+from schemas.draw import draw_order
 from schemas.health import SurveyedView, Uncompared
 from worker.storage import checksums, clock
 from worker.storage.database import Database
@@ -33,10 +34,6 @@ MOST_KEPT = 1000
 
 DECIMALS = 12
 """Of means. A database adds rows in any order, in which their last bits differ; the same views get the same answers."""
-
-
-_SPREAD = (DESCRIPTIONS.c.seq * 2_654_435_761) % 4_294_967_296
-"""A number that orders views at random, always the same way: Knuth's multiplicative hash of the sequence number."""
 
 
 class Comparisons(Part):
@@ -73,7 +70,12 @@ class Comparisons(Part):
                 if among < 2 or left <= 0:
                     continue
                 made = sa.exists().where(COMPARISONS.c.seq == DESCRIPTIONS.c.seq, *fresh)
-                due = sa.select(DESCRIPTIONS.c.seq).where(*_described(row), ~made).order_by(_SPREAD).limit(left)
+                due = (
+                    sa.select(DESCRIPTIONS.c.seq)
+                    .where(*_described(row), ~made)
+                    .order_by(draw_order(DESCRIPTIONS.c.seq))
+                    .limit(left)
+                )
                 return Uncompared(row.name, row.recipe, tuple(connection.scalars(due)), among)
         return None
 

@@ -131,7 +131,7 @@ class Enrolment(Part):
             The SHA-256 in `facts` is not that of the image.
         """
         if self._database.space is not None:
-            self._database.space.admit(len(image))
+            self._database.space.admit(len(image), image=True)
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:
             try:
                 row = find_map(connection, name)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import sqlalchemy as sa
 
 from schemas.records import Sequence64
-from schemas.where import TEXTS, TIMES, Value
+from schemas.where import EXACT, TEXTS, TIMES, Number, Value
 from worker.storage.filtering import text_of
 from worker.storage.tables import VIEWS
 
@@ -28,9 +28,6 @@ Mask = npt.NDArray[np.bool_]
 
 Path = tuple[str, ...]
 """A column of `views`, or ``metadata`` and keys; ``=`` and a key: the text of what is under that key."""
-
-EXACT = 2**53
-"""Integers from here on are no exact float64: a column that has one is left to the database."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MICROSECOND = 1_000_000
@@ -121,7 +118,7 @@ class Column:
             return self.codes == at if known and self.codes is not None else self._none()
         return self.compared("$eq", value)
 
-    def compared(self, operator: str, bound: float | datetime) -> Mask:
+    def compared(self, operator: str, bound: Number | datetime) -> Mask:
         """The views whose field is a number or a time that stands so to a bound."""
         if self.numbers is None or self.is_number is None:
             return self._none()
@@ -257,7 +254,7 @@ def _mixed(fields: Sequence[object]) -> Column:
     numbers = np.zeros(len(fields))
     for row in np.flatnonzero(is_number).tolist():
         number: Any = fields[row]
-        if isinstance(number, int) and abs(number) >= EXACT:
+        if isinstance(number, int) and abs(number) >= EXACT:  # the column is left to the database
             raise NotExact
         numbers[row] = number
     texts = _texts(fields)

@@ -40,12 +40,17 @@ class Space:
         self._reserve = reserve_bytes
         self._refused = 0  # size of the largest image for which there was no room, until there is
 
-    def admit(self, size: int) -> None:
-        """Raise DiskFull unless an image of `size` bytes may be enrolled and described."""
+    def admit(self, size: int, *, image: bool = False) -> None:
+        """Raise DiskFull unless `size` bytes may be added.
+
+        While there is no room for an `image`, `problem` says so: nothing can be enrolled. A file that is refused, such
+        as a snapshot that would be restored, may be of any size, and tells nothing of what else is kept.
+        """
         for folder in self._folders:
             if self._reserve and self._available(folder) < 2 * self._reserve + size:
-                self._refused = max(self._refused, size)
-                raise DiskFull(self._full(folder))
+                if image:
+                    self._refused = max(self._refused, size)
+                raise DiskFull(self._full(folder, size))
 
     def require(self) -> None:
         """Raise DiskFull while the reserve is given up and there is no room to make it again."""
@@ -59,7 +64,7 @@ class Space:
             if os.statvfs(folder).f_flag & os.ST_RDONLY:
                 return f"the disk of {folder} is read-only; queries work, nothing can be stored until that changes"
             if self._reserve and self._available(folder) < 2 * self._reserve + self._refused:
-                return self._full(folder)
+                return self._full(folder, self._refused)
         self._refused = 0
         return None
 
@@ -122,10 +127,11 @@ class Space:
         except OSError:
             return 0
 
-    def _full(self, folder: Path) -> str:
+    def _full(self, folder: Path, size: int = 0) -> str:
         free, kept = self._available(folder) / _MEGA, 2 * self._reserve / _MEGA
+        lacks = f"has no room for {size / _MEGA:.1f} MB more" if free >= kept + 1 else "is full"
         return (
-            f"the disk of {folder} is full: {free:.1f} MB are left, {kept:.1f} MB are kept (REVISIT_RESERVE_MB) so "
+            f"the disk of {folder} {lacks}: {free:.1f} MB are left, {kept:.1f} MB are kept (REVISIT_RESERVE_MB) so "
             "that queries and deletions work; free some space or delete views"
         )
 

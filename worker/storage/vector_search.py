@@ -9,6 +9,7 @@ import numpy.typing as npt
 import sqlalchemy as sa
 
 from schemas.description import Floats
+from schemas.draw import draw_order
 from schemas.recipe import DescriptionRecipe
 from schemas.records import MapRecord, Selection, Sequence64, VectorsFound
 from worker.storage import vector_filling, vector_tables
@@ -20,7 +21,7 @@ from worker.storage.listings import selected
 from worker.storage.packing import unpack_floats
 from worker.storage.part import Part
 from worker.storage.rows import batches, find_map, map_record
-from worker.storage.tables import MAPS, VECTORS, VIEWS
+from worker.storage.tables import DESCRIPTIONS, MAPS, VECTORS, VIEWS
 from worker.storage.vector_members import Members
 from worker.storage.vector_tables import SEARCHED_MAPS, SEARCHED_VECTORS, Vector, see_extension
 
@@ -109,6 +110,13 @@ class VectorSearch(Part):
         with self._database.reading() as connection:
             rows = connection.execute(sa.select(MAPS.c.name, SEARCHED_MAPS.c.recall).select_from(joined).where(*known))
             return {row.name: float(row.recall) for row in rows}
+
+    def sample(self, map_id: int, recipe: str, count: int) -> list[int]:
+        """Up to `count` views of a map described by a recipe, the first by `schemas.draw`."""
+        of = DESCRIPTIONS.c.map_id == map_id, DESCRIPTIONS.c.recipe == recipe
+        with self._database.reading() as connection:
+            drawn = sa.select(DESCRIPTIONS.c.seq).where(*of).order_by(draw_order(DESCRIPTIONS.c.seq)).limit(count)
+            return [int(seq) for seq in connection.scalars(drawn)]
 
     def nearest(
         self,

@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.dialects.postgresql import JSONB
 
-from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Predicate, Value
+from schemas.where import AllOf, AnyOf, Begins, Compared, Is, Not, Number, Predicate, Value
 from worker.storage.rows import as_json
 from worker.storage.tables import VIEWS
 
@@ -76,15 +76,18 @@ class _Field:
         """A value, as `of` can be compared with it."""
         if self._column is not None:
             return sa.literal(value, self._column.type)
-        if isinstance(value, float) and self._postgresql:  # JSON's numbers may be larger than float64
+        if isinstance(value, bool):
+            return sa.literal(int(value))
+        if isinstance(value, Number) and self._postgresql:  # JSON's numbers may be larger than float64
             return sa.cast(sa.literal(repr(value)), sa.Numeric)
-        return sa.literal(int(value) if isinstance(value, bool) else value)
+        # SQLite reads larger integers of JSON as float64.
+        return sa.literal(float(value) if isinstance(value, int) and abs(value) >= 2**63 else value)
 
     def _kinds(self, like: Value) -> tuple[str, ...]:
         """What the database calls the type of a value."""
         if isinstance(like, bool):
             return ("boolean",) if self._postgresql else ("true", "false")
-        if isinstance(like, float):
+        if isinstance(like, Number):
             return ("number",) if self._postgresql else ("integer", "real")
         return ("string",) if self._postgresql else ("text",)
 
@@ -99,7 +102,7 @@ class _Field:
         text = sa.func.jsonb_extract_path_text(self._json, *self._keys)
         if isinstance(like, bool):
             return sa.cast(sa.cast(text, sa.Boolean), sa.Integer)
-        return sa.cast(text, sa.Numeric) if isinstance(like, float) else text
+        return sa.cast(text, sa.Numeric) if isinstance(like, Number) else text
 
     def _path(self) -> str:
         """The path, escaped as the stored JSON is, to which SQLite compares it letter by letter."""

@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from 777de16df4bd97d620901019edb0ba6fd36e88083eb4429d55ba9cbcb5ae0937
+// By client/typescript/generate.py, from d6d1f0c49dc9c3bbb773fdc86c219af958e80b26e77273bc905d16a48516f685
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -66,8 +66,8 @@ export class Revisit {
         return this.post("/query", { query, body: form(image) });
     }
     /** Enrol an image: 201 once it can be found, 202 where that will take longer. */
-    async enroll(image, query = {}) {
-        return (await this.send("POST", "/enroll", { query, body: form(image) })).json();
+    enroll(image, query = {}) {
+        return this.#call("POST", "/enroll", { query, body: form(image) });
     }
     get(path, options) {
         return this.#call("GET", path, options);
@@ -111,9 +111,24 @@ export class Revisit {
     }
     async #call(method, path, options = {}) {
         const values = (options.path ?? {});
-        const filled = path.replace(/\{(\w+)\}/g, (_, name) => encodeURIComponent(String(values[name])));
-        return (await this.send(method, filled, options)).json();
+        const filled = path.replace(/\{(\w+)\}/g, (_, name) => part(String(values[name])));
+        const response = await this.send(method, filled, options);
+        try {
+            return (await response.json());
+        }
+        catch (error) {
+            if (error instanceof DOMException && error.name === "AbortError")
+                throw error;
+            throw Problem.silence("the answer broke off, or is not of revisit; is there a proxy between?");
+        }
     }
+}
+/** One part of a path. fetch makes another address of "." and "..": /maps/campus/unknown/.. is the map. */
+function part(value) {
+    if (["", ".", ".."].includes(value) || /\p{Surrogate}/u.test(value)) {
+        throw new Problem(0, { title: "Nothing was sent", detail: `${JSON.stringify(value)} is no name and no id` });
+    }
+    return encodeURIComponent(value);
 }
 function form(image) {
     const sent = new FormData();

@@ -1,5 +1,6 @@
 """`/compat/compreface/{map}`: the recognition service of CompreFace, for apps that change their base URL alone."""
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -94,13 +95,19 @@ async def rename_subject(name: MapName, subject: SubjectName, request: Request, 
     """Give a place another name; where there is one of this name, both become one."""
     wanted = _name(await json_object(request))
 
+    updated = False
+
     def renamed(attributes: ViewAttributes) -> ViewAttributes:
+        nonlocal updated
+        if attributes.place != subject:  # somebody gave the view to another place meanwhile
+            return attributes
+        updated = True
         return replace(attributes, place=wanted)
 
-    found = await _views(curator, name, subject)
-    for view in found:
-        await curator.patch_view(view.id, renamed)
-    return shapes.Renamed(updated=bool(found))
+    for view in await _views(curator, name, subject):
+        with suppress(NotFound):  # deleted meanwhile; the others are renamed all the same
+            await curator.patch_view(view.id, renamed)
+    return shapes.Renamed(updated=updated)
 
 
 @router.delete("/subjects/{subject:path}", dependencies=[no_parameters], responses=refusals("not-found", "conflict"))

@@ -118,8 +118,8 @@ export class Revisit {
   }
 
   /** Enrol an image: 201 once it can be found, 202 where that will take longer. */
-  async enroll(image: Blob, query: EnrollParameters = {}): Promise<Enrolled> {
-    return (await this.send("POST", "/enroll", { query, body: form(image) })).json() as Promise<Enrolled>;
+  enroll(image: Blob, query: EnrollParameters = {}): Promise<Enrolled> {
+    return this.#call("POST", "/enroll", { query, body: form(image) });
   }
 
   get<P extends PathWith<"get">>(path: P, options?: Typed<Operation<"get", P>>): Promise<Answer<Operation<"get", P>>> {
@@ -175,9 +175,23 @@ export class Revisit {
 
   async #call<T>(method: string, path: string, options: Options & { path?: unknown } = {}): Promise<T> {
     const values = (options.path ?? {}) as Record<string, unknown>;
-    const filled = path.replace(/\{(\w+)\}/g, (_, name: string) => encodeURIComponent(String(values[name])));
-    return (await this.send(method, filled, options)).json() as Promise<T>;
+    const filled = path.replace(/\{(\w+)\}/g, (_, name: string) => part(String(values[name])));
+    const response = await this.send(method, filled, options);
+    try {
+      return (await response.json()) as T;
+    } catch (error) {
+      if (error instanceof DOMException && error.name === "AbortError") throw error;
+      throw Problem.silence("the answer broke off, or is not of revisit; is there a proxy between?");
+    }
   }
+}
+
+/** One part of a path. fetch makes another address of "." and "..": /maps/campus/unknown/.. is the map. */
+function part(value: string): string {
+  if (["", ".", ".."].includes(value) || /\p{Surrogate}/u.test(value)) {
+    throw new Problem(0, { title: "Nothing was sent", detail: `${JSON.stringify(value)} is no name and no id` });
+  }
+  return encodeURIComponent(value);
 }
 
 function form(image: Blob): FormData {

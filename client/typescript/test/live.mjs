@@ -9,13 +9,15 @@ const photo = new File([await readFile(image)], "gate.jpg", { type: "image/jpeg"
 
 const enrolled = await revisit.enroll(photo, { map: "campus", place: "gate", x: 1, y: 2, "metadata.ignored": undefined });
 const answer = await revisit.query(photo, { map: "campus", top: 1 });
-const facts = await revisit.get("/maps/{map}", { path: { map: "campus" } });
 const thumbnail = await (await revisit.send("GET", enrolled.view.links.thumbnail, { query: { size: 64 } })).blob();
 const problems = [];
 for (const wrong of [
   () => revisit.query(photo, { map: "nowhere" }),
   () => revisit.query(photo, { top: 0 }),
   () => new Revisit("http://127.0.0.1:9").get("/version"),
+  () => new Revisit(url, { fetch: async () => new Response('{"version": ') }).get("/version"),
+  () => revisit.delete("/maps/{map}/unknown/{place_id}", { path: { map: "campus", place_id: ".." } }),
+  () => revisit.get("/maps/{map}", { path: { map: "\ud800" } }),
 ]) {
   try {
     await wrong();
@@ -23,6 +25,7 @@ for (const wrong of [
     problems.push(error instanceof Problem ? [error.status, error.code, error.errors.length] : String(error));
   }
 }
+const facts = await revisit.get("/maps/{map}", { path: { map: "campus" } });
 console.log(
   JSON.stringify({
     filename: enrolled.view.filename,

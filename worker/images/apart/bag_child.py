@@ -68,7 +68,7 @@ def main(arguments: list[str]) -> None:
     else:
         signal.alarm(SEND_S)
         for number, image in enumerate(_decoded(Path(path), decoders, topic)):
-            data = _encoded(cv2, image, max_bytes, max_pixels)
+            data = _usable(cv2, image, max_bytes, max_pixels)
             signal.alarm(0)  # the reader may take its time
             if data is not None:
                 answers.write(HEADER.pack(number, len(data)) + data)
@@ -79,13 +79,12 @@ def main(arguments: list[str]) -> None:
 
 def _messages(path: Path, broken: list[str]) -> Iterator[tuple[Any, Any, Any]]:
     """Schema, channel and message of all that is in the file; why it cannot be read further is added to `broken`."""
-    from mcap.exceptions import McapError
     from mcap.reader import NonSeekingReader
 
     with path.open("rb") as file:
         try:
             yield from NonSeekingReader(file).iter_messages(log_time_order=False)
-        except (McapError, ValueError, KeyError, EOFError, RuntimeError) as error:
+        except Exception as error:  # of struct and zstd too, by where it is cut or damaged
             broken.append(f"{type(error).__name__}: {error}")
 
 
@@ -124,16 +123,23 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
             break
         listed += 1
         decoded = _message(decoders, schema, channel, message)
-        time = _time(decoded, message)
+        time, pose = _told(name, decoded, message)
         if name in IMAGES:
             images.setdefault(channel.topic, []).append(time)
         elif decoded is not None:
             rows = poses.setdefault(channel.topic, [])
-            pose = _pose(name, decoded)
             if pose is not None and abs(time - latest.get(channel.topic, -inf)) >= CLOSEST_S:
                 rows.append([time, *pose])
                 latest[channel.topic] = time
     return {"types": types, "images": images, "poses": poses, "broken": broken[0] if broken else None}
+
+
+def _told(name: str, decoded: Any, message: Any) -> tuple[float, list[float | None] | None]:
+    """Time and pose of a message; of one whose schema is not that of its type the time when it was logged."""
+    try:
+        return _time(decoded, message), _pose(name, decoded) if name in POSES and decoded is not None else None
+    except (AttributeError, TypeError, OverflowError):
+        return message.log_time * 1e-9, None
 
 
 def _time(decoded: Any, message: Any) -> float:
@@ -159,6 +165,14 @@ def _pose(name: str, decoded: Any) -> list[float | None] | None:
     ahead = (1 - 2 * (turn.y**2 + turn.z**2), 2 * (turn.x * turn.y + turn.w * turn.z))
     heading = degrees(atan2(ahead[0], ahead[1])) % 360 if max(map(abs, ahead)) > 1e-6 else None
     return [point.x, point.y, point.z, heading]
+
+
+def _usable(cv2: Any, image: Any, max_bytes: int, max_pixels: int) -> bytes | None:
+    """`_encoded`; None too where that fails, as of a frame of 0 x 0 pixels: the images after it are still to come."""
+    try:
+        return _encoded(cv2, image, max_bytes, max_pixels)
+    except Exception:
+        return None
 
 
 def _encoded(cv2: Any, image: Any, max_bytes: int, max_pixels: int) -> bytes | None:

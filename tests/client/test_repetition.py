@@ -1,0 +1,105 @@
+"""What the client does where an answer is lost, late, cut or not the service's."""
+
+from pathlib import Path
+
+import httpx
+import pytest
+from revisit_client import ClientError, RevisitProblem, Unreachable
+
+from tests import answers
+from tests.client.test_client import Clock, Handler, client, refused
+
+
+def in_turn(*happens: Exception | httpx.Response) -> Handler:
+    """Answers, or what breaks the connection, one a request."""
+    left = list(happens)
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        now = left.pop(0)
+        if isinstance(now, Exception):
+            raise now
+        return now
+
+    return handler
+
+
+def test_a_request_whose_answer_got_lost_is_repeated() -> None:
+    tries: list[int] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        tries.append(1)
+        if len(tries) == 1:
+            raise httpx.ReadError("connection reset")
+        return httpx.Response(201, json=answers.enrolled())
+
+    assert client(handler).enroll(b"x").created
+
+
+def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
+    clock = Clock()
+    handler = in_turn(
+        httpx.RemoteProtocolError("Server disconnected without sending a response."),
+        httpx.ConnectError("[Errno 111] Connection refused"),
+        refused("unavailable", 503),
+        httpx.Response(201, json=answers.enrolled()),
+    )
+
+    assert client(handler, clock).enroll(b"x").created
+    assert clock.naps == [0.25, 0.5, 1.0]
+
+
+def test_an_enrolment_whose_answer_got_lost_waits_for_the_first_that_still_runs() -> None:
+    replayed = httpx.Response(201, json=answers.enrolled(), headers={"idempotent-replayed": "true"})
+    handler = in_turn(httpx.ReadError("a proxy cut the answer"), refused("conflict", 409), replayed)
+
+    assert client(handler).enroll(b"x").created
+
+
+def test_a_conflict_of_the_enrolment_itself_is_told_after_a_lost_answer() -> None:
+    replayed = refused("conflict", 409, **{"idempotent-replayed": "true"})
+
+    with pytest.raises(RevisitProblem) as caught:
+        client(in_turn(httpx.ReadTimeout("slow"), refused("conflict", 409), replayed)).enroll(b"x")
+
+    assert caught.value.code == "conflict"
+
+
+@pytest.mark.parametrize("named", ["0", "-3", "nan", "Thu, 01 Jan 2026 00:00:00 GMT"])
+def test_a_time_to_wait_that_is_over_is_no_reason_to_call_without_a_pause(named: str) -> None:
+    clock = Clock()
+    with pytest.raises(RevisitProblem):
+        client(lambda _: refused("too-many-requests", 429, **{"retry-after": named}), clock, patience=2).maps()
+    assert clock.naps == [0.25, 0.5, 1.0]
+
+
+def test_an_address_that_redirects_is_told_and_taken_for_no_answer(tmp_path: Path) -> None:
+    revisit = client(lambda _: httpx.Response(301, text="<html>moved</html>", headers={"location": "https://test/x"}))
+    for call in (
+        lambda: revisit.image("view"),
+        lambda: revisit.maps(),
+        lambda: revisit.download_snapshot("id", tmp_path / "map.snapshot"),
+    ):
+        with pytest.raises(RevisitProblem, match="redirects to https://test/x"):
+            call()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_answer_that_cannot_be_unpacked_is_not_revisits() -> None:
+    def handler(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(200, headers={"content-encoding": "gzip"}, stream=httpx.ByteStream(b"no gzip"))
+
+    with pytest.raises(ClientError, match="not revisit's"):
+        client(handler).maps()
+
+
+def test_a_request_that_would_be_done_twice_is_not_repeated_when_its_answer_was_lost() -> None:
+    tries: list[int] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        tries.append(1)
+        raise httpx.ReadError("connection reset")
+
+    with pytest.raises(Unreachable):
+        client(handler).train_vocabulary("default")
+
+    assert len(tries) == 1

@@ -1,0 +1,43 @@
+"""What is fixed to the cameras of maps, read from some of their views and kept while these stay the same."""
+
+import threading
+from collections import OrderedDict
+
+import numpy as np
+
+from worker.method.camera_fixed import LEAST_VIEWS, CameraFixed, camera_fixed
+from worker.search.ports import DescriptionReader
+
+MOST_KEPT = 256
+"""Samples whose outcome is kept in memory, some 100 kB each where something is fixed."""
+
+
+class FixedCells:
+    """What is fixed to the camera of each sample of views.
+
+    Parameters
+    ----------
+    descriptions : DescriptionReader
+    """
+
+    def __init__(self, descriptions: DescriptionReader) -> None:
+        self._descriptions = descriptions
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[str, tuple[int, ...]], CameraFixed | None] = OrderedDict()
+
+    def of(self, sample: tuple[int, ...], recipe: str) -> CameraFixed | None:
+        """What is fixed to the camera, by views described by a recipe; those that were deleted are left out."""
+        if len(sample) < LEAST_VIEWS:
+            return None
+        key = recipe, sample
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        cells = list(self._descriptions.cells(sample, recipe).values())
+        found = camera_fixed(np.stack(cells)) if cells else None
+        with self._lock:
+            self._kept[key] = found
+            while len(self._kept) > MOST_KEPT:
+                self._kept.popitem(last=False)
+        return found
