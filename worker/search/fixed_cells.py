@@ -35,7 +35,8 @@ class FixedCells:
                 self._kept.move_to_end(key)
                 return self._kept[key]
         cells = list(self._descriptions.cells(sample, recipe).values())
-        found = camera_fixed(np.stack(cells)) if cells else None
+        keypoints = list(self._descriptions.local_features(sample, recipe).values())
+        found = camera_fixed(np.stack(cells), keypoints) if cells else None
         with self._lock:
             self._kept[key] = found
             while len(self._kept) > MOST_KEPT:
