@@ -106,6 +106,20 @@ def test_a_query_without_keypoints_loses_cells_alone() -> None:
     assert not shown.cells[BONNET].any()
 
 
+def test_views_are_compared_without_it_at_both_resolutions() -> None:
+    fixed = camera_fixed(places(24))
+    assert fixed is not None
+    view, by_another_camera = places(1, seed=7)[0], places(1, seed=8, mask=np.zeros_like(BONNET))[0]
+
+    assert (fixed.cleared(view).any(axis=-1) == ~BONNET).all()
+    assert (fixed.cleared(by_another_camera) == by_another_camera).all()
+    halved = BONNET.reshape(2, 2, 3, 2).all(axis=(1, 3))
+    assert halved.any()
+    assert (fixed.cleared(quantise(halve(view))).any(axis=-1) == ~halved).all()
+    other_recipe = view[:, :, :8]
+    assert fixed.cleared(other_recipe) is other_recipe
+
+
 def letters(count: int, seed: int = 0) -> list[LocalFeatures]:
     """Keypoints of `count` views: each keeps seven of ten on letters, not quite in place, and twenty of its own."""
     rng = np.random.default_rng(seed)

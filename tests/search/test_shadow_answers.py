@@ -23,9 +23,11 @@ class GoneIndex:
 def test_an_index_that_is_gone_is_searched_again_and_then_given_up_with_a_reason() -> None:
     index = GoneIndex()
     recipe = SimpleNamespace(description=None, ranking=SimpleNamespace(searched=50))
-    side = cast(Side, SimpleNamespace(recipe=recipe, index=index, fixed=None))
+    side = cast(
+        Side, SimpleNamespace(recipe=recipe, index=index, fetcher=SimpleNamespace(without_fixed=lambda query: query))
+    )
 
-    query = cast(Any, SimpleNamespace(vectors={}, cells=np.zeros((0, 0, 1), np.int8)))
+    query = cast(Any, SimpleNamespace(vectors={}))
 
     with pytest.raises(Unavailable, match="try again"):
         search(side, query, np.array([1, 2]), None, cast(Any, None))

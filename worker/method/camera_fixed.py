@@ -76,6 +76,20 @@ class CameraFixed:
         cosines = np.einsum("rcd,rcd->rc", unit(query.cells.astype(np.float32)), self.looks)
         return np.asarray(fixed & (cosines >= SHOWN))
 
+    def cleared(self, cells: Int8s) -> Int8s:
+        """The cells of a view, at full or half resolution, without those that surely show what is fixed there."""
+        sure, looks = self.sure, self.looks
+        if cells.shape[0] != sure.shape[0]:
+            rows, columns = (2 * (side // 2) for side in sure.shape)
+            sure = np.asarray(sure[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).all(axis=(1, 3)))
+            looks = halve(looks)
+        if cells.shape != looks.shape:
+            return cells
+        shown = np.einsum("nd,nd->n", unit(cells[sure].astype(np.float32)), looks[sure]) >= SHOWN
+        left: Int8s = cells.copy()
+        left[sure] = np.where(shown[:, None], np.int8(0), left[sure])
+        return left
+
     def keypoints_shown(self, keypoints: LocalFeatures) -> Booleans:
         """Which keypoints of a query are fixed ones, of shape (keypoints,)."""
         if keypoints.descriptors.shape[1:] != self.keypoints.descriptors.shape[1:]:

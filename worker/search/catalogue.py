@@ -94,9 +94,9 @@ class Catalogue:
                 self._look_ahead(record)
                 return held.index, record
 
-    def camera_fixed(self, index: SearchableIndex) -> CameraFixed | None:
-        """What is fixed to the camera that took the views of an index; None when nothing is."""
-        return self._fixed.of(index.sample(), index.recipe)
+    def camera_fixed(self, index: SearchableIndex, recipe: DescriptionRecipe) -> CameraFixed | None:
+        """What is fixed to the camera that took the views of an index, which are described by the recipe, or None."""
+        return self._fixed.of(index.sample(), recipe)
 
     def prepare(self, name: str, recipe: DescriptionRecipe) -> None:
         """Read what a map has by a recipe that it is about to change to, so that no query has to.

@@ -125,7 +125,7 @@ class DatabaseCatalogue:
             self._vectors.follow(name)
         raise AssertionError("unreachable")
 
-    def camera_fixed(self, index: SearchableIndex) -> CameraFixed | None:
+    def camera_fixed(self, index: SearchableIndex, recipe: DescriptionRecipe) -> CameraFixed | None:
         """What is fixed to the camera that took the views of an index; its sample is read once for each revision."""
         key = index.recipe, index.revision
         sample = self._samples.get(key)
@@ -133,7 +133,7 @@ class DatabaseCatalogue:
             sample = self._samples[key] = index.sample()
             if len(self._samples) > MOST_KEPT:
                 self._samples.popitem(last=False)
-        return self._fixed.of(sample, index.recipe)
+        return self._fixed.of(sample, recipe)
 
     def revisions(self) -> Mapping[str, int]:
         """The revision of each map that was searched."""

@@ -5,7 +5,8 @@ from dataclasses import replace
 from typing import TypeVar
 
 from schemas.comparisons import KnownView
-from schemas.description import Appearance, Int8s, LocalFeatures
+from schemas.description import Appearance, Description, Int8s, LocalFeatures
+from worker.method.camera_fixed import CameraFixed, without_fixed
 from worker.method.cascade import ViewGone
 from worker.search.ports import ComparisonReader, DescriptionReader
 
@@ -25,6 +26,8 @@ class Fetcher:
         Id of the description recipe.
     of_map : function, optional
         Sequence number to which of several maps; None where one map is searched.
+    fixed : sequence of CameraFixed or None
+        What is fixed to the cameras that took the views: cells that show it are zero.
     """
 
     def __init__(
@@ -33,17 +36,29 @@ class Fetcher:
         comparisons: ComparisonReader,
         recipe: str,
         of_map: Callable[[int], int] | None = None,
+        fixed: Sequence[CameraFixed | None] = (),
     ) -> None:
+        self._fixed = [one for one in fixed if one is not None]
         self._descriptions, self._comparisons, self._recipe = descriptions, comparisons, recipe
         self._of_map = of_map
 
+    def without_fixed(self, query: Description) -> Description:
+        """The query without what is fixed to these cameras; candidates come without it too."""
+        return without_fixed(query, self._fixed)
+
     def appearances(self, seqs: Sequence[int]) -> list[Appearance]:
         """Cells at half size, graphs and extents."""
-        return _in_order(self._descriptions.appearances(seqs, self._recipe), seqs)
+        found = _in_order(self._descriptions.appearances(seqs, self._recipe), seqs)
+        return [replace(one, coarse=self._cleared(one.coarse)) for one in found] if self._fixed else found
 
     def cells(self, seqs: Sequence[int]) -> list[Int8s]:
         """Cells at full resolution."""
-        return _in_order(self._descriptions.cells(seqs, self._recipe), seqs)
+        return [self._cleared(one) for one in _in_order(self._descriptions.cells(seqs, self._recipe), seqs)]
+
+    def _cleared(self, cells: Int8s) -> Int8s:
+        for one in self._fixed:
+            cells = one.cleared(cells)
+        return cells
 
     def local_features(self, seqs: Sequence[int]) -> list[LocalFeatures]:
         """Local features."""

@@ -5,6 +5,8 @@ from collections import OrderedDict
 
 import numpy as np
 
+from schemas.description import LocalFeatures
+from schemas.recipe import DescriptionRecipe
 from worker.method.camera_fixed import LEAST_VIEWS, CameraFixed, camera_fixed
 from worker.search.ports import DescriptionReader
 
@@ -25,18 +27,20 @@ class FixedCells:
         self._lock = threading.Lock()
         self._kept: OrderedDict[tuple[str, tuple[int, ...]], CameraFixed | None] = OrderedDict()
 
-    def of(self, sample: tuple[int, ...], recipe: str) -> CameraFixed | None:
+    def of(self, sample: tuple[int, ...], recipe: DescriptionRecipe) -> CameraFixed | None:
         """What is fixed to the camera, by views described by a recipe; those that were deleted are left out."""
-        if len(sample) < LEAST_VIEWS:
+        if len(sample) < LEAST_VIEWS or recipe.parameters.dense is None:
             return None
-        key = recipe, sample
+        key = recipe.id, sample
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        cells = list(self._descriptions.cells(sample, recipe).values())
-        keypoints = list(self._descriptions.local_features(sample, recipe).values())
-        found = camera_fixed(np.stack(cells), keypoints) if cells else None
+        cells = self._descriptions.cells(sample, recipe.id)
+        keypoints: dict[int, LocalFeatures] = {}
+        if recipe.parameters.local_features is not None:
+            keypoints = self._descriptions.local_features(sample, recipe.id)
+        found = camera_fixed(np.stack(list(cells.values())), list(keypoints.values())) if cells else None
         with self._lock:
             self._kept[key] = found
             while len(self._kept) > MOST_KEPT:

@@ -72,8 +72,8 @@ class Catalogue(Protocol):
         """
         ...
 
-    def camera_fixed(self, index: SearchableIndex) -> CameraFixed | None:
-        """What is fixed to the camera that took the views of an index; None when nothing is."""
+    def camera_fixed(self, index: SearchableIndex, recipe: DescriptionRecipe) -> CameraFixed | None:
+        """What is fixed to the camera that took the views of an index, which are described by the recipe, or None."""
         ...
 
     def revisions(self) -> Mapping[str, int]:

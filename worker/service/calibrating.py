@@ -14,7 +14,6 @@ from schemas.records import Filters, MapRecord, Position, Selection, ViewRecord
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
-from worker.method.camera_fixed import without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
@@ -253,13 +252,14 @@ class CalibrationService:
             description = self._descriptions.whole(view.seq, now.description)
             if description is None or now.description.id != record.description.id:
                 raise Conflict(f"the view {view.id} was deleted, or its map was described anew, in the meantime")
-            config, fetcher = now.ranking, Fetcher(self._descriptions, self._comparisons, now.description.id)
+            config, fixed = now.ranking, [self._catalogue.camera_fixed(index, now.description)]
+            fetcher = Fetcher(self._descriptions, self._comparisons, now.description.id, fixed=fixed)
             count = max(GROUPED, config.searched)
             try:
                 found = index.search(description.vectors, count, Selection(None, np.array(sorted({view.seq, *gone}))))
-                query_shown = without_fixed(description, [self._catalogue.camera_fixed(index)])
+                shown = fetcher.without_fixed(description)
                 ranking = cascade.rank(
-                    query_shown, found, now.description, config, fetcher, top=GROUPED, product=self._product
+                    shown, found, now.description, config, fetcher, top=GROUPED, product=self._product
                 )
                 first = fetcher.known([int(seq) for seq in ranking.seqs[:1]])
             except ViewGone as error:

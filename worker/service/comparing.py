@@ -17,7 +17,6 @@ from schemas.recipe import DescriptionRecipe, MapRecipe, RankingConfig
 from schemas.records import Candidates, Selection
 from worker.method import cascade
 from worker.method.byte_vectors import Product
-from worker.method.camera_fixed import without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_VIEWS, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
@@ -158,8 +157,9 @@ class MapComparer:
         whole = self._descriptions.whole(seq, recipe)
         if whole is None:
             return None
-        query = without_fixed(whole, [self._catalogue.camera_fixed(index)])
-        fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id)
+        fixed = [self._catalogue.camera_fixed(index, recipe)]
+        fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id, fixed=fixed)
+        query = fetcher.without_fixed(whole)
         try:
             found = self._search(index, query, config, {seq})
             ranking = self._rank(query, found, recipe, config, fetcher)

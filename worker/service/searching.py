@@ -18,7 +18,6 @@ from worker.description.scheduler import Scheduler, Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
-from worker.method.camera_fixed import without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.joining import pooled
 from worker.search.fetcher import Fetcher
@@ -200,13 +199,15 @@ class Searcher:
             index.search(description.vectors, count, without(self._listings.select(name, filters), gone))
             for (index, _), (name, filters) in zip(indexes, maps.items(), strict=True)
         ]
-        query = without_fixed(description, [self._catalogue.camera_fixed(index) for index, _ in indexes])
+        fixed = [self._catalogue.camera_fixed(index, recipe) for index, _ in indexes]
+        fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id, _map_of(several), fixed)
+        query = fetcher.without_fixed(description)
         ranked = cascade.rank(
             query,
             merged(several, count),
             recipe,
             config,
-            Fetcher(self._descriptions, self._comparisons, recipe.id, _map_of(several)),
+            fetcher,
             top=top,
             reranked=candidates,
             product=self._product,

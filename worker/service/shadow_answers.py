@@ -17,7 +17,6 @@ from worker.description.scheduler import Timed
 from worker.method import cascade
 from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration, Verdict
-from worker.method.camera_fixed import CameraFixed, without_fixed
 from worker.method.cascade import ViewGone
 from worker.method.decision import GROUPED, decide
 from worker.method.estimate import distance, is_known
@@ -38,8 +37,6 @@ class Side:
     recipe : MapRecipe
     index : SearchableIndex
         Of the map's views by it.
-    fixed : CameraFixed or None
-        What is fixed to the camera, by these views.
     fetcher : Fetcher
     levels : MapLevels
         What wrong answers get by it.
@@ -50,7 +47,6 @@ class Side:
 
     recipe: MapRecipe
     index: SearchableIndex
-    fixed: CameraFixed | None
     fetcher: Fetcher
     levels: MapLevels
     calibration: Calibration
@@ -88,7 +84,7 @@ def search(side: Side, description: Description, among: Sequence64, own: int | N
         Views that were found, or the index itself, were gone before they could be ranked, `ROUNDS` times.
     """
     began, recipe, config = time.perf_counter(), side.recipe.description, side.recipe.ranking
-    query = without_fixed(description, [side.fixed])
+    query = side.fetcher.without_fixed(description)
     gone: set[int] = set() if own is None else {own}
     for _ in range(ROUNDS):
         selection = Selection(among, np.array(sorted(gone), np.int64))

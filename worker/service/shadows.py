@@ -22,7 +22,7 @@ from worker.method.byte_vectors import Product
 from worker.method.calibration import Calibration
 from worker.search.catalogue import MakeIndex
 from worker.search.fetcher import Fetcher
-from worker.search.ports import Catalogue, Index
+from worker.search.ports import Catalogue, Index, SearchableIndex
 from worker.service.comparing import FIRST, ComparisonStore, Descriptions, MapComparer
 from worker.service.inbox import spread
 from worker.service.ports import Comparisons, Listings, Maps, Views
@@ -206,9 +206,7 @@ class ShadowService:
         self._compare_views(name, following, recipe, changes.seqs, min(old_levels.compared, FIRST), stopping)
         new_levels = self._comparisons.levels(name, by.id)
         old, new = (
-            Side(which, of, self._catalogue.camera_fixed(of),
-                 Fetcher(self._descriptions, self._comparisons, which.description.id), levels, calibration,
-                 self._describer_of(which))
+            Side(which, of, self._fetcher(of, which.description), levels, calibration, self._describer_of(which))
             for which, of, levels, calibration in (
                 (record.recipe, index, old_levels, self._calibration(record)),
                 (recipe, following, new_levels, self._shipped(recipe)),
@@ -229,6 +227,10 @@ class ShadowService:
             new_compared=new_levels.compared,
             queries=tuple(sorted(rows, key=lambda row: row.agree)),
         )
+
+    def _fetcher(self, index: SearchableIndex, recipe: DescriptionRecipe) -> Fetcher:
+        fixed = [self._catalogue.camera_fixed(index, recipe)]
+        return Fetcher(self._descriptions, self._comparisons, recipe.id, fixed=fixed)
 
     def _answered(
         self,
