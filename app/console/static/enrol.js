@@ -21,6 +21,7 @@ function refusal({ title = "Error", detail, message, errors = [] }) {
 export function enrolScreen() {
   let entries = [];
   let positions = null;
+  let reading = 0; // tables that are being read: photos must not be enrolled without what these say
   let running = false;
   let current = null; // the photo whose fields were used last
 
@@ -109,11 +110,14 @@ export function enrolScreen() {
         ),
       );
     for (const table of tables) {
+      reading += 1;
+      redraw();
       try {
         positions = positionsOf(await table.text());
       } catch (error) {
         told.append(problemBox({ title: table.name, detail: error.message }));
       }
+      reading -= 1;
     }
     entries.push(...images.map((file) => entry(file)));
     if (positions) {
@@ -184,7 +188,7 @@ export function enrolScreen() {
     list.replaceChildren(...entries.map((one) => one.element));
     list.hidden = entries.length === 0;
     const left = entries.filter((one) => one.state !== "done").length;
-    start.disabled = running || left === 0;
+    start.disabled = running || reading > 0 || left === 0;
     const again = left > 0 && entries.every((one) => ["done", "refused"].includes(one.state));
     start.textContent = left ? `${again ? "Try again: enrol" : "Enrol"} ${count(left, "photo")}` : "Enrol";
     clear.disabled = running || entries.length === 0;
