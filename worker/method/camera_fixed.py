@@ -7,6 +7,7 @@ left out of a query where it shows them too.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -78,17 +79,20 @@ class CameraFixed:
 
     def cleared(self, cells: Int8s) -> Int8s:
         """The cells of a view, at full or half resolution, without those that surely show what is fixed there."""
-        sure, looks = self.sure, self.looks
-        if cells.shape[0] != sure.shape[0]:
-            rows, columns = (2 * (side // 2) for side in sure.shape)
-            sure = np.asarray(sure[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).all(axis=(1, 3)))
-            looks = halve(looks)
+        sure, looks = (self.sure, self.looks) if cells.shape[0] == self.sure.shape[0] else self._halved
         if cells.shape != looks.shape:
             return cells
         shown = np.einsum("nd,nd->n", unit(cells[sure].astype(np.float32)), looks[sure]) >= SHOWN
         left: Int8s = cells.copy()
         left[sure] = np.where(shown[:, None], np.int8(0), left[sure])
         return left
+
+    @cached_property
+    def _halved(self) -> tuple[Booleans, Floats]:
+        """`sure` and `looks` at half resolution; sure is what four sure cells make."""
+        rows, columns = (side // 2 for side in self.sure.shape)
+        fours = self.sure[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2)
+        return np.asarray(fours.all(axis=(1, 3))), halve(self.looks)
 
     def keypoints_shown(self, keypoints: LocalFeatures) -> Booleans:
         """Which keypoints of a query are fixed ones, of shape (keypoints,)."""
