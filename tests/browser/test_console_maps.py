@@ -329,6 +329,19 @@ def test_a_recording_is_imported_and_each_fault_is_told(opened: Open, service: R
     check(tab, "a recording")
 
 
+def test_a_proxy_that_answers_in_place_of_the_service_is_told_from_it(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "walk.zip").write_bytes(b"PK")
+    tab = opened("enrol", bypass_csp=True, refusals=True)
+    tab.page.route("**/imports", lambda route: route.fulfill(body="<h1>Log in</h1>", content_type="text/html"))
+    tab.page.get_by_label("or a new map").fill("walk")
+    panel = tab.page.get_by_label("A recording", exact=True)
+    panel.get_by_label("Choose a zip archive or a video").set_input_files(tmp_path / "walk.zip")
+    panel.get_by_role("button", name="Import the recording").press("Enter")
+
+    assert "a proxy between" in panel.get_by_role("alert").inner_text()
+    assert panel.get_by_role("button", name="Import the recording").is_enabled()
+
+
 def test_a_video_is_imported_with_a_frame_every_two_seconds(
     opened: Open, service: RunningService, tmp_path: Path
 ) -> None:

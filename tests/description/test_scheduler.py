@@ -1,6 +1,9 @@
 """Queries come first, one failure is one image's, and stopping serves what was submitted."""
 
+import os
+import sys
 import threading
+from collections.abc import Iterator, Sequence
 
 import pytest
 
@@ -10,6 +13,7 @@ from schemas.image import Image
 from schemas.log_context import bound, fields
 from tests.description.gated import FinerSegmenter, GatedEncoder, image, number_of
 from tests.waiting import PATIENCE_S
+from worker.description.priority import LOWER
 from worker.description.scheduler import Scheduler
 from worker.description.turns import IN_A_ROW
 
@@ -209,3 +213,37 @@ def test_a_line_of_any_thread_carries_the_request_that_caused_it() -> None:
     assert [future.result(PATIENCE_S).value for future in futures] == [1, 1]
     scheduler.stop()
     assert set(seen) == {(stage, name) for stage in ("finish", "parallel") for name in ("r1", "r2")}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have a priority of their own on Linux")
+def test_enrolments_are_described_below_queries_and_the_encoder() -> None:
+    class Listening(GatedEncoder):
+        def encode(self, images: Sequence[Image], *, urgent: bool = False) -> Iterator[PixelField]:
+            encoding.append(own_nice())
+            yield from super().encode(images)
+
+    encoding: list[int] = []
+    encoder = Listening()
+    encoder.gate.release(9)
+    scheduler = Scheduler(encoder, batch=1, queries=5)
+    scheduler.start()
+
+    def described(shown: Image, field: PixelField, found: int) -> tuple[int, int]:
+        return found, own_nice()
+
+    def made(shown: Image) -> int:
+        return own_nice()
+
+    usual = own_nice()
+    lower = min(usual + LOWER, 19)
+    enrolment = scheduler.submit(image(1), described, urgent=False, parallel=made)
+    assert enrolment.result(PATIENCE_S).value == (lower, lower)
+    query = scheduler.submit(image(7), described, urgent=True, parallel=made)
+    assert query.result(PATIENCE_S).value == (usual, usual)
+    assert encoding == [usual, usual]
+    scheduler.stop()
+
+
+def own_nice() -> int:
+    """Of the calling thread, 19 being the lowest priority."""
+    return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())

@@ -18,6 +18,7 @@ from PIL import Image as PilImage
 from schemas.errors import BadImage, BodyTooLarge, Busy, Unavailable
 from tests.conftest import ROOT
 from tests.sample_images import drawn, encoded, photo
+from worker.description.priority import step_aside
 from worker.images.apart import process as process_module
 from worker.images.apart.pool import DecoderPool
 from worker.images.apart.process import DecoderProcess
@@ -38,6 +39,23 @@ def pool() -> Iterator[DecoderPool]:
 def pid_of(process: DecoderProcess) -> int:
     assert process.pid is not None
     return process.pid
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have a priority of their own on Linux")
+def test_a_decoder_that_an_import_had_to_start_again_serves_queries_as_before(pool: DecoderPool) -> None:
+    def imports() -> None:
+        step_aside()
+        pool.decode_patiently(photo())
+
+    pool.decode(photo())
+    for process in pool.processes:
+        os.kill(pid_of(process), signal.SIGKILL)
+    importing = threading.Thread(target=imports)
+    importing.start()
+    importing.join()
+
+    (again,) = (process for process in pool.processes if process.starts == 2)
+    assert os.getpriority(os.PRIO_PROCESS, pid_of(again)) == os.getpriority(os.PRIO_PROCESS, 0)
 
 
 @pytest.mark.parametrize("form", ["jpeg", "png", "webp", "bmp", "tiff"])

@@ -14,6 +14,7 @@ from schemas.description import PixelField
 from schemas.errors import Busy, EncoderAway, Unavailable
 from schemas.image import Image
 from worker.description.ports import Encoder, Segmenter
+from worker.description.priority import step_aside
 from worker.description.turns import CLOSE, ENROLMENT, QUERY, Turns, Waiting
 
 T = TypeVar("T")
@@ -95,7 +96,7 @@ class Scheduler:
         self._segmenter_away = False
         self._waits = True
         self._thread = threading.Thread(target=self._run, name="revisit-scheduler", daemon=True)
-        self._describing = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-describing")
+        self._describing = ThreadPoolExecutor(1, "revisit-describing", initializer=step_aside)
         self._parallel_queries = ThreadPoolExecutor(max_workers=1, thread_name_prefix="revisit-parallel-queries")
 
     @property

@@ -39,9 +39,18 @@ export async function send(method, path, { form = null, quiet = false, ...option
   }
 }
 
-/** The JSON of an answer. */
+/** The JSON of an answer; raises Problem. */
 export async function call(method, path, options = {}) {
-  return (await send(method, path, options)).json();
+  return parsed(method, path, await send(method, path, options));
+}
+
+async function parsed(method, path, response) {
+  try {
+    return await response.json();
+  } catch {
+    const detail = "the answer broke off, or is not of revisit; is there a proxy between?";
+    throw remembered(method, path, Problem.silence(detail));
+  }
 }
 
 /**
@@ -66,7 +75,7 @@ export function upload(path, file, type, sent) {
         headers: retry ? { "Retry-After": retry } : {},
       });
       if (response.ok) {
-        resolve(await response.json());
+        resolve(parsed("POST", path, response));
         return;
       }
       reject(remembered("POST", path, await Problem.of(response)));

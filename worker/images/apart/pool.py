@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from typing import TypeVar
 
@@ -50,7 +51,8 @@ class DecoderPool:
 
     def __init__(self, count: int, limits: Limits, deadline_s: float) -> None:
         self._limits, self._deadline_s = limits, deadline_s
-        self.processes = [DecoderProcess(limits, deadline_s) for _ in range(count)]
+        launching = ThreadPoolExecutor(1, "revisit-decoders")
+        self.processes = [DecoderProcess(limits, deadline_s, launching) for _ in range(count)]
         # The latest one used first: its memory is warm, and one that is never needed is never touched.
         self._free: queue.LifoQueue[DecoderProcess] = queue.LifoQueue()
         for process in reversed(self.processes):

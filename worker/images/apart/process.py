@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 import subprocess
+from concurrent.futures import Executor
 from contextlib import suppress
 from typing import Any
 
@@ -39,10 +40,12 @@ class DecoderProcess:
     limits : Limits
     deadline_s : float
         Seconds for one image.
+    launching : Executor
+        Launches the process, which has the priority of the thread that does, whoever the image is for.
     """
 
-    def __init__(self, limits: Limits, deadline_s: float) -> None:
-        self._limits, self._deadline_s = limits, deadline_s
+    def __init__(self, limits: Limits, deadline_s: float, launching: Executor) -> None:
+        self._limits, self._deadline_s, self._launching = limits, deadline_s, launching
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: socket.socket | None = None
         self._source: mmap.mmap | None = None
@@ -67,9 +70,10 @@ class DecoderProcess:
             numbers.append(shared_memory(max(3 * self._limits.max_pixels, THUMBNAIL_ROOM)))
             self._source, self._target = map(mapped, numbers)
             told = (theirs.fileno(), *numbers, self._limits.max_bytes, self._limits.max_pixels, self._deadline_s)
-            self._process = launched(
-                "worker.images.apart.child", told, stdout=subprocess.DEVNULL, passed=(theirs.fileno(), *numbers)
-            )
+            passed = theirs.fileno(), *numbers
+            self._process = self._launching.submit(
+                launched, "worker.images.apart.child", told, stdout=subprocess.DEVNULL, passed=passed
+            ).result()
         except OSError as error:
             ours.close()
             raise Unavailable(f"no process for decoding can be started ({error}); try again in 5 s", 5) from error
