@@ -5,6 +5,7 @@ import json
 import logging
 import re
 from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
 
 from fastapi import Request
 from fastapi.responses import Response
@@ -22,6 +23,12 @@ REPLAYED = "Idempotent-Replayed"
 
 _KEY = re.compile(r"[\x21-\x7e]{1,255}")
 _KEPT_HEADERS = ("content-type", "location")
+
+
+def header(description: str) -> dict[str, Any]:
+    """The header as OpenAPI documents it."""
+    schema = {"type": "string", "minLength": 1, "maxLength": 255}
+    return {"name": HEADER, "in": "header", "required": False, "description": description, "schema": schema}
 
 
 def key_of(request: Request) -> str | None:

@@ -128,6 +128,7 @@ class Recogniser:
         drive: str | None,
         drive_timeout_s: float,
         consistent: int | None = None,
+        call: str | None = None,
         keep: bool = True,
     ) -> wire.QueryAnswer:
         """Rank the views of some maps that may show the place of an image; raises as `QueryService.query`."""
@@ -143,6 +144,7 @@ class Recogniser:
             drive=drive,
             drive_timeout_s=drive_timeout_s,
             consistent=consistent,
+            call=call,
             keep=keep,
         )
         result = await asyncio.get_running_loop().run_in_executor(self._threads, copy_context().run, query)

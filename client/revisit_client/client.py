@@ -228,9 +228,12 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
             "drive_timeout": drive_timeout,
             "consistent": consistent,
         }
+        # An image of a drive counts once, however often it is sent until an answer arrives.
+        headers = {} if drive is None else {"Idempotency-Key": uuid.uuid4().hex}
         name, data = named(image)
+        fields = texts({**options, **chosen})
         return self._connection.receive(
-            wire.QueryAnswer, "POST", "/query", data=texts({**options, **chosen}), files={"image": (name, data)}
+            wire.QueryAnswer, "POST", "/query", data=fields, files={"image": (name, data)}, headers=headers
         )
 
     # views

@@ -35,6 +35,22 @@ def test_a_request_whose_answer_got_lost_is_repeated() -> None:
     assert client(handler).enroll(b"x").created
 
 
+def test_an_image_of_a_drive_is_repeated_under_one_key_and_the_next_has_another() -> None:
+    keys: list[str | None] = []
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        keys.append(request.headers.get("idempotency-key"))
+        if len(keys) == 1:
+            raise httpx.ReadError("connection reset")
+        return httpx.Response(200, json=answers.query_answer())
+
+    for drive in ("robot-7", "robot-7", None):
+        client(handler).query(b"x", drive=drive)
+    assert keys[0] == keys[1] is not None
+    assert keys[2] not in (keys[1], None)
+    assert keys[3] is None
+
+
 def test_a_service_that_starts_again_under_a_call_is_waited_for() -> None:
     clock = Clock()
     handler = in_turn(

@@ -32,7 +32,16 @@ def test_defaults(client: CheckedClient, recogniser: FakeRecogniser) -> None:
         "drive": None,
         "drive_timeout_s": 60,
         "consistent": None,
+        "call": None,
     }
+
+
+def test_a_call_of_a_drive_has_a_key(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    address = "/query?drive=robot-7"
+    sent = client.post(address, content=photo(1), headers={**JPEG, "Idempotency-Key": "41"})
+    assert (sent.status_code, recogniser.given["call"]) == (200, "41")
+    refused = client.post(address, content=photo(1), headers={**JPEG, "Idempotency-Key": "4 1"})
+    assert (refused.status_code, refused.json()["errors"][0]["parameter"]) == (422, "Idempotency-Key")
 
 
 def test_every_parameter_arrives(client: CheckedClient, recogniser: FakeRecogniser) -> None:

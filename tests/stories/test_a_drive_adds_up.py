@@ -33,9 +33,10 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
         yield running
 
 
-def put(client: CheckedClient, ahead: float, **parameters: Any) -> Any:
+def put(client: CheckedClient, ahead: float, *, key: str | None = None, **parameters: Any) -> Any:
     taken = photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead + 0.4, turn=4).at("dusk"))
-    answer = client.post("/query", params=parameters, content=taken, headers=JPEG)
+    headers = JPEG if key is None else {**JPEG, "Idempotency-Key": key}
+    answer = client.post("/query", params=parameters, content=taken, headers=headers)
     assert answer.status_code == 200, answer.text
     return answer.json()
 
@@ -87,6 +88,20 @@ def test_a_drive_is_forgotten_and_others_go_their_own_way(client: CheckedClient)
     time.sleep(0.11)
     assert put(client, 9.0, drive="robot-3", drive_timeout=0.1)["drive"]["images"] == 1
     assert put(client, 9.0, drive="robot-3", drive_timeout=600)["drive"]["images"] == 2
+
+
+def test_an_image_sent_again_since_its_answer_was_lost_counts_once(client: CheckedClient) -> None:
+    together = [put(client, ahead, drive="robot-8") for ahead in STREET[:4]]
+    for ahead in STREET[:2]:
+        put(client, ahead, drive="robot-9", key=f"image-{ahead}")
+    lost, again = (put(client, STREET[2], drive="robot-9", key="third") for _ in range(2))
+    following = put(client, STREET[3], drive="robot-9", key="fourth")
+
+    assert lost["drive"] == again["drive"] == together[2]["drive"]
+    assert following["drive"] == together[3]["drive"]
+    assert put(client, STREET[3], drive="robot-9", key="fifth")["drive"]["images"] == 5  # it stands still
+    assert put(client, STREET[3], drive="robot-9")["drive"]["images"] == 6
+    assert put(client, STREET[3], drive="robot-9")["drive"]["images"] == 7
 
 
 @pytest.mark.parametrize(

@@ -59,12 +59,23 @@ class Driven:
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _Path:
+    """A drive up to one of its images."""
+
     drive: Drive
+    row: Row
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A drive's last image: what was known before and after it."""
+
+    call: str | None
+    before: _Path
+    after: _Path
     recipe: str
     revision: int
     at: float
-    row: Row
 
 
 class Drives:
@@ -88,6 +99,7 @@ class Drives:
         results: RankedResults,
         decision: Decision,
         consistent: int | None = None,
+        call: str | None = None,
     ) -> tuple[RankedResults, Decision, Driven]:
         """Take one more image of a drive into account.
 
@@ -108,6 +120,9 @@ class Drives:
             On the image alone.
         consistent : int, optional
             Images in a row that must be matched one by one and come back to one stretch of the map.
+        call : str, optional
+            Names the call. That of the drive's last image, repeated since its answer was lost, counts once; without a
+            name every call is another image.
         """
         if not results.views:
             return results, decision, Driven(self._images(key), (), decision.status, 0)
@@ -117,27 +132,29 @@ class Drives:
             kept = self._kept.pop(key, None)
             fits = kept is not None and kept.recipe == recipe and kept.revision <= results.first_map.revision
             known = kept is not None and fits and now - kept.at <= timeout_s
-            before, row = (kept.drive, kept.row) if kept is not None and known else (Drive(), Row())
-            after, together = follow(before, single)
-            row = row.followed_by(int(results.ranking.order[0]) if decision.status == "matched" else None)
-            self._kept[key] = _Kept(after, recipe, results.first_map.revision, now, row)
+            before = _Path(Drive(), Row())
+            if kept is not None and known:
+                before = kept.before if call is not None and call == kept.call else kept.after
+            drive, together = follow(before.drive, single)
+            row = before.row.followed_by(int(results.ranking.order[0]) if decision.status == "matched" else None)
+            self._kept[key] = _Kept(call, before, _Path(drive, row), recipe, results.first_map.revision, now)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
         posterior = _by_place(
             results.ranking, len(results.views), dict(zip(single.seqs.tolist(), together, strict=True))
         )
-        driven = Driven(after.images, posterior, decision.status, row.images)
+        driven = Driven(drive.images, posterior, decision.status, row.images)
         if consistent is not None:
             return results, _consistent(decision, row.images, consistent), driven
         together_sure = posterior[0].probability >= decision.threshold
         leaning = decision.status != "matched" and posterior[0].probability >= LIKELIER
-        if after.images == 1 or not (together_sure or leaning):
+        if drive.images == 1 or not (together_sure or leaning):
             return results, decision, driven
         return _led(results, decision, driven, together_sure)
 
     def _images(self, key: tuple[str, str]) -> int:
         with self._lock:
-            return self._kept[key].drive.images if key in self._kept else 0
+            return self._kept[key].after.drive.images if key in self._kept else 0
 
 
 def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:

@@ -162,6 +162,7 @@ class QueryService:
         drive: str | None = None,
         drive_timeout_s: float = DRIVE_TIMEOUT_S,
         consistent: int | None = None,
+        call: str | None = None,
         keep: bool = True,
     ) -> QueryResult:
         """Which views of some maps show the place of an image.
@@ -189,6 +190,8 @@ class QueryService:
         consistent : int, optional
             `matched` is said only where so many images of the drive in a row are matched one by one and come back to
             one stretch of the map; None: their evidence adds up instead.
+        call : str, optional
+            Names the call: repeated, it is the same image of the drive, which counts once.
         keep : bool
             Whether the image may be kept among the maps' unknown places, or as a proposed view.
 
@@ -212,7 +215,7 @@ class QueryService:
         if drive is not None:
             [one], [decision] = found, decisions
             results, decision, driven = self._drives.follow(
-                (maps[0], drive), drive_timeout_s, one.results, decision, consistent
+                (maps[0], drive), drive_timeout_s, one.results, decision, consistent, call
             )
             found, decisions = [replace(one, results=results)], [decision]
         joined = join(decisions)

@@ -1,7 +1,6 @@
 """`POST /enroll`: keep images and their attributes."""
 
 import asyncio
-from typing import Any
 
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
@@ -9,7 +8,7 @@ from fastapi.responses import Response
 from app.http.body import Sent, take
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import ENROLLED
-from app.http.idempotency import HEADER, fingerprint, key_of, once
+from app.http.idempotency import fingerprint, header, key_of, once
 from app.http.keys import Accesses, check_map
 from app.http.notes import note, note_problem
 from app.http.openapi import OF_IMAGES, refusals, takes_images
@@ -23,13 +22,7 @@ from schemas.wire import Enrolled, EnrolledMany, EnrolmentError, ProblemParamete
 router = APIRouter(tags=["enrol and query"])
 
 _LOCATION = {"Location": {"description": "The view, or the job that describes it.", "schema": {"type": "string"}}}
-_KEY: dict[str, Any] = {
-    "name": HEADER,
-    "in": "header",
-    "required": False,
-    "description": "A new key for every new request; repeating a request with its key repeats the answer for 24 hours.",
-    "schema": {"type": "string", "minLength": 1, "maxLength": 255},
-}
+_KEY = header("A new key for every new request; repeating a request with its key repeats the answer for 24 hours.")
 _ANY = Enrolled | EnrolledMany
 
 

@@ -10,6 +10,7 @@ from app.http.changes_report import put_off
 from app.http.dependencies import Curates, Measures, Recognises
 from app.http.examples import QUERY_ANSWER
 from app.http.geopose import OGC, basic_ypr, wants_geopose
+from app.http.idempotency import header, key_of
 from app.http.keys import Accesses, check_map
 from app.http.openapi import OF_IMAGES, refusals, takes_images
 from app.http.query_parameters import QueryParameters
@@ -21,11 +22,13 @@ from schemas.wire import QueryAnswer
 
 router = APIRouter(tags=["enrol and query"])
 
+_KEY = header("An image of a drive that is sent again with its key, since its answer was lost, counts once.")
+
 
 @router.post(
     "/query",
     response_model=QueryAnswer,
-    openapi_extra=takes_images(QueryParameters, several=False),
+    openapi_extra=takes_images(QueryParameters, several=False, headers=[_KEY]),
     responses={
         200: {"content": {"application/json": {"example": QUERY_ANSWER}, OGC: {"schema": {"type": "object"}}}},
         **refusals(
@@ -53,6 +56,7 @@ async def query(
     params = read(QueryParameters, sent.parameters, errors)
     for name in params.searched():
         check_map(access, name)
+    call = key_of(request)
     answer = await recogniser.query(
         sent.images[0][1],
         *params.searched(),
@@ -64,6 +68,7 @@ async def query(
         drive=params.drive,
         drive_timeout_s=params.drive_timeout,
         consistent=params.consistent,
+        call=call,
     )
     if params.changes:
         answer = answer.model_copy(update={"changes": await _changes(curator, answer.query.id)})
