@@ -24,6 +24,7 @@ BENCHMARKS = {
     "refreshing": "what accepting proposals gives, on three walks along one way",
     "changes": "what is found gone, new and moved: drawn places refurnished, and sets of photos",
     "fit_changes": "the confidence of changes fitted anew, on other drawn places",
+    "words": "what words find on labelled photographs",
     "scale": "every set among thousands of views of other sites",
 }
 
