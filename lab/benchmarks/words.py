@@ -36,7 +36,7 @@ IGNORED = 255
 
 
 @dataclass(frozen=True)
-class Found:
+class Outcome:
     """What the words of one class found.
 
     Parameters
@@ -76,7 +76,7 @@ def average_precision(relevant: Sequence[bool]) -> float:
     return float(up_to[flags].mean())
 
 
-def searched(revisit: "Revisit", into: str, words: Sequence[str], shares: dict[str, float]) -> Found | None:
+def searched(revisit: "Revisit", into: str, words: Sequence[str], shares: dict[str, float]) -> Outcome | None:
     """What a search finds; None where too few images show it. Images that are not found come last."""
     shown = {name for name, share in shares.items() if share >= SHOWN}
     if len(shown) < LEAST:
@@ -85,10 +85,10 @@ def searched(revisit: "Revisit", into: str, words: Sequence[str], shares: dict[s
     names = [str(view.place) for view in revisit.views(into, words=text)]
     names += sorted(set(shares) - set(names))
     flags = [name in shown for name in names]
-    return Found(text, len(shown) / len(shares), mean(flags[:FIRST]), average_precision(flags))
+    return Outcome(text, len(shown) / len(shares), mean(flags[:FIRST]), average_precision(flags))
 
 
-def rows(revisit: "Revisit", folder: Path) -> Iterable[tuple[Found, float, float]]:
+def rows(revisit: "Revisit", folder: Path) -> Iterable[tuple[Outcome, float, float]]:
     """For each class: what its words find, what a preview says would go were they dynamic, and what they truly are,
     both as shares of the area of all images."""
     into = folder.parent.name
