@@ -59,7 +59,8 @@ class Scheduler:
     """One thread runs the encoder, two more run `parallel` and `finish` functions while it is busy.
 
     Work that does not need the pixel field (local features) runs parallel to the encoder; that of queries has a thread
-    of its own, so that it does not wait for enrolments. An enrolment is described while the next image is encoded.
+    of its own, so that it does not wait for enrolments. An enrolment is described while the next image is encoded, at a
+    lower priority than all else.
 
     A query waits for the running batch and for earlier queries; of queued enrolments one has its turn after each
     `IN_A_ROW` queries. Its `finish` runs in the encoder's thread, so that it does not wait for the description of an
