@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from lab.benchmarks.blurring import IGNORED
 from lab.faults.process import Running, settings
+from lab.metrics.precision_recall import precision_recall
 from schemas.description import Floats
 
 if TYPE_CHECKING:
@@ -31,8 +33,6 @@ SHOWN = 0.02
 
 LEAST = 5
 """Images that must show it."""
-
-IGNORED = 255
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,6 @@ def label_shares(folder: Path) -> dict[str, Floats]:
     return found
 
 
-def average_precision(relevant: Sequence[bool]) -> float:
-    """Mean, over the relevant ones of a ranked list, of the precision up to each; all of them must be listed."""
-    flags = np.asarray(relevant, np.bool_)
-    up_to = np.cumsum(flags) / np.arange(1, len(flags) + 1)
-    return float(up_to[flags].mean())
-
-
 def searched(revisit: "Revisit", into: str, words: Sequence[str], shares: dict[str, float]) -> Outcome | None:
     """What a search finds; None where too few images show it. Images that are not found come last."""
     shown = {name for name, share in shares.items() if share >= SHOWN}
@@ -84,8 +77,9 @@ def searched(revisit: "Revisit", into: str, words: Sequence[str], shares: dict[s
     text = ",".join(words)
     names = [str(view.place) for view in revisit.views(into, words=text)]
     names += sorted(set(shares) - set(names))
-    flags = [name in shown for name in names]
-    return Outcome(text, len(shown) / len(shares), mean(flags[:FIRST]), average_precision(flags))
+    flags = np.array([name in shown for name in names])
+    curve = precision_recall(-np.arange(len(flags), dtype=np.float64), flags, flags)
+    return Outcome(text, len(shown) / len(shares), float(flags[:FIRST].mean()), curve.average_precision)
 
 
 def rows(revisit: "Revisit", folder: Path) -> Iterable[tuple[Outcome, float, float]]:
@@ -121,6 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with Revisit(process.url, timeout=120) as revisit:
             for folder in given.folders:
                 table = list(rows(revisit, folder))
+                if not table:
+                    raise SystemExit(f"{folder}: no class is a label of the map and shown by {LEAST} images or more")
                 print(f"\n{folder.parent.name}: {len(label_shares(folder))} images, {FIRST} first views\n")
                 print("| words | images that show it | first views | average precision | preview | true share |")
                 print("|---|---|---|---|---|---|")

@@ -1,27 +1,46 @@
 """What words find is held against label maps."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lab.benchmarks import words
+from lab.benchmarks.blurring import IGNORED
 from tests.sample_images import encoded
 from training.commands.open_data import draw_labelled
 
 
-def test_a_ranked_list_is_as_good_as_the_precision_up_to_each_that_counts() -> None:
-    assert words.average_precision([True, True, False]) == 1
-    assert words.average_precision([False, True, False, True]) == pytest.approx((1 / 2 + 2 / 4) / 2)
+def test_what_is_not_found_comes_last() -> None:
+    found = [SimpleNamespace(place=place) for place in ("no 1", "yes 1", "yes 2", "yes 3", "yes 4")]
+    service: Any = SimpleNamespace(views=lambda into, words: found)
+    shares = {"no 1": 0.0, "no 2": 0.01} | {f"yes {number}": 0.5 for number in range(1, 6)}
+
+    outcome = words.searched(service, "town", ["tree", "grass"], shares)
+    assert outcome is not None
+    assert (outcome.words, outcome.shown, outcome.first) == ("tree,grass", 5 / 7, 5 / 7)
+    assert outcome.precision == pytest.approx((1 / 2 + 2 / 3 + 3 / 4 + 4 / 5 + 5 / 7) / 5)
+    assert words.searched(service, "town", ["tree"], {**shares, "yes 5": 0.0}) is None
+
+
+def test_a_folder_of_other_classes_is_told_from_one_where_nothing_is_found(tmp_path: Path) -> None:
+    drawn = tmp_path / "drawn"
+    for _ in draw_labelled(drawn, 2):
+        pass
+    (drawn / "classes.json").write_text('{"0": ["unicorn"]}')
+    with pytest.raises(SystemExit, match="no class is a label of the map"):
+        words.main([str(drawn / "train")])
 
 
 def test_shares_are_of_the_labelled_pixels(tmp_path: Path) -> None:
-    values = np.full((4, 4), words.IGNORED, np.uint8)
+    values = np.full((4, 4), IGNORED, np.uint8)
     values[0] = 3
     values[1, :2] = 5
     for part, name in (("labels", "a.png"), ("images", "a.png"), ("labels", "b.png"), ("images", "b.png")):
         (tmp_path / part).mkdir(exist_ok=True)
-        nothing = np.full((4, 4), words.IGNORED, np.uint8)
+        nothing = np.full((4, 4), IGNORED, np.uint8)
         (tmp_path / part / name).write_bytes(encoded(values if name == "a.png" else nothing, "png"))
     shares = words.label_shares(tmp_path)
     assert list(shares) == ["a.png"]
