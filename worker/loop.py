@@ -16,7 +16,6 @@ from schemas.image import Image
 from schemas.log_context import bound
 from schemas.records import Claim, JobKind, MapClaim
 from worker.description.describers import Describers
-from worker.description.priority import step_aside
 from worker.description.scheduler import Scheduler, Timed
 from worker.service.comparing import Rest
 from worker.service.decoded import DecodedImages
@@ -230,7 +229,6 @@ class Loop:
 
     def _run_map_jobs(self) -> None:
         """Run jobs of maps; when none waits, compare views and prune; until `stop`."""
-        step_aside()
         pruned = -PRUNE_EVERY_S
         while not self._stopping.is_set():
             try:

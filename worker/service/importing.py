@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from schemas.errors import EncoderAway, LeaseLost, NotFound, PoorImage, RevisitE
 from schemas.image import Image
 from schemas.imports import ImportOptions
 from schemas.records import MapClaim, Submitted, ViewAttributes, ViewRecord
+from worker.description.priority import step_aside
 from worker.images.apart.stream import Repeated
 from worker.service import steady
 from worker.service.blurring import BlurringEnrolment
@@ -113,7 +115,9 @@ class Importer:
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
                 exif = wanted_of_exif(items) if options.exif else frozenset()
-                _Run(self, claim, stopping, report, exif, bool(options.refuse_poor)).all(items)
+                run = _Run(self, claim, stopping, report, exif, bool(options.refuse_poor))
+                with ThreadPoolExecutor(1, "revisit-importing", initializer=step_aside) as thread:
+                    thread.submit(copy_context().run, run.all, items).result()
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
         except (_Stop, EncoderAway):  # the latter where the service stops while a shared encoder, which blurs, is away
             self._jobs.release_map_job(claim)
