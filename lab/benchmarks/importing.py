@@ -1,9 +1,9 @@
 """``./revisit benchmark importing``: how fast recordings are imported, against the encoder's own rate in the same run.
 
 A service of its own with the built-in encoder is sent the same drawn images as a zip archive, as a folder and as a
-video, into a new map each, from the first byte sent until the last view is described. In turns with these the encoder
-alone encodes them in this process, with as many threads and nothing else to do, so that whatever else the machine does
-meets all of them.
+video, into a new map each, from the first byte sent until the last view is described. Before and after each the
+encoder alone encodes them in this process, with as many threads and nothing else to do; a ratio is to the mean of these
+two, so that whatever else the machine does meets both.
 """
 
 import argparse
@@ -107,7 +107,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     from revisit_client import Revisit
 
-    rates: dict[str, list[float]] = {name: [] for name in ("encoder", *KINDS)}
+    own: list[float] = []
+    rates: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    shares: dict[str, list[float]] = {kind: [] for kind in KINDS}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         paths = recordings(folder, given.images)
@@ -117,18 +119,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
             process.await_ready()
             with Revisit(process.url, timeout=120) as revisit:
                 imported(revisit, paths["folder"], "warm", given.images)
+                own.append(alone())
                 for number in range(given.rounds):
-                    rates["encoder"].append(alone())
                     for kind in KINDS:
                         rates[kind].append(imported(revisit, paths[kind], f"{kind}-{number}", given.images))
+                        own.append(alone())
+                        shares[kind].append(rates[kind][-1] / statistics.mean(own[-2:]))
     print(f"{given.images} images of 640 x 480, {given.threads} threads of the network, {given.rounds} rounds\n")
-    print("| | images a second | of the encoder's own rate |\n|---|---|---|")
-    own = statistics.median(rates["encoder"])
-    for kind, found in rates.items():
-        # Of the same round: the machine's other work comes and goes.
-        share = statistics.median(rate / alone for rate, alone in zip(found, rates["encoder"], strict=True))
-        print(f"| {kind} | {statistics.median(found):.1f} | {share:.2f} |")
-    print(f"\nencoder: {1000 / own:.1f} ms an image; rounds: " + ", ".join(f"{rate:.1f}" for rate in rates["encoder"]))
+    print("| | images a second | of the encoder's own rate, median (least to most) |\n|---|---|---|")
+    print(f"| encoder | {statistics.median(own):.1f} | 1.00 |")
+    for kind in KINDS:
+        share = f"{statistics.median(shares[kind]):.2f} ({min(shares[kind]):.2f} to {max(shares[kind]):.2f})"
+        print(f"| {kind} | {statistics.median(rates[kind]):.1f} | {share} |")
+    print(f"\nencoder: {1000 / statistics.median(own):.1f} ms an image; all: " + ", ".join(f"{rate:.1f}" for rate in own))
 
 
 if __name__ == "__main__":

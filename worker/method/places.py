@@ -104,6 +104,7 @@ class Places:
         groups = []
         while left:
             best = ranked[left[0]]
-            groups.append([i for i in left if self.same(best, ranked[i])])
-            left = [i for i in left if not self.same(best, ranked[i])]
+            shared = {i for i in left if self.same(best, ranked[i])}
+            groups.append([i for i in left if i in shared])
+            left = [i for i in left if i not in shared]
         return groups
