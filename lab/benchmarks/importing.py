@@ -131,7 +131,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for kind in KINDS:
         share = f"{statistics.median(shares[kind]):.2f} ({min(shares[kind]):.2f} to {max(shares[kind]):.2f})"
         print(f"| {kind} | {statistics.median(rates[kind]):.1f} | {share} |")
-    print(f"\nencoder: {1000 / statistics.median(own):.1f} ms an image; all: " + ", ".join(f"{rate:.1f}" for rate in own))
+    print(
+        f"\nencoder: {1000 / statistics.median(own):.1f} ms an image; all: " + ", ".join(f"{rate:.1f}" for rate in own)
+    )
 
 
 if __name__ == "__main__":
