@@ -20,7 +20,8 @@ from uuid6 import uuid7
 from schemas.errors import Conflict, Damaged, LeaseLost, NotFound
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
-from worker.storage import checksums, switching
+from worker.storage import checksums, forgetting, switching
+from worker.storage.image_store import forgets
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, maps_named
@@ -28,6 +29,8 @@ from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
 WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before it was finished; see the worker's log"
+
+CANCELLED = "cancelled", "its description was cancelled; enrol the image again to have it described"
 
 
 class MapJobs(Jobs):
@@ -209,14 +212,19 @@ class MapJobs(Jobs):
             if job.state not in allowed:
                 raise Conflict(f"the job {job_id} is {job.state}; only a {' or '.join(allowed)} job can be cancelled")
             if job.kind == "describe":
-                reason = "its description was cancelled; enrol the image again to have it described"
-                self.settle(connection, job, "cancelled", now, ("cancelled", reason))
+                self.settle(connection, job, "cancelled", now, CANCELLED)
             else:
-                if job.recipe is not None:
+                if job.recipe == connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id)):
+                    switching.stop_trying_again(connection, job, now, CANCELLED)
+                elif job.recipe is not None:
                     switching.stop(connection, job.map_id, job.recipe, now)
                 kept = _LEFT.get(job.kind, switching.DISCARDED)
                 _end(connection, job.number, "cancelled", now, ("cancelled", kept))
-            return record_of(connection, job_id)
+            cancelled = record_of(connection, job_id)
+            forgetful = job.kind == "recipe" and forgets(connection, job.map_id)
+        if forgetful:  # images that were kept to be described once more
+            forgetting.remove_all(self._database, self._images, job.map_id)
+        return cancelled
 
 
 _LEFT = {"snapshot": "no snapshot was made", "import": "what was imported before stays"}
