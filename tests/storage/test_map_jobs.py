@@ -323,13 +323,14 @@ def test_a_worker_goes_on_with_what_it_could_not_put_back(store: SqlStore) -> No
     campus_of_two(store)
     job = store.jobs.queue_snapshot("campus", NOW)
     give_sign(store, "one")
-    first = store.jobs.claim_map_job("one", NOW)
+    first = again = store.jobs.claim_map_job("one", NOW)
     assert store.jobs.claim_map_job("two", NOW) is None
     for _ in range(ATTEMPTS + 1):
         again = store.jobs.claim_map_job("one", NOW)
         assert again is not None
         assert (again.job_id, store.jobs.get(job.id).attempts) == (job.id, 1)
     assert first is not None
+    assert again is not None
     with pytest.raises(LeaseLost):
         store.jobs.report(first, JobProgress(1, 2))
     store.jobs.finish_snapshot(again, {}, NOW)
