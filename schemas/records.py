@@ -91,6 +91,7 @@ class MapRecord:
     keep_images: bool = True  # False: an image is removed once its view is described
     blur: tuple[str, ...] = ()  # words of what is covered in an image before it is stored
     following: str | None = None  # id of the description recipe that it is changing to; of a shadow's
+    number: int = 0  # never used twice: a map deleted and restored has its name and `created_at`, and another number
 
     @property
     def recipe(self) -> MapRecipe:

@@ -113,6 +113,9 @@ class SnapshotComparison(Line):
     gap: Finite | None
     same_spot: tuple[Count, ...]
     made_at: AwareDatetime
+    rival: Count | None = None
+    own: Finite | None = None
+    breadth: Finite | None = None
 
 
 class SnapshotPart(Line):

@@ -102,7 +102,9 @@ def near(text: object) -> tuple[float, float, float]:
         raise ValueError("needs finite numbers")
     if radius <= 0:
         raise ValueError("needs a radius above 0 metres")
-    return first, second, radius
+    if max(abs(first), abs(second)) > FARTHEST_M:
+        raise ValueError(f"needs x and y within ±{FARTHEST_M:g} metres, as positions are")
+    return first, second, min(radius, 10 * FARTHEST_M)  # which is all there can be: PostgreSQL cannot square any number
 
 
 def exclude_last(text: object) -> int | timedelta:

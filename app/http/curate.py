@@ -13,6 +13,7 @@ from app.http.curate_changes import ChangeCuration
 from app.http.curate_kept import KeptQueryCuration
 from app.http.curate_shadow import RecipeCuration, wanted_of
 from app.http.health_report import map_health
+from app.http.long_work import LongWork
 from schemas import wire
 from schemas.health import Code as HealthCode
 from schemas.imports import ImportOptions
@@ -101,6 +102,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         self._calibrations, self._health, self._inbox, self._proposals = calibrations, health, inbox, proposals
         self._snapshots, self._imports, self._shadows = snapshots, imports, shadows
         self._changes = changes
+        self._long = LongWork()
 
     # views
 
@@ -136,7 +138,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def dynamic_preview(self, map_name: str, labels: Sequence[str], limit: int) -> wire.DynamicPreview:
         """What would be left out of a map's views if these labels were dynamic."""
-        preview = await asyncio.to_thread(self._views.preview_dynamic, map_name, labels, limit)
+        preview = await self._long.run(self._views.preview_dynamic, map_name, labels, limit)
         return presenters.dynamic_preview(map_name, preview)
 
     async def patch_view(self, view_id: str, change: Callable[[ViewAttributes], ViewAttributes]) -> wire.View:
@@ -149,7 +151,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def delete_views(self, map_name: str, filters: Filters) -> wire.Deleted:
         """Remove the views of a map that pass the filters."""
-        return snapshot_presenters.removal(await asyncio.to_thread(self._views.delete_matching, map_name, filters))
+        return snapshot_presenters.removal(await self._long.run(self._views.delete_matching, map_name, filters))
 
     async def places(
         self, map_name: str | None, cursor: str | None, limit: int, among: Collection[str] | None = None
@@ -171,7 +173,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
     async def segmentation(self, view_id: str, overlay: bool, legend: bool) -> bytes:
         """The segmentation of a view as an indexed PNG, or blended over the photo, with or without a key."""
         draw = partial(self._renderings.segmentation, overlay=overlay, legend=legend)
-        return await asyncio.to_thread(draw, view_id)
+        return await self._long.run(draw, view_id)
 
     def segmented_by(self) -> str:
         """The network whose labels a segmentation shows."""
@@ -235,7 +237,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
             within_m=labels.within,
             trial=labels.dry_run,
         )
-        return calibration_report(await asyncio.to_thread(calibrate, name, observed, queries))
+        return calibration_report(await self._long.run(calibrate, name, observed, queries))
 
     async def forget_calibration(self, name: str) -> wire.MapFacts:
         """Return a map to the shipped calibration."""
@@ -244,11 +246,11 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def health(self, name: str, code: HealthCode | None, limit: int) -> wire.MapHealth:
         """What a map lacks or suffers from: at most `limit` findings of each kind, or of the kind `code`."""
-        return map_health(await asyncio.to_thread(self._health.of, name), code, limit)
+        return map_health(await self._long.run(self._health.of, name), code, limit)
 
     async def delete_map(self, name: str) -> wire.Deleted:
         """Remove a map and all its views."""
-        return snapshot_presenters.removal(await asyncio.to_thread(self._maps.delete, name))
+        return snapshot_presenters.removal(await self._long.run(self._maps.delete, name))
 
     # jobs
 
@@ -291,7 +293,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
                     await asyncio.to_thread(upload.write, bytes(pieces))
                     pieces.clear()
             await asyncio.to_thread(upload.write, bytes(pieces))
-            charge(await asyncio.to_thread(self._imports.check, upload, options))
+            charge(await self._long.run(self._imports.check, upload, options))
             return presenters.job(await asyncio.to_thread(self._imports.accept, upload, name, options))
         finally:
             await asyncio.to_thread(upload.discard)  # does nothing to one that was accepted
@@ -354,7 +356,7 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
 
     async def restore(self, path: Path, name: str | None, allow: Callable[[str], None]) -> wire.RestoredMap:
         """Make a map from a snapshot; see `SnapshotService.restore`."""
-        return snapshot_presenters.restored(await asyncio.to_thread(self._snapshots.restore, path, name, allow))
+        return snapshot_presenters.restored(await self._long.run(self._snapshots.restore, path, name, allow))
 
     # repeated calls
 

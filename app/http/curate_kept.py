@@ -4,6 +4,7 @@ import asyncio
 
 from app.http import enrolment_presenters
 from app.http.health_report import proposals, unknown_places
+from app.http.long_work import LongWork
 from schemas import wire
 from schemas.records import ViewAttributes
 from worker.service.inbox import InboxService
@@ -15,10 +16,11 @@ class KeptQueryCuration:
 
     _inbox: InboxService
     _proposals: ProposalService
+    _long: LongWork
 
     async def unknown(self, name: str, limit: int) -> wire.UnknownPlaces:
         """Queries that matched nothing, by spot: at most `limit` spots."""
-        return unknown_places(name, await asyncio.to_thread(self._inbox.of, name), limit)
+        return unknown_places(name, await self._long.run(self._inbox.of, name), limit)
 
     async def kept_image(self, name: str, query_id: str) -> bytes:
         """A small JPEG of a kept query."""
@@ -26,7 +28,7 @@ class KeptQueryCuration:
 
     async def name_unknown(self, name: str, place_id: str, attributes: ViewAttributes) -> wire.NamedPlace:
         """Enrol images of an unknown place as views with these attributes."""
-        enrolled, removed = await asyncio.to_thread(self._inbox.name, name, place_id, attributes)
+        enrolled, removed = await self._long.run(self._inbox.name, name, place_id, attributes)
         return wire.NamedPlace(views=[enrolment_presenters.enrolled(one).view for one in enrolled], queries=removed)
 
     async def dismiss_unknown(self, name: str, place_id: str) -> wire.DismissedPlace:
@@ -35,11 +37,11 @@ class KeptQueryCuration:
 
     async def proposals(self, name: str, limit: int) -> wire.Proposals:
         """Queries that matched places although they look unlike their views: at most `limit` places."""
-        return proposals(name, await asyncio.to_thread(self._proposals.of, name), limit)
+        return proposals(name, await self._long.run(self._proposals.of, name), limit)
 
     async def accept_proposal(self, name: str, proposal_id: str, most: int, unconfirmed: bool) -> wire.NamedPlace:
         """Enrol at most `most` images of a proposal as views of its place."""
-        enrolled, removed = await asyncio.to_thread(
+        enrolled, removed = await self._long.run(
             self._proposals.accept, name, proposal_id, most, unconfirmed=unconfirmed
         )
         return wire.NamedPlace(views=[enrolment_presenters.enrolled(one).view for one in enrolled], queries=removed)

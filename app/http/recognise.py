@@ -106,12 +106,12 @@ class Recogniser:
     async def _outcome(self, accepted: Accepted, wait: bool, until: float) -> wire.Enrolled | RevisitError:
         view = None
         hopeless = accepted.expected_s > self._wait_s
-        if wait and accepted.submitted.job_id is not None and not hopeless:
-            describing = time.perf_counter()
-            view = await settled(self._settlements, accepted.submitted.view.id, until)
-            waited_ms = (time.perf_counter() - describing) * 1000
-            accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
         try:
+            if wait and accepted.submitted.job_id is not None and not hopeless:
+                describing = time.perf_counter()
+                view = await settled(self._settlements, accepted.submitted.view.id, until)
+                waited_ms = (time.perf_counter() - describing) * 1000
+                accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
             return enrolment_presenters.enrolled(await asyncio.to_thread(self._enroll.outcome, accepted, view))
         except RevisitError as error:
             return error

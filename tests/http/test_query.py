@@ -114,6 +114,7 @@ ERRORS: list[tuple[dict[str, Any], list[str]]] = [
     ({"near": "1,2"}, ["near"]),
     ({"near": "1,2,x"}, ["near"]),
     ({"near": "1,2,0"}, ["near"]),
+    ({"near": "1e200,2,1e300"}, ["near"]),
     ({"near": "1,nan,3"}, ["near"]),
     ({"near": "1,2,inf"}, ["near"]),
     ({"near": "91,2,3", "frame": "geo"}, ["near"]),

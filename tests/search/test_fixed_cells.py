@@ -10,6 +10,7 @@ import pytest
 from schemas.description import Int8s, LocalFeatures
 from schemas.recipe import DescriptionRecipe
 from worker.method.camera_fixed import LEAST_VIEWS
+from worker.search.database_index import DatabaseCatalogue, DatabaseIndex
 from worker.search.fixed_cells import FixedCells
 
 
@@ -70,3 +71,13 @@ def test_another_sample_is_looked_at_anew() -> None:
     fixed.of(SAMPLE, recipe())
     fixed.of((*SAMPLE, 99), recipe())
     assert reader.read == ["cells", "local features"] * 2
+
+
+def test_a_map_made_a_moment_ago_does_not_empty_the_sample_of_another() -> None:
+    """Until it is changed it has the revision of the map that was changed last, and in the database the same recipe."""
+    reader, of = Reader(), recipe()
+    vectors: Any = SimpleNamespace(sample=lambda map_id, recipe, count: SAMPLE if map_id == 1 else ())
+    catalogue = DatabaseCatalogue(vectors, cast(Any, reader))
+    made, full = (DatabaseIndex(vectors, name, map_id, of, 7, False) for name, map_id in (("new", 2), ("campus", 1)))
+    assert catalogue.camera_fixed(made, of) is None
+    assert catalogue.camera_fixed(full, of) is not None

@@ -27,7 +27,10 @@ def filled(store: SqlStore, count: int = 3) -> None:
         enroll(store, f"view {number}", map="other")
     describe_all(store)
     seqs = [view.seq for view in views(store)]
-    compared = [Comparison(seq, 0.25, None, (seqs[0], seqs[-1]), count, count - 1) for seq in seqs]
+    compared = [
+        Comparison(seq, 0.25, 0.125, (seqs[0], seqs[-1]), count, count - 1, seqs[0], 0.5 + at / 8, 0.75 - at / 8)
+        for at, seq in enumerate(seqs)
+    ]
     store.comparisons.keep("campus", RECIPE.description.id, compared, NOW)
     enroll(store, "broken")
     for claim in store.jobs.claim("worker", 10):
@@ -61,6 +64,9 @@ def contents(store: SqlStore, name: str = "campus") -> list[object]:
                 row.gap,
                 row.among,
                 row.others,
+                row.rival and number.get(row.rival),
+                row.own,
+                row.breadth,
                 sorted(number[s] for s in json.loads(row.same_spot)),
             )
             for row in connection.execute(sa.text("SELECT * FROM comparisons ORDER BY seq"))

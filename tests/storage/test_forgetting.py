@@ -8,9 +8,9 @@ import sqlalchemy as sa
 from schemas.errors import BadSnapshot, Conflict, Damaged, ImageNotKept, NotFound
 from schemas.map_changes import MapChanges
 from schemas.records import ViewRecord
-from tests.storage.carried import made, views
+from tests.storage.carried import JOB, made, views
 from tests.storage.conftest import Open
-from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, image, recipe
+from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, finish, image, recipe
 from worker.storage.examining import examine
 from worker.storage.store import SqlStore
 from worker.storage.tables import CELLS, MAPS, VIEWS
@@ -184,3 +184,64 @@ def test_a_snapshot_that_lacks_the_image_of_a_pending_view_is_refused(forgetful:
     with pytest.raises(BadSnapshot, match="is missing"):
         elsewhere.restoring.restore(made(forgetful), None, NOW)
     assert elsewhere.maps.all() == []
+
+
+def test_a_view_that_is_described_by_two_recipes_keeps_its_image_until_both_have(
+    store: SqlStore, data: Path, elsewhere: SqlStore
+) -> None:
+    """One enrolled a moment before a recipe switch waits for the old recipe and for the new one."""
+    store.maps.put("campus", RECIPE, NOW)
+    store.maps.change("campus", MapChanges(keep_images=False))
+    enroll(store, "gate")
+    store.jobs.switch_recipe("campus", recipe("other"), NOW)
+    yard = enroll(store, "yard").view
+    left = []
+    while claims := store.jobs.claim("worker", 1):
+        assert store.views.image(claims[0].view.id) in (image("gate"), image("yard"))
+        finish(store, claims[0])
+        left.append(len(files(data)))
+        elsewhere.restoring.restore(made(store), f"after-{len(left)}", NOW)  # as it is in between
+    assert left == [2, 2, 1, 0]
+    assert store.maps.get("campus").recipe == recipe("other")
+    assert [view.state for view in views(store)] == ["ready", "ready"]
+    with pytest.raises(ImageNotKept):
+        store.views.image(yard.id)
+
+
+def test_images_go_when_a_switch_ends_or_is_cancelled(forgetful: SqlStore, data: Path) -> None:
+    for view in views(forgetful):
+        forgetful.removals.delete_view(view.id)
+    for name in ("fog", "mist"):
+        enroll(forgetful, name)
+        [claim] = forgetful.jobs.claim("worker", 1)
+        forgetful.jobs.fail(claim, "nothing-static", "only fog", NOW)
+    job = forgetful.jobs.switch_recipe("campus", recipe("other"), NOW)
+    enroll(forgetful, "fog")  # by the recipe in use, too
+    [claim, *_] = forgetful.jobs.claim("worker", 1)
+    finish(forgetful, claim)
+    assert files(data) == digests("fog", "mist")
+    forgetful.jobs.cancel(job.id, NOW)
+    assert files(data) == digests("mist")
+
+    forgetful.removals.delete_view(claim.view.id)
+    enroll(forgetful, "haze")
+    [claim] = forgetful.jobs.claim("worker", 1)
+    forgetful.jobs.fail(claim, "nothing-static", "only haze", NOW)
+    forgetful.jobs.switch_recipe("campus", recipe("other"), NOW)
+    describe_all(forgetful)
+    assert [view.state for view in views(forgetful)] == ["ready", "ready"]
+    assert files(data) == set()
+
+
+def test_a_snapshot_has_views_that_are_described_while_it_is_made(forgetful: SqlStore, elsewhere: SqlStore) -> None:
+    enroll(forgetful, "late")
+
+    def meanwhile(done: int, total: int) -> None:
+        describe_all(forgetful)
+
+    record = forgetful.snapshots.make("campus", JOB, NOW, meanwhile)
+    assert record.facts.views == 3
+    with forgetful.snapshots.open(JOB) as file:
+        restored = elsewhere.restoring.restore(Path(file.name), None, NOW)
+    assert (restored.views, restored.pending) == (3, 0)
+    assert [view.state for view in views(elsewhere)] == ["ready"] * 3

@@ -11,6 +11,8 @@ import sqlalchemy as sa
 from schemas.errors import StorageFailed
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Changes, Selection
+from tests.storage.carried import made
+from tests.storage.conftest import Open
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, finish, recipe, vector
 from worker.search import catalogue as module
 from worker.search.catalogue import Catalogue
@@ -175,3 +177,16 @@ def test_what_cannot_be_read_ahead_is_said_and_left_to_the_query(
     describe_all(walk)
 
     assert len(contents(walk, catalogue)) == 6
+
+
+def test_a_map_restored_under_its_name_is_another_than_the_one_deleted(walk: SqlStore, reopen: Open) -> None:
+    """It was created when that one was: a process that did not delete it would keep the views that are gone."""
+    there = reopen()
+    path = made(walk)
+    with closing(Catalogue(there.maps, there.descriptions, FlatIndex.of)) as catalogue:
+        before = contents(there, catalogue)
+        walk.removals.delete_map("campus")
+        walk.restoring.restore(path, None, NOW)
+        after = contents(there, catalogue)
+    assert len(after) == len(before) == 6
+    assert after.keys().isdisjoint(before)

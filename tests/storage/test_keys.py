@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, NotFound, Unauthorized
+from schemas.errors import Conflict, InvalidParameters, NotFound, Unauthorized
 from schemas.keys import Access, Rates
 from schemas.records import Filters
 from tests.storage.conftest import Open
@@ -86,6 +86,14 @@ def test_lists_show_the_maps_that_are_allowed(store: SqlStore) -> None:
         "depot",
         "attic",
     }
+    campus, *others = (store.views.list(name, Filters())[0][0] for name in ("campus", "depot", "attic"))
+    newer = enroll(store, "last", map="campus").view
+    for filters in (Filters(exclude_last=1), Filters(exclude=(others[1].id,))):
+        left, _ = store.views.list(None, filters, among=allowed)
+        assert [view.id for view in left] == [others[0].id]
+    for hidden in (campus, newer):
+        with pytest.raises(InvalidParameters, match=hidden.id):
+            store.views.list(None, Filters(exclude=(hidden.id,)), among=allowed)
 
 
 @pytest.mark.parametrize(

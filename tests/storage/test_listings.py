@@ -7,10 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from schemas import values
 from schemas.errors import InvalidParameters
 from schemas.records import Filters, Position, Selection, ViewAttributes
 from tests.storage.material import NOW, RECIPE, enroll, ids
 from worker.storage.filtering import EARTH_RADIUS_M
+from worker.storage.paging import cursor_after
 from worker.storage.store import SqlStore
 
 MINUTE = timedelta(minutes=1)
@@ -48,6 +50,13 @@ def test_no_filter_restricts_nothing(store: SqlStore) -> None:
     selection = store.listings.select("campus", Filters())
     assert selection == Selection(None, selection.never)
     assert len(selection.never) == 0
+
+
+@pytest.mark.parametrize("near", ["0,0,1.7e308", "1e9,-1e9,1e300", "3,4,5e9"])
+def test_near_takes_any_radius(store: SqlStore, near: str) -> None:
+    spots = [Position(x=1e9, y=1e9), Position(x=-1e9, y=0.0), Position(x=0.0, y=5e-324)]
+    seqs = {enroll(store, str(spot), attributes=ViewAttributes(position=spot)).view.seq for spot in spots}
+    assert chosen(store, Filters(near=values.near(near))) == seqs
 
 
 def test_near_in_metres_is_a_circle_with_its_edge(store: SqlStore) -> None:
@@ -204,7 +213,14 @@ def test_a_page_that_is_just_full_is_the_last(store: SqlStore) -> None:
     assert store.views.list(None, Filters(), state="ready") == ([], None)
 
 
-@pytest.mark.parametrize("cursor", ["", "moon", "é", "W10", "bnVsbA", "MQ", "WyJvbGRlc3QiLCAidGV4dCJd"])
+@pytest.mark.parametrize(
+    "cursor",
+    [
+        *("", "moon", "é", "W10", "bnVsbA", "MQ", "WyJvbGRlc3QiLCAidGV4dCJd"),
+        *(cursor_after("oldest", number) for number in (2**63, -(2**64), 10**300)),
+        *(cursor_after("places", "campus", text) for text in ("a\0", "\ud800")),
+    ],
+)
 def test_a_cursor_that_is_none_of_ours_is_refused(store: SqlStore, cursor: str) -> None:
     enroll(store, "gate")
     with pytest.raises(InvalidParameters, match="cursor"):

@@ -7,9 +7,20 @@ import pytest
 import sqlalchemy as sa
 
 from schemas.errors import Conflict, LeaseLost, NotFound
-from schemas.records import JobProgress
+from schemas.records import Filters, JobProgress, ViewRecord
 from tests.storage.conftest import Open
-from tests.storage.material import NOW, RECIPE, describe_all, enroll, finish, give_sign, recipe
+from tests.storage.material import (
+    NO_ATTRIBUTES,
+    NOW,
+    RECIPE,
+    describe_all,
+    enroll,
+    facts,
+    finish,
+    give_sign,
+    image,
+    recipe,
+)
 from worker.storage.jobs import ATTEMPTS
 from worker.storage.store import SqlStore
 
@@ -119,11 +130,11 @@ def test_files_of_a_job_go_when_it_fails_because_its_workers_died(store: SqlStor
     draft = data / "snapshots" / f".writing-{snapshot}"
     draft.write_bytes(b"half")
     for _ in range(ATTEMPTS):
-        assert {store.jobs.claim_map_job("worker", NOW) is None for _ in range(2)} == {False}
+        assert {store.jobs.claim_map_job(worker, NOW) is None for worker in ("one", "two")} == {False}
         assert draft.exists()
         assert (data / "imports" / IMPORT / "upload").exists()
-        store.workers.bury(["worker"], NOW)
-    assert [store.jobs.claim_map_job("worker", NOW) for _ in range(2)] == [None, None]
+        store.workers.bury(["one", "two"], NOW)
+    assert [store.jobs.claim_map_job(worker, NOW) for worker in ("one", "two")] == [None, None]
 
     assert [store.jobs.get(job).state for job in (IMPORT, snapshot)] == ["failed", "failed"]
     assert not draft.exists()
@@ -255,3 +266,72 @@ def test_a_map_that_is_none_is_said_to_be_none_with_what_to_do(store: SqlStore) 
     for ask in (store.maps.get, store.maps.revision, lambda name: store.jobs.queue_snapshot(name, NOW)):
         with pytest.raises(NotFound, match="no map 'moon'; GET /maps lists all there are; the first enrolment"):
             ask("moon")
+
+
+def test_cancelling_what_tries_failed_views_again_leaves_what_was_enrolled(store: SqlStore) -> None:
+    """Both wait for the recipe of the map: nobody cancelled the enrolments, and none may stay pending for ever."""
+    failed = enroll(store, "fog").view
+    [claim] = store.jobs.claim("worker", 1)
+    store.jobs.fail(claim, "nothing-static", "only fog", NOW)
+    enrolled = enroll(store, "gate").view
+    job = store.jobs.switch_recipe("campus", RECIPE, NOW + timedelta(seconds=1))
+    imported = enroll(store, "yard", now=NOW + timedelta(seconds=2)).view
+    assert [view.state for view in listed(store)] == ["pending"] * 3
+
+    assert store.jobs.cancel(job.id, NOW).state == "cancelled"
+
+    states = {view.id: (view.state, view.failure and view.failure[0]) for view in listed(store)}
+    assert states == {
+        failed.id: ("failed", "cancelled"),
+        enrolled.id: ("pending", None),
+        imported.id: ("pending", None),
+    }
+    assert describe_all(store) == 2
+    assert enroll(store, "fog").view.state == "pending"
+    assert describe_all(store) == 1
+    assert {view.state for view in listed(store)} == {"ready"}
+
+
+def listed(store: SqlStore) -> list[ViewRecord]:
+    return store.views.list("campus", Filters())[0]
+
+
+@pytest.mark.parametrize("ended", ["cancelled", "deleted with its map"])
+def test_an_import_that_has_ended_enrols_nothing_into_a_map_of_that_name(
+    store: SqlStore, data: Path, ended: str
+) -> None:
+    """The worker learns of it only when it tells of its progress the next time."""
+    job = store.jobs.queue_import(IMPORT, "campus", RECIPE, NOW)
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+    body = image("gate")
+    told = facts(body), NO_ATTRIBUTES, None, NOW
+    store.enrolment.submit("campus", image("pond"), facts(image("pond")), *told[1:], job=claim)
+    if ended == "cancelled":
+        store.jobs.cancel(job.id, NOW)
+    else:
+        store.removals.delete_map("campus")
+        store.maps.put("campus", RECIPE, NOW)
+    with pytest.raises(LeaseLost):
+        store.enrolment.submit("campus", body, *told, job=claim)
+    assert [view.image.sha256 for view in listed(store)] == [facts(image("pond")).sha256] * (ended == "cancelled")
+    assert not [*data.glob(f"pictures/*/*/{told[0].sha256}")]
+
+
+def test_a_worker_goes_on_with_what_it_could_not_put_back(store: SqlStore) -> None:
+    """The database was away when it ended: its signs of life go on, so that nobody else would take the job up."""
+    campus_of_two(store)
+    job = store.jobs.queue_snapshot("campus", NOW)
+    give_sign(store, "one")
+    first = again = store.jobs.claim_map_job("one", NOW)
+    assert store.jobs.claim_map_job("two", NOW) is None
+    for _ in range(ATTEMPTS + 1):
+        again = store.jobs.claim_map_job("one", NOW)
+        assert again is not None
+        assert (again.job_id, store.jobs.get(job.id).attempts) == (job.id, 1)
+    assert first is not None
+    assert again is not None
+    with pytest.raises(LeaseLost):
+        store.jobs.report(first, JobProgress(1, 2))
+    store.jobs.finish_snapshot(again, {}, NOW)
+    assert store.jobs.claim_map_job("one", NOW) is None

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
 
 from schemas.errors import NotFound
 from schemas.recipe import DescriptionRecipe
@@ -27,15 +26,15 @@ KEPT_S = 60.0
 
 @dataclass
 class _Held:
-    """An index of the map that was made at `made_at`; `read_at`, on the monotonic clock, of one that is read ahead."""
+    """An index of the map with this number; `read_at`, on the monotonic clock, of one that is read ahead."""
 
     index: Index
-    made_at: datetime
+    number: int
     read_at: float = 0.0
 
     def is_of(self, record: MapRecord, recipe: str) -> bool:
-        """Whether it is of this very map, by this recipe; one created again under its name is another."""
-        return self.made_at == record.created_at and self.index.recipe == recipe
+        """Whether it is of this very map, by this recipe; one made or restored under its name is another."""
+        return self.number == record.number and self.index.recipe == recipe
 
 
 class Catalogue:
@@ -82,7 +81,7 @@ class Catalogue:
                     or not held.is_of(record, record.description.id)
                     or held.index.revision > record.revision  # which never goes back, but by damage or a backup
                 ):
-                    held = self._taken(name, record) or _Held(self._make(record.description), record.created_at)
+                    held = self._taken(name, record) or _Held(self._make(record.description), record.number)
                 if held.index.revision < record.revision:
                     changes = self._descriptions.since(name, held.index.revision)
                     if changes.recipe != held.index.recipe:
@@ -112,7 +111,7 @@ class Catalogue:
                 return
             known = self._prepared.get(name)
             if known is None or not known.is_of(record, recipe.id):
-                known = _Held(self._make(recipe), record.created_at)
+                known = _Held(self._make(recipe), record.number)
             changes = self._descriptions.since(name, known.index.revision, recipe)
             known.index.apply(changes)
             known.read_at = time.monotonic()

@@ -104,7 +104,7 @@ class DatabaseCatalogue:
     def __init__(self, vectors: VectorReader, descriptions: DescriptionReader, *, approximate: bool = False) -> None:
         self._vectors, self._approximate = vectors, approximate
         self._fixed = FixedCells(descriptions)
-        self._samples: OrderedDict[tuple[str, int], tuple[int, ...]] = OrderedDict()
+        self._samples: OrderedDict[tuple[int, str, int], tuple[int, ...]] = OrderedDict()
 
     def index(self, name: str) -> tuple[DatabaseIndex, MapRecord]:
         """The index of a map, with all changes committed before this call, and the map at that revision.
@@ -127,7 +127,9 @@ class DatabaseCatalogue:
 
     def camera_fixed(self, index: SearchableIndex, recipe: DescriptionRecipe) -> CameraFixed | None:
         """What is fixed to the camera that took the views of an index; its sample is read once for each revision."""
-        key = index.recipe, index.revision
+        if not isinstance(index, DatabaseIndex):  # one in memory, of a shadow
+            return self._fixed.of(index.sample(), recipe)
+        key = index.map_id, index.recipe, index.revision  # a new map has the revision of the one changed last
         sample = self._samples.get(key)
         if sample is None:
             sample = self._samples[key] = index.sample()

@@ -13,7 +13,7 @@ from schemas.description import Booleans, PixelField
 from schemas.errors import BlurChanged, Conflict, InvalidParameters, NothingStatic
 from schemas.image import Image, ImageFacts
 from schemas.recipe import MapRecipe
-from schemas.records import Covered, Submitted, ViewAttributes, ViewRecord
+from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
 from worker.description.ports import Encoder
 from worker.description.presets import PRESETS
 from worker.description.scheduler import Scheduler
@@ -56,15 +56,18 @@ class Enrolment(Protocol):
         background: bool = False,
         covered: Covered | None = None,
         refuse_poor: bool = False,
+        job: MapClaim | None = None,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map (with `recipe`) when there is none.
 
         `steady_s` is the reading of a steady clock at `now`; `background`: other enrolments are described first;
         `covered`: what was blurred in the image, which is then not what was sent; `refuse_poor`: the view is to fail
-        where its description shows that the image is poor.
+        where its description shows that the image is poor; `job`: which enrols it.
 
         Raises
         ------
+        LeaseLost
+            That job was cancelled, or went with its map.
         Conflict
             The same image is in the map with other attributes.
         BlurChanged
@@ -217,6 +220,7 @@ class BlurringEnrolment:
         steady_s: float | None = None,
         background: bool = False,
         refuse_poor: bool = False,
+        job: MapClaim | None = None,
     ) -> Submitted:
         """Store an image durably and queue its description; `image` is `data` decoded, not altered since.
 
@@ -227,7 +231,7 @@ class BlurringEnrolment:
         EncoderAway
             A shared encoder would have to find what is blurred, and is away. Nothing is stored; what is imported in the
             background waits instead.
-        Conflict, NotFound, DiskFull, StorageFailed
+        Conflict, LeaseLost, NotFound, DiskFull, StorageFailed
             As the store says.
         """
         for attempt in range(1, ATTEMPTS + 1):
@@ -239,7 +243,7 @@ class BlurringEnrolment:
             try:
                 submitted = self._enrolment.submit(
                     name, stored, facts(told), attributes, recipe, now, steady_s,
-                    background=background, covered=found, refuse_poor=refuse_poor,
+                    background=background, covered=found, refuse_poor=refuse_poor, job=job,
                 )  # fmt: skip
                 if submitted.job_id is not None and found is None:
                     self._decoded.keep(image)

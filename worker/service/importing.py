@@ -177,7 +177,7 @@ class Importer:
         try:
             submitted = self._enrolment.submit(
                 claim.map, data, image, attributes, None, _now(), steady.reading_s(), background=True,
-                refuse_poor=refuse_poor,
+                refuse_poor=refuse_poor, job=claim,
             )  # fmt: skip
         except NotFound as error:
             raise LeaseLost(error.detail) from None

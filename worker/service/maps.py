@@ -1,13 +1,14 @@
 """Maps: created, shown, changed, deleted; and the jobs that describe all their views again."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any
 
 from schemas.comparisons import MapLevels
-from schemas.errors import InvalidParameters, ParameterError
+from schemas.errors import InvalidParameters, NotFound, ParameterError
 from schemas.map_changes import MapChanges
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobRecord, MapCounts, MapRecord, Meaning
@@ -77,8 +78,12 @@ class MapService:
         self._preset, self._blurring, self._wake = preset, blurring, wake
 
     def all(self) -> list[MapState]:
-        """All maps, sorted by name."""
-        return [self._state(record) for record in self._maps.all()]
+        """All maps, sorted by name; without those that are deleted while they are counted."""
+        states = []
+        for record in self._maps.all():
+            with suppress(NotFound):
+                states.append(self._state(record))
+        return states
 
     def get(self, name: str) -> MapState:
         """One map; raises NotFound."""

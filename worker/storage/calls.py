@@ -9,15 +9,25 @@ import sqlalchemy as sa
 from schemas.errors import Conflict, Damaged, KeyReused, NotFound
 from schemas.records import Replay
 from worker.storage import checksums
+from worker.storage.database import Database
+from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
 from worker.storage.rows import as_json
 from worker.storage.tables import CALLS, VOCABULARIES
 
 KEPT = timedelta(hours=24)
 
+GIVEN_UP = timedelta(minutes=10)
+"""Time after which a call without an answer no longer runs: its process was killed, or could not tell that it failed.
+Enrolling the same image twice makes one view."""
+
 
 class Calls(Part):
     """Calls by Idempotency-Key, kept for a day after they began."""
+
+    def __init__(self, database: Database, images: ImageStore) -> None:
+        super().__init__(database, images)
+        self._failed: set[str] = set()  # of this process, which could not delete them
 
     def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
         """Claim an Idempotency-Key; returns the stored answer when the call has finished, None when it is new.
@@ -30,11 +40,16 @@ class Calls(Part):
             The first call with the key still runs.
         """
         with self._database.writing() as connection:
-            connection.execute(sa.delete(CALLS).where(CALLS.c.begun_at <= now - KEPT))
+            given_up = CALLS.c.finished_at.is_(None) & (CALLS.c.begun_at <= now - GIVEN_UP)
+            if key in self._failed:
+                given_up |= CALLS.c.finished_at.is_(None) & (CALLS.c.key == key)
+            connection.execute(sa.delete(CALLS).where((CALLS.c.begun_at <= now - KEPT) | given_up))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
             if row is None:
                 connection.execute(sa.insert(CALLS).values(key=key, fingerprint=fingerprint, begun_at=now))
-                return None
+        self._failed.discard(key)
+        if row is None:
+            return None
         if row.fingerprint != fingerprint:
             raise KeyReused(f"the Idempotency-Key {key!r} came before with another request; take a new key")
         if row.finished_at is None:
@@ -58,9 +73,11 @@ class Calls(Part):
             )
 
     def abandon(self, key: str) -> None:
-        """Delete an unfinished call that failed, so that it can be tried again."""
+        """Delete an unfinished call that failed, so that it can be tried again, at once where that is not possible."""
+        self._failed.add(key)
         with self._database.writing(in_turn=False, frees=True) as connection:
             connection.execute(sa.delete(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None)))
+        self._failed.discard(key)
 
 
 class Vocabularies(Part):

@@ -10,13 +10,14 @@ import sqlalchemy as sa
 from schemas.errors import BlurChanged, Conflict, Damaged, NotFound
 from schemas.image import ImageFacts
 from schemas.recipe import MapRecipe
-from schemas.records import Covered, Submitted, ViewAttributes, ViewRecord
+from schemas.records import Covered, MapClaim, Submitted, ViewAttributes, ViewRecord
 from worker.storage import checksums, clock, switching
 from worker.storage.damage import set_aside_views
 from worker.storage.database import Database
 from worker.storage.enrolment_order import EnrolmentOrder
 from worker.storage.filtering import metadata_pairs
 from worker.storage.image_store import ImageStore
+from worker.storage.map_jobs import held
 from worker.storage.maps import make_map
 from worker.storage.part import Part
 from worker.storage.rows import (
@@ -109,12 +110,14 @@ class Enrolment(Part):
         background: bool = False,
         covered: Covered | None = None,
         refuse_poor: bool = False,
+        job: MapClaim | None = None,
     ) -> Submitted:
         """Store an image durably and queue its description; creates the map, if `recipe` is given.
 
         `steady_s` is the reading of a steady clock at `now`, by which the time since the last enrolment is measured;
         `background`: other enrolments are described first; `covered`: what was blurred in the image, which is not what
-        was sent; `refuse_poor`: the view is to fail where its description shows that the image is poor.
+        was sent; `refuse_poor`: the view is to fail where its description shows that the image is poor; `job`: which
+        enrols it, and is refused once it was cancelled or went with its map, even if there is another of that name.
 
         For an image that the map has already the result is its view, which is queued again if it had failed.
 
@@ -126,6 +129,7 @@ class Enrolment(Part):
             The map blurs other things than those in `covered`.
         NotFound
             There is no map, and no recipe to create it with.
+        LeaseLost
         DiskFull
         ValueError
             The SHA-256 in `facts` is not that of the image.
@@ -133,6 +137,8 @@ class Enrolment(Part):
         if self._database.space is not None:
             self._database.space.admit(len(image), image=True)
         with self._images.kept(facts.sha256, image), self._database.writing() as connection:
+            if job is not None:
+                held(connection, job)
             try:
                 row = find_map(connection, name)
             except NotFound:

@@ -160,7 +160,10 @@ class FilterCache:
         columns = {path: column for path in paths if (column := known.columns[path]) is not None}
         if len(columns) < len(paths):
             return None
-        return known.seqs[_mask(filters, columns, geographic=bool(geographic))]
+        try:
+            return known.seqs[_mask(filters, columns, geographic=bool(geographic))]
+        except NotExact:
+            return None
 
     def _of(self, of: sa.Row[Any]) -> _Held:
         """What is held of a map; nothing yet of one whose views' attributes changed."""

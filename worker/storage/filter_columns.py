@@ -119,9 +119,11 @@ class Column:
         return self.compared("$eq", value)
 
     def compared(self, operator: str, bound: Number | datetime) -> Mask:
-        """The views whose field is a number or a time that stands so to a bound."""
+        """The views whose field is a number or a time that stands so to a bound; raises NotExact."""
         if self.numbers is None or self.is_number is None:
             return self._none()
+        if isinstance(bound, int) and abs(bound) >= EXACT:  # as float64 it might be another number
+            raise NotExact
         limit = micros(bound) if isinstance(bound, datetime) else bound
         compare = {"$eq": np.equal, "$gt": np.greater, "$gte": np.greater_equal, "$lt": np.less, "$lte": np.less_equal}
         found: Mask = compare[operator](self.numbers, limit) & self.is_number

@@ -81,7 +81,9 @@ def allowing(connection: sa.Connection, filters: Filters, scope: Sequence[Clause
     return conditions
 
 
-def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -> list[Clause]:
+def excluding(
+    connection: sa.Connection, filters: Filters, map_id: int | None, among: Sequence[Clause] = ()
+) -> list[Clause]:
     """Conditions on `views` of the exclusions; a view that fulfils one of them is left out.
 
     Parameters
@@ -90,6 +92,8 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
     filters : Filters
     map_id : int or None
         Map whose newest views `exclude_last` leaves out; None for the newest of all maps.
+    among : sequence of conditions
+        Without a map, the views of which these are the newest and which `exclude` may name.
 
     Raises
     ------
@@ -97,7 +101,7 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
         `exclude` names views that the map does not have.
     """
     conditions: list[Clause] = []
-    scope: list[Clause] = [] if map_id is None else [VIEWS.c.map_id == map_id]
+    scope: list[Clause] = list(among) if map_id is None else [VIEWS.c.map_id == map_id]
     last = filters.exclude_last
     if isinstance(last, timedelta):
         newest = connection.scalar(sa.select(sa.func.max(VIEWS.c.elapsed_us)).where(*scope))
@@ -108,15 +112,15 @@ def excluding(connection: sa.Connection, filters: Filters, map_id: int | None) -
         oldest = connection.scalar(newest_first.offset(int(last) - 1).limit(1))
         conditions.append(VIEWS.c.seq >= (0 if oldest is None else oldest))
     if filters.exclude:
-        _refuse_unknown(connection, filters.exclude, scope)
+        where = "there are" if map_id is None else "the map has"
+        _refuse_unknown(connection, filters.exclude, scope, where)
         conditions.append(VIEWS.c.id.in_(filters.exclude))
     return conditions
 
 
-def _refuse_unknown(connection: sa.Connection, ids: Sequence[str], scope: Sequence[Clause]) -> None:
+def _refuse_unknown(connection: sa.Connection, ids: Sequence[str], scope: Sequence[Clause], where: str) -> None:
     known = set(connection.scalars(sa.select(VIEWS.c.id).where(VIEWS.c.id.in_(ids), *scope)))
     if unknown := [one for one in dict.fromkeys(ids) if one not in known]:
-        where = "the map has" if scope else "there are"
         listed = ", ".join(unknown[:_MOST_LISTED]) + ("" if len(unknown) <= _MOST_LISTED else ", …")
         raise InvalidParameters.of("exclude", f"{where} no views {listed} ({len(unknown)} of {len(ids)} ids)")
 
@@ -126,7 +130,7 @@ def fitting(
 ) -> list[Clause]:
     """Conditions on `views` of all filters; a view must fulfil all of them. `scope`: as in `allowing`."""
     allowed = allowing(connection, filters, scope or ([] if map_id is None else [VIEWS.c.map_id == map_id]))
-    return allowed + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id)]
+    return allowed + [sa.not_(excluded) for excluded in excluding(connection, filters, map_id, scope)]
 
 
 def are_in_degrees(connection: sa.Connection, first: float, second: float, scope: Sequence[Clause]) -> bool:
@@ -163,5 +167,10 @@ def _near(columns: Sequence[sa.Column[float]], centre: Sequence[float], radius: 
     """Conditions for a box, slightly enlarged against rounding, and for the exact distance."""
     reach = radius * (1 + 1e-9) + slack
     box = [column.between(at - reach, at + reach) for column, at in zip(columns, centre, strict=True)]
-    squares = [(column - at) * (column - at) for column, at in zip(columns, centre, strict=True)]
+    squares = [_square(column - at) for column, at in zip(columns, centre, strict=True)]
     return [*box, sum(squares[1:], squares[0]) <= radius * radius]
+
+
+def _square(difference: sa.ColumnElement[float]) -> sa.ColumnElement[float]:
+    """The square; 0 of what is so small that it would end the statement in PostgreSQL, where it is no float64."""
+    return sa.case((sa.func.abs(difference) < 1e-150, 0.0), else_=difference * difference)

@@ -1,6 +1,7 @@
 """Maps that keep no images: an image is removed once its view is described.
 
-A view that is not described, or whose description was damaged, keeps its image, for it is needed. Which images are
+A view that is not described, or is to be by another recipe too, or whose description was damaged, keeps its image, for
+it is needed. Which images are
 removed is decided by `image_store.needs_image` alone, so that what a crash leaves is swept at the next start.
 """
 

@@ -12,7 +12,7 @@ from worker.storage.database import Database
 from worker.storage.image_files import Discarded, Images
 from worker.storage.peers import image_lock
 from worker.storage.rows import batches
-from worker.storage.tables import MAPS, VIEWS
+from worker.storage.tables import JOBS, MAPS, VIEWS
 
 if TYPE_CHECKING:
     from worker.storage.object_files import ObjectFiles
@@ -65,8 +65,12 @@ def forgets(connection: sa.Connection, map_id: int) -> bool:
 
 
 def needs_image(connection: sa.Connection) -> sa.ColumnElement[bool]:
-    """SQL condition that a view's image is kept: its map keeps images, or it is not described."""
-    return VIEWS.c.map_id.not_in(_forgetting(connection)) | (VIEWS.c.state != "ready")
+    """SQL condition that a view's image is kept: its map keeps images, it is not described, or is to be once more."""
+    forgetting = _forgetting(connection)
+    if not forgetting:
+        return sa.true()
+    described_next = sa.exists().where(JOBS.c.seq == VIEWS.c.seq, JOBS.c.state.in_(("waiting", "running")))
+    return VIEWS.c.map_id.not_in(forgetting) | (VIEWS.c.state != "ready") | described_next
 
 
 def _forgetting(connection: sa.Connection) -> list[int]:

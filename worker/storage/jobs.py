@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from schemas.description import Description
 from schemas.errors import Damaged, LeaseLost
 from schemas.records import Claim, MapClaim
-from worker.storage import clock, switching
+from worker.storage import clock, forgetting, switching
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
 from worker.storage.rows import batches, find_map, find_recipe, log, view_record, views_of
@@ -91,10 +91,12 @@ class Jobs(Part):
             else:  # one of a recipe switch: it is not searchable before the switch ends
                 described, searchable = clock.forward(connection), int(owner.revision)
             keep_description(connection, job, claim.recipe, description, described)
-            searchable = self.settle(connection, job, "done", now) or searchable
-        if owner.drop_images:
+            changed_over = self.settle(connection, job, "done", now)
+        if owner.drop_images and changed_over is None:
             self._images.discard([claim.view.image.sha256])
-        return searchable
+        elif owner.drop_images:  # views that had failed before are described too
+            forgetting.remove_all(self._database, self._images, job.map_id)
+        return changed_over or searchable
 
     def fail(self, claim: Claim, code: str, detail: str, now: datetime) -> None:
         """End a job as failed; its view stays, `failed`, with this reason; raises LeaseLost."""

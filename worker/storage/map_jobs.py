@@ -20,7 +20,8 @@ from uuid6 import uuid7
 from schemas.errors import Conflict, Damaged, LeaseLost, NotFound
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
-from worker.storage import checksums, switching
+from worker.storage import checksums, forgetting, switching
+from worker.storage.image_store import forgets
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
 from worker.storage.rows import as_json, find_map, inserting, keep_recipe, log, maps_named
@@ -28,6 +29,8 @@ from worker.storage.switching import UNFINISHED
 from worker.storage.tables import JOBS, MAPS, VIEWS
 
 WORKER_DIED = f"a worker began this {ATTEMPTS} times and each time ended before it was finished; see the worker's log"
+
+CANCELLED = "cancelled", "its description was cancelled; enrol the image again to have it described"
 
 
 class MapJobs(Jobs):
@@ -96,11 +99,16 @@ class MapJobs(Jobs):
     # claims
 
     def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
-        """Claim the oldest job of a map that waits; a job at most three times."""
+        """Claim the oldest job of a map that waits; a job at most three times.
+
+        A worker does one such job at a time. What it is said to do while it asks for one it could neither end nor put
+        back, because the database was away, and goes on with now.
+        """
         waits = (JOBS.c.kind == "shadow") | (
             JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
         )
-        mine = sa.select(JOBS).where(waits, JOBS.c.state == "waiting").order_by(JOBS.c.number).limit(1)
+        left = (JOBS.c.state == "running") & JOBS.c.token.is_not(None) & (JOBS.c.worker == worker)
+        mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
             if connection.execute(mine).first() is None:
                 return None
@@ -108,12 +116,10 @@ class MapJobs(Jobs):
             job = connection.execute(mine.with_for_update(skip_locked=True)).one_or_none()
             if job is None:
                 return None
-            if job.attempts < ATTEMPTS:
-                token = secrets.token_hex(16)
-                held = {"state": "running", "worker": worker, "token": token}
-                connection.execute(
-                    sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
-                )
+            if job.attempts < ATTEMPTS or job.state == "running":
+                token, attempts = secrets.token_hex(16), job.attempts + (job.state == "waiting")
+                held = {"state": "running", "worker": worker, "token": token, "attempts": attempts}
+                connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**held))
                 name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
                 return MapClaim(job.id, job.kind, token, str(name))
             _fail(connection, job, now, ("worker-died", WORKER_DIED))
@@ -209,14 +215,19 @@ class MapJobs(Jobs):
             if job.state not in allowed:
                 raise Conflict(f"the job {job_id} is {job.state}; only a {' or '.join(allowed)} job can be cancelled")
             if job.kind == "describe":
-                reason = "its description was cancelled; enrol the image again to have it described"
-                self.settle(connection, job, "cancelled", now, ("cancelled", reason))
+                self.settle(connection, job, "cancelled", now, CANCELLED)
             else:
-                if job.recipe is not None:
+                if job.recipe == connection.scalar(sa.select(MAPS.c.recipe).where(MAPS.c.id == job.map_id)):
+                    switching.stop_trying_again(connection, job, now, CANCELLED)
+                elif job.recipe is not None:
                     switching.stop(connection, job.map_id, job.recipe, now)
                 kept = _LEFT.get(job.kind, switching.DISCARDED)
                 _end(connection, job.number, "cancelled", now, ("cancelled", kept))
-            return record_of(connection, job_id)
+            cancelled = record_of(connection, job_id)
+            forgetful = job.kind == "recipe" and forgets(connection, job.map_id)
+        if forgetful:  # images that were kept to be described once more
+            forgetting.remove_all(self._database, self._images, job.map_id)
+        return cancelled
 
 
 _LEFT = {"snapshot": "no snapshot was made", "import": "what was imported before stays"}

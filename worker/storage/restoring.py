@@ -305,6 +305,9 @@ class _Restoration:
                 "gap": one.gap,
                 "same_spot": as_json([self._seqs[number] for number in one.same_spot if number in self._seqs]),
                 "made_at": one.made_at,
+                "rival": None if one.rival is None else self._seqs.get(one.rival),
+                "own": one.own,
+                "breadth": one.breadth,
             }
             for one in read_comparisons(name, body)
             if one.number in self._seqs and one.number not in self._undescribed

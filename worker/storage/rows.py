@@ -143,6 +143,7 @@ def map_by(recipe: DescriptionRecipe, row: sa.Row[Any]) -> MapRecord:
         shadow=shadow,
         blur=blur_of(row),
         following=row.next_recipe,
+        number=row.id,
     )
 
 

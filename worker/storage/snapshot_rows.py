@@ -57,6 +57,9 @@ def comparison_lines(
                 gap=row.gap,
                 same_spot=tuple(seq for seq in json.loads(row.same_spot) if seq not in left_out),
                 made_at=row.made_at,
+                rival=row.rival,
+                own=row.own,
+                breadth=row.breadth,
             )
             .model_dump_json()
             .encode()

@@ -1,11 +1,12 @@
 """Snapshots: files of single maps, made at one revision while the service works, and kept."""
 
+import json
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import sqlalchemy as sa
 
@@ -15,7 +16,7 @@ from schemas.removal import Holding
 from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
-from worker.storage.image_store import ImageStore, needs_image
+from worker.storage.image_store import ImageStore, forgets, needs_image
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_recipe, log, map_record
 from worker.storage.snapshot_contents import SnapshotContents
@@ -140,30 +141,38 @@ class Snapshots(Part, again=False):
             tell(start, len(seqs))
             portion = seqs[start : start + PORTION]
             kept = []
-            forgotten = sa.select(VIEW_ROWS.c.seq).where(VIEW_ROWS.c.seq.in_(portion), ~needs_image(connection))
-            without_image = set(connection.scalars(forgotten))
+            without_image = _without_image(connection, row.id, portion)
             for seq, (digest, line) in zip(portion, view_lines(connection, portion, recipe), strict=True):
                 if seq in without_image:
                     kept.append(line)
-                elif (image := self._image(seq, digest)) is None:
+                elif (whole := self._whole(row.id, seq, digest, line, recipe)) is None:
                     left_out.add(seq)
                 else:
-                    writer.add(f"{IMAGE}{digest}", image, digest)
-                    kept.append(line)
+                    if whole.image is not None:
+                        writer.add(f"{IMAGE}{whole.digest}", whole.image, whole.digest)
+                    kept.append(whole.line)
             writer.add_lines(VIEWS, kept)
         for lines in comparison_lines(connection, row.id, row.recipe, left_out, COMPARISON_PORTION):
             writer.add_lines(COMPARISONS, lines)
         return left_out
 
-    def _image(self, seq: int, digest: str) -> bytes | None:
-        """The image of a view; None when the view was deleted after the snapshot began."""
+    def _whole(self, map_id: int, seq: int, digest: str, line: bytes, recipe: DescriptionRecipe) -> "_Whole | None":
+        """A view with its image; None when the view was deleted after the snapshot began.
+
+        Where only its image was removed since, because it was described, the view is as it is by now.
+        """
         try:
-            return self._images.read(digest)
+            return _Whole(digest, line, self._images.read(digest))
         except Damaged:
             with self._database.reading() as connection:
                 if connection.scalar(sa.select(VIEW_ROWS.c.seq).where(VIEW_ROWS.c.seq == seq)) is None:
                     return None
-            raise
+                if not _without_image(connection, map_id, [seq]):
+                    raise
+                [(digest, line)] = view_lines(connection, [seq], recipe)
+            if json.loads(line)["description"] is None:
+                raise
+            return _Whole(digest, line, None)
 
     def _require_space(self, connection: sa.Connection, row: sa.Row[Any], views: int) -> None:
         """Raise DiskFull unless there is room for all of it."""
@@ -238,6 +247,22 @@ class Snapshots(Part, again=False):
         """Raise DiskFull unless there is room for a file of `size` bytes."""
         if self._database.space is not None:
             self._database.space.admit(size)
+
+
+def _without_image(connection: sa.Connection, map_id: int, seqs: Sequence[int]) -> set[int]:
+    """Views of a map that go without their image: described ones, where the map keeps no images."""
+    if not forgets(connection, map_id):
+        return set()
+    described = VIEW_ROWS.c.seq.in_(seqs), VIEW_ROWS.c.state == "ready"
+    return set(connection.scalars(sa.select(VIEW_ROWS.c.seq).where(*described)))
+
+
+class _Whole(NamedTuple):
+    """A view as it goes into a snapshot: the SHA-256 of its image, its line, and the image, if it is kept."""
+
+    digest: str
+    line: bytes
+    image: bytes | None
 
 
 @contextmanager

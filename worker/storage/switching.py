@@ -263,6 +263,20 @@ def stop(connection: sa.Connection, map_id: int, recipe: str, now: datetime) -> 
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**NOTHING_NEXT))
 
 
+def stop_trying_again(connection: sa.Connection, job: sa.Row[Any], now: datetime, failure: tuple[str, str]) -> None:
+    """Stop the job that has failed views described again by the map's own recipe: those that wait are failed again.
+
+    Of what waits by this recipe only the views that the job queued are its own; the others were enrolled.
+    """
+    queued = JOBS.c.kind == "describe", JOBS.c.background, JOBS.c.created_at == job.created_at
+    mine = JOBS.c.map_id == job.map_id, JOBS.c.recipe == job.recipe, JOBS.c.number > job.number
+    ended = {"state": "cancelled", "finished_at": now, "token": None}
+    reason = {"failure_code": failure[0], "failure_detail": failure[1]}
+    own = sa.update(JOBS).where(*queued, *mine, JOBS.c.state.in_(UNFINISHED))
+    connection.execute(own.values(**ended, **reason))
+    settle(connection, job.map_id, job.recipe)
+
+
 def end_shadow(connection: sa.Connection, map_id: int, now: datetime) -> None:
     """Cancel the job of a map's shadow, if it has not ended."""
     unfinished = JOBS.c.map_id == map_id, JOBS.c.kind == "shadow", JOBS.c.state.in_(UNFINISHED)
