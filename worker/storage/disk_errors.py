@@ -26,7 +26,8 @@ DAMAGED = (
     "`./revisit doctor --repair` or restore a backup"
 )
 AWAY = "the database server cannot be asked: {}; try again in a moment, the service goes on by itself"
-BUSY = "the database was being written by others for {} s; try again in a moment"
+REFUSES = "the database server refuses: {}; whoever runs it should see to that, the service goes on by itself"
+BUSY = "the database was being written by others, or locked, for too long; try again in a moment"
 FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
 
 
@@ -47,11 +48,14 @@ def problem_of(error: BaseException, what: str, *, sent: bool = True) -> Revisit
         if dialect.is_damaged(error):
             return Damaged(DAMAGED.format(error.orig))
         if dialect.is_busy(error):
-            return StorageFailed(BUSY.format(dialect.BUSY_S))
+            return StorageFailed(BUSY)
         trouble = dialect.server_trouble(error)
         if trouble is not None:
             kept_nothing = dialect.kept_nothing(error, sent=sent)
             return (RolledBack if kept_nothing else StorageFailed)(AWAY.format(trouble))
+        refusal = dialect.server_refusal(error)
+        if refusal is not None:
+            return StorageFailed(REFUSES.format(refusal))
         code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF
         return StorageFailed(FAILED.format(what, _SQLITE[code])) if code in _SQLITE else None
     if isinstance(error, OSError) and error.errno in _FILES:
