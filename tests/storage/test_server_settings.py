@@ -1,7 +1,7 @@
 """What is set for a PostgreSQL server, a database or a user: promises hold all the same, refusals say what is set."""
 
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from schemas.errors import StorageFailed
+from schemas.errors import DiskFull, SetupError, StorageFailed
+from schemas.records import ViewAttributes
 from tests.storage.databases import postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, finish
 from worker.storage import dialect
@@ -113,6 +114,18 @@ def test_a_right_that_was_taken_away_is_told(server: Server, data: Path) -> None
             store.views.get(view.id)
 
 
+def test_a_full_disk_of_the_server_is_not_told_to_be_emptied_by_deletions(server: Server, data: Path) -> None:
+    with opened(server, data) as store:
+        view = enroll(store, "gate").view
+        server.run(
+            "CREATE FUNCTION full_disk() RETURNS trigger LANGUAGE plpgsql AS "
+            "$$ BEGIN RAISE 'could not extend file' USING ERRCODE = '53100'; END $$"
+        )
+        server.run("CREATE TRIGGER full_disk BEFORE DELETE ON views FOR EACH ROW EXECUTE FUNCTION full_disk()")
+        with pytest.raises(DiskFull, match="make room there"):
+            store.removals.delete_view(view.id)
+
+
 def test_a_database_that_takes_writes_again_is_written_without_a_new_start(server: Server, data: Path) -> None:
     """Connections keep what was set when they began."""
     open_store(server.url, data).close()
@@ -153,3 +166,40 @@ def test_one_that_left_or_never_joined_does_not_count(server: Server, data: Path
         worker.tend()
         with store._peers.joined() as alone:
             assert alone
+
+
+@pytest.fixture
+def encoded_as(server: Server) -> Iterator[Callable[[str], str]]:
+    """Makes a database of an encoding; returns its URL."""
+    made: list[str] = []
+
+    def make(encoding: str) -> str:
+        made.append(f"database_{uuid.uuid4().hex}")
+        server.run(f"CREATE DATABASE {made[-1]} ENCODING '{encoding}' TEMPLATE template0 LC_COLLATE 'C' LC_CTYPE 'C'")
+        url = sa.make_url(server.url).set(database=made[-1]).difference_update_query(["options"])
+        return url.render_as_string(hide_password=False)
+
+    yield make
+    for name in made:
+        server.run(f"DROP DATABASE {name}")
+
+
+def test_a_database_without_an_encoding_holds_every_character(encoded_as: Callable[[str], str], data: Path) -> None:
+    with closing(open_store(encoded_as("SQL_ASCII"), data)) as store:
+        view = enroll(store, "gate", attributes=ViewAttributes(place="広場")).view
+        assert store.views.get(view.id).attributes.place == "広場"
+
+
+def test_a_database_that_could_not_is_refused_and_one_that_was_made_says_what_it_lacks(
+    encoded_as: Callable[[str], str], data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = encoded_as("LATIN1")
+    with pytest.raises(SetupError, match="LATIN1.*ENCODING 'UTF8'"):
+        open_store(url, data)
+    with monkeypatch.context() as patch:  # as an earlier version did
+        patch.setattr(dialect, "encoding_of", lambda connection: None)
+        open_store(url, data).close()
+    with closing(open_store(url, data)) as store:
+        enroll(store, "gate", attributes=ViewAttributes(place="Plätze"))
+        with pytest.raises(SetupError, match="ENCODING 'UTF8'"):
+            enroll(store, "pond", attributes=ViewAttributes(place="広場"))

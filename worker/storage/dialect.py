@@ -327,6 +327,19 @@ def server_refusal(error: sa.exc.DBAPIError) -> str | None:
     return _REFUSES.get(state) or f"it says {error.orig.diag.message_primary!r}"  # type: ignore[union-attr]
 
 
+def lacks_characters(error: sa.exc.DBAPIError) -> bool:
+    """Whether the encoding of the database has no code for a character."""
+    return getattr(error.orig, "sqlstate", None) == "22P05"
+
+
+def encoding_of(connection: sa.Connection) -> str | None:
+    """The encoding of a PostgreSQL database that cannot hold every character; None for others."""
+    if connection.dialect.name != "postgresql":
+        return None
+    encoding = str(connection.scalar(sa.text("SHOW server_encoding")))
+    return None if encoding in ("UTF8", "SQL_ASCII") else encoding  # the latter takes bytes as they come
+
+
 def is_read_only(error: sa.exc.DBAPIError) -> bool:
     """Whether the connection is one to a standby, or began while writes were forbidden, which another may not be."""
     return getattr(error.orig, "sqlstate", None) == "25006"
