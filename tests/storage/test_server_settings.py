@@ -194,7 +194,7 @@ def test_a_database_that_could_not_is_refused_and_one_that_was_made_says_what_it
     encoded_as: Callable[[str], str], data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = encoded_as("LATIN1")
-    with pytest.raises(SetupError, match="LATIN1.*ENCODING 'UTF8'"):
+    with pytest.raises(SetupError, match=r"LATIN1.*ENCODING 'UTF8'"):
         open_store(url, data)
     with monkeypatch.context() as patch:  # as an earlier version did
         patch.setattr(dialect, "encoding_of", lambda connection: None)
