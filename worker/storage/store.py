@@ -183,10 +183,11 @@ class SqlStore:
 
     def tend(self) -> None:
         """What is done now and then: make the reserve for deletions where it is missing, count among the services of
-        the database again, and finish calls that could not be finished."""
+        the database again, and finish deletions and calls that could not be finished."""
         if self._database.space is not None:
             self._database.space.restore()
         self._peers.rejoin()
+        self.removals.finish_late()
         with suppress(DiskFull, StorageFailed):
             self.calls.finish_late()
 
