@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -71,6 +71,10 @@ class DescribeJobs(Protocol):
 
     def release(self, claim: Claim) -> None:
         """Put a job back without counting the attempt."""
+        ...
+
+    def take_back(self, worker: str, held: Collection[str], *, describe: bool) -> int:
+        """Put back jobs of a worker, to describe or of maps, that it does not hold; returns how many."""
         ...
 
     def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
@@ -193,8 +197,12 @@ class Loop:
     def run(self) -> None:
         """Describe images until `stop`; an error with one image fails that image's job, never the loop."""
         underway: list[_Underway] = []
+        unsure = False  # whether jobs may be claimed that this worker does not know of
         while not self._stopping.is_set():
             try:
+                if unsure:
+                    self._jobs.take_back(self._name, [item.claim.job_id for item in underway], describe=True)
+                    unsure = False
                 if self._trouble.error is None or not underway:
                     self._take(AHEAD * self._batch - len(underway), underway)
                 if underway:
@@ -209,9 +217,11 @@ class Loop:
                     self._awake.wait(IDLE_S)
                     self._awake.clear()
             except STORAGE_ERRORS as error:
+                unsure = True
                 self._stopping.wait(self._trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
+                unsure = True
                 self._stopping.wait(IDLE_S)
         for item in underway:
             self._put_back(item)
@@ -230,8 +240,12 @@ class Loop:
     def _run_map_jobs(self) -> None:
         """Run jobs of maps; when none waits, compare views and prune; until `stop`."""
         pruned = -PRUNE_EVERY_S
+        unsure = False  # whether a job may be claimed that nobody does
         while not self._stopping.is_set():
             try:
+                if unsure:
+                    self._jobs.take_back(self._name, (), describe=False)
+                    unsure = False
                 claim = self._jobs.claim_map_job(self._name, _now())
                 if claim is not None:
                     with bound(job_id=claim.job_id, map=claim.map):
@@ -247,9 +261,11 @@ class Loop:
                     self._map_awake.wait(MAP_WORK_EVERY_S)
                 self._map_awake.clear()
             except STORAGE_ERRORS as error:
+                unsure = True
                 self._stopping.wait(self._map_trouble.begins(error))
             except Exception:
                 log.exception("the worker goes on after a failure of its own")
+                unsure = True
                 self._stopping.wait(IDLE_S)
 
     def _take(self, count: int, underway: list[_Underway]) -> None:

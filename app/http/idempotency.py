@@ -85,10 +85,10 @@ async def once(
         except RevisitError as error:
             response = problem_of(error, request_id(request))
     except BaseException:
-        await curator.abandon_call(key)
+        await _abandon(curator, key)
         raise
     if response.status_code >= 500 or response.status_code == 429:
-        await curator.abandon_call(key)
+        await _abandon(curator, key)
         return response
     kept = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}
     try:
@@ -97,3 +97,11 @@ async def once(
         # The work is done and durable; only its answer could not be remembered, so it is no failure.
         logger.warning("answer not remembered: %s", error, extra={"event": "answer_not_remembered"})
     return response
+
+
+async def _abandon(curator: Curator, key: str) -> None:
+    """Forget a call that failed; where that cannot be stored now, the answer to the caller says why it failed."""
+    try:
+        await curator.abandon_call(key)
+    except RevisitError as error:
+        logger.warning("a call that failed is forgotten later: %s", error, extra={"event": "call_not_forgotten"})

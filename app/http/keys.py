@@ -2,9 +2,10 @@
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
+from functools import partial
 from typing import Annotated, Protocol
 
 from fastapi import Depends, Request
@@ -24,6 +25,9 @@ FAILURES = 30
 """Requests a minute with a wrong key, or none, that an address is answered 401; those beyond are answered 429."""
 
 UNREADABLE_RETRY_S = 5
+
+OPEN_PATIENCE_S = 0.1
+"""Seconds that a path which needs no key waits for the keys to be read: probes are answered within half a second."""
 
 
 class Keys(Protocol):
@@ -93,6 +97,7 @@ class KeyGate:
                 return
             access = ANONYMOUS
         scope["state"]["access"] = access
+        scope["state"]["check_again"] = partial(self._check_again, headers, scope["method"], path)
         now = self._now()
         if not self._keys.is_noted(access, now):
             self._thread.submit(self._note, access, now)
@@ -100,7 +105,7 @@ class KeyGate:
 
     async def _access(self, headers: Headers, client: str | None) -> Access:
         """What the sender of a request may do; a failure counts against `client`, if any."""
-        ring = self._keys.fresh() or await self._read()
+        ring = self._keys.fresh() or await self._read(OPEN_PATIENCE_S if client is None else None)
         if not ring.closed:
             return UNRESTRICTED
         try:
@@ -114,11 +119,22 @@ class KeyGate:
                 ) from None
             raise
 
-    async def _read(self) -> KeyRing:
-        """Read the keys once for all requests that wait for them."""
+    async def _check_again(self, headers: Headers, method: str, path: str) -> None:
+        """Raise what a request would be refused with if it came now: an answer may take longer than its key lasts."""
+        ring = self._keys.fresh() or await self._read(None)
+        if ring.closed:
+            _check(ring.access(presented(headers), self._now()), demand(method, path))
+
+    async def _read(self, patience_s: float | None) -> KeyRing:
+        """Read the keys once for all requests that wait for them; raises Unavailable after `patience_s`."""
         if self._reading is None or self._reading.done():
             self._reading = asyncio.create_task(self._read_once())
-        return await asyncio.shield(self._reading)
+            self._reading.add_done_callback(lambda task: task.exception())  # which nobody may be waiting for any more
+        reading = self._reading
+        await asyncio.wait([reading], timeout=patience_s)
+        if not reading.done():
+            raise Unavailable("the keys have not been read yet", UNREADABLE_RETRY_S)
+        return reading.result()
 
     async def _read_once(self) -> KeyRing:
         try:
@@ -179,3 +195,12 @@ async def _access(request: Request) -> Access:
 
 Accesses = Annotated[Access, Depends(_access)]
 """What the caller may do."""
+
+
+async def _check_again(request: Request) -> Callable[[], Awaitable[None]]:
+    check: Callable[[], Awaitable[None]] = request.state.check_again
+    return check
+
+
+ChecksAgain = Annotated[Callable[[], Awaitable[None]], Depends(_check_again)]
+"""Raises what the request would be refused with if it came now, for answers that last."""

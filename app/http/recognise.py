@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
@@ -11,7 +12,7 @@ from functools import partial
 from app.http import enrolment_presenters, presenters
 from app.http.waiter import settled
 from schemas import wire
-from schemas.errors import RevisitError
+from schemas.errors import RevisitError, StorageFailed
 from schemas.records import Filters, ViewAttributes
 from worker.service.enroll import Accepted, EnrollService
 from worker.service.query import QueryService
@@ -109,7 +110,8 @@ class Recogniser:
         try:
             if wait and accepted.submitted.job_id is not None and not hopeless:
                 describing = time.perf_counter()
-                view = await settled(self._settlements, accepted.submitted.view.id, until)
+                with suppress(StorageFailed):  # while it waits: the view is durable, and described later
+                    view = await settled(self._settlements, accepted.submitted.view.id, until)
                 waited_ms = (time.perf_counter() - describing) * 1000
                 accepted = replace(accepted, timing_ms={**accepted.timing_ms, "describe": waited_ms})
             return enrolment_presenters.enrolled(await asyncio.to_thread(self._enroll.outcome, accepted, view))

@@ -22,6 +22,9 @@ class Disk:
         view = SimpleNamespace(image=SimpleNamespace(sha256="0"))
         return [SimpleNamespace(job_id=one, view=SimpleNamespace(id=one, image=view.image)) for one in ids]
 
+    def take_back(self, worker: str, held: Any, *, describe: bool) -> int:
+        return 0
+
     def claim_map_job(self, worker: str, now: object) -> None:
         return None
 
@@ -35,12 +38,11 @@ class Disk:
         self.released.add(claim.job_id)
 
 
-@pytest.mark.parametrize("refusals", [0, 1, 3])
-def test_a_job_whose_image_cannot_be_read_is_put_back_also_when_that_fails_at_first(refusals: int) -> None:
-    disk = Disk(refusals)
-    loop = Loop(
-        jobs=cast(Any, disk),
-        views=disk,
+def looping(store: Any) -> Loop:
+    """A loop that has nothing but a store."""
+    return Loop(
+        jobs=store,
+        views=store,
         pruning=cast(Any, SimpleNamespace(prune=lambda: 0)),
         scheduler=cast(Any, None),
         describers=cast(Any, None),
@@ -51,8 +53,49 @@ def test_a_job_whose_image_cannot_be_read_is_put_back_also_when_that_fails_at_fi
         batch=1,
         trouble=StoringTrouble("descriptions", 0.01),
     )
+
+
+@pytest.mark.parametrize("refusals", [0, 1, 3])
+def test_a_job_whose_image_cannot_be_read_is_put_back_also_when_that_fails_at_first(refusals: int) -> None:
+    disk = Disk(refusals)
+    loop = looping(disk)
     loop.start()
     try:
         until(lambda: disk.released == {"first", "second"})
+    finally:
+        loop.stop()
+
+
+class Unsure:
+    """A store whose connection breaks in the first claim of either kind, once that was committed."""
+
+    def __init__(self) -> None:
+        self.free, self.running = {True, False}, set[bool]()  # of describe jobs, and of jobs of maps
+
+    def _claim(self, describe: bool) -> None:
+        if describe in self.free:
+            self.free.remove(describe)
+            self.running.add(describe)
+            raise StorageFailed("the connection broke")
+
+    def claim(self, worker: str, count: int) -> list[Any]:
+        self._claim(True)
+        return []
+
+    def claim_map_job(self, worker: str, now: object) -> None:
+        self._claim(False)
+
+    def take_back(self, worker: str, held: Any, *, describe: bool) -> int:
+        assert list(held) == []
+        self.running.discard(describe)
+        return 1
+
+
+def test_what_was_claimed_in_a_transaction_of_unknown_end_is_taken_back() -> None:
+    store = Unsure()
+    loop = looping(store)
+    loop.start()
+    try:
+        until(lambda: not store.free and not store.running)
     finally:
         loop.stop()

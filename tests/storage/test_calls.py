@@ -1,12 +1,80 @@
-"""A call whose first attempt cannot have an answer any more is not refused for a day."""
+"""Calls with an Idempotency-Key whose end cannot be stored: they do not seem to run for a day."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
+from typing import Any
 
 import pytest
 
 from schemas.errors import Conflict, StorageFailed
+from schemas.records import Replay
 from tests.storage.material import NOW
+from worker.storage.database import Database
 from worker.storage.store import SqlStore
+
+DONE = Replay(201, {"Location": "/views/1"}, b"{}")
+
+
+@contextmanager
+def refusing(monkeypatch: pytest.MonkeyPatch, *, committed: bool = False) -> Iterator[None]:
+    """A database that cannot be written; `committed`: it is, but nobody learns of it."""
+    usual = Database.writing
+
+    @contextmanager
+    def writing(database: Database, **how: Any) -> Iterator[Any]:
+        if committed:
+            with usual(database, **how) as connection:
+                yield connection
+        raise StorageFailed("away")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Database, "writing", writing)
+        yield
+
+
+def test_a_call_that_failed_while_nothing_could_be_stored_is_forgotten_later(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.calls.begin("key", "fingerprint", NOW)
+    with refusing(monkeypatch), pytest.raises(StorageFailed):
+        store.calls.abandon("key")
+    assert store.calls.begin("key", "fingerprint", NOW) is None  # at once, where the caller comes back to this process
+    with refusing(monkeypatch), pytest.raises(StorageFailed):
+        store.calls.abandon("key")
+    store.tend()
+    with store._database.reading() as connection:
+        assert list(connection.exec_driver_sql("SELECT key FROM calls")) == []
+
+
+def test_an_answer_that_could_not_be_stored_is_stored_later(store: SqlStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    store.calls.begin("key", "fingerprint", NOW)
+    with refusing(monkeypatch):
+        with pytest.raises(StorageFailed):
+            store.calls.end("key", DONE, NOW)
+        store.tend()
+    store.tend()
+    assert store.calls.begin("key", "fingerprint", NOW) == DONE
+
+
+def test_a_beginning_of_which_nobody_knows_whether_it_was_stored_is_forgotten(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with refusing(monkeypatch, committed=True), pytest.raises(StorageFailed):
+        store.calls.begin("key", "fingerprint", NOW)
+    assert store.calls.begin("key", "fingerprint", NOW.replace(second=1)) is None
+    with pytest.raises(Conflict):  # which runs
+        store.calls.begin("key", "fingerprint", NOW.replace(second=2))
+
+
+def test_of_two_calls_with_a_key_the_one_that_runs_is_not_forgotten_for_the_other(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.calls.begin("key", "fingerprint", NOW)
+    with refusing(monkeypatch), pytest.raises(StorageFailed):
+        store.calls.begin("key", "fingerprint", NOW.replace(second=1))
+    with pytest.raises(Conflict):
+        store.calls.begin("key", "fingerprint", NOW.replace(second=2))
 
 
 def test_a_call_that_cannot_have_an_answer_any_more_may_be_tried_again(store: SqlStore) -> None:
@@ -15,20 +83,3 @@ def test_a_call_that_cannot_have_an_answer_any_more_may_be_tried_again(store: Sq
     with pytest.raises(Conflict):
         store.calls.begin("key", "fingerprint", NOW + timedelta(minutes=9))
     assert store.calls.begin("key", "fingerprint", NOW + timedelta(minutes=10)) is None
-
-
-def test_a_call_that_could_not_be_deleted_when_it_failed_may_be_tried_again(
-    store: SqlStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store.calls.begin("key", "fingerprint", NOW)
-    with monkeypatch.context() as away:
-        away.setattr(store._database, "open", _away)
-        with pytest.raises(StorageFailed):
-            store.calls.abandon("key")
-    assert store.calls.begin("key", "fingerprint", NOW) is None
-    with pytest.raises(Conflict):
-        store.calls.begin("key", "fingerprint", NOW)
-
-
-def _away() -> None:
-    raise StorageFailed("there is no connection to it")

@@ -21,6 +21,7 @@ from tests.storage.material import (
     finish,
     give_sign,
     image,
+    recipe,
 )
 from worker.storage.store import SqlStore, open_store
 
@@ -184,3 +185,32 @@ def test_an_index_that_follows_while_others_write_misses_nothing(reopen: Open) -
     describe_all(store)
     assert follower.catch_up().vectors == Follower(store).catch_up().vectors
     assert len(follower.vectors) == 3 * 12
+
+
+def test_jobs_that_their_worker_does_not_know_of_go_back(store: SqlStore) -> None:
+    """As when the connection broke while the claim was committed."""
+    views = [enroll(store, name).view for name in ("gate", "pond", "hall")]
+    held, _, others = store.jobs.claim("mine", 1), store.jobs.claim("mine", 1), store.jobs.claim("other", 1)
+    snapshot = store.jobs.queue_snapshot("campus", NOW)
+    assert store.jobs.claim_map_job("mine", NOW) is not None
+
+    assert store.jobs.take_back("mine", [held[0].job_id], describe=True) == 1
+    [again] = store.jobs.claim("mine", 5)
+    assert (again.view.id, again.attempts) == (views[1].id, 1)
+    assert store.jobs.get(snapshot.id).state == "running"
+    for claim in (*held, *others, again):
+        finish(store, claim)
+
+    assert store.jobs.take_back("mine", [], describe=True) == 0
+    assert store.jobs.take_back("mine", [], describe=False) == 1
+    taken = store.jobs.claim_map_job("mine", NOW)
+    assert taken is not None
+    assert (taken.job_id, store.jobs.get(snapshot.id).attempts) == (snapshot.id, 1)
+
+
+def test_the_jobs_of_a_recipe_switch_run_without_a_worker_and_are_not_taken_back(store: SqlStore) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    job = store.jobs.switch_recipe("campus", recipe("paper"), NOW)
+    assert store.jobs.take_back("mine", [], describe=False) == 0
+    assert store.jobs.get(job.id).state == "running"

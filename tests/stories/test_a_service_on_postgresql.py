@@ -1,5 +1,6 @@
 """The same service with its rows in PostgreSQL: killed, and through a database server that goes away and comes back."""
 
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -7,11 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psycopg
 import pytest
+import sqlalchemy as sa
 
 from tests.sample_images import photo
 from tests.storage.databases import PostgresServer, postgres_schema
+from tests.stories.importing import ZIP, ended, zipped
 from tests.stories.running import RunningService, worker
+from tests.stories.test_a_database_fails_over import USER
+from tests.waiting import until
+from worker.storage.again import PAUSES_S
 
 pytestmark = pytest.mark.one_database("it has databases of its own")
 
@@ -92,5 +99,49 @@ def test_while_the_database_server_is_away_callers_are_told_and_then_served(
         server.start()
         until_ready(client)
         assert found(client, 1) == before
+        assert client.post("/enroll", content=photo(2), headers=JPEG).status_code == 201
+        assert "Traceback" not in "".join(service.output)
+
+
+def test_a_job_goes_on_after_the_database_server_was_away(tmp_path: Path, server: PostgresServer) -> None:
+    """For longer than the worker tries to put it back: it would be nobody's then, and seem to run for ever."""
+    with (
+        RunningService(tmp_path, REVISIT_DATABASE=server.url) as service,
+        httpx.Client(base_url=service.url, timeout=40) as client,
+    ):
+        body = zipped({f"{number}.jpg": photo(number) for number in range(60)})
+        job = client.post("/maps/walk/imports", content=body, headers=ZIP).json()["id"]
+        until(lambda: (client.get(f"/jobs/{job}").json()["progress"] or {"done": 0})["done"] > 0)
+        server.stop()
+        time.sleep(3 * sum(PAUSES_S))
+        server.start()
+        until_ready(client)
+        told = ended(client, job)
+        assert (told["state"], told["result"]["enrolled"]) == ("done", 60)
+
+
+def test_a_server_that_becomes_a_standby_is_told_and_written_again_once_promoted(
+    tmp_path: Path, server: PostgresServer
+) -> None:
+    folder = Path(str(sa.make_url(server.url).query["host"]))
+    with (
+        RunningService(tmp_path, REVISIT_DATABASE=server.url, REVISIT_LEASE_S="2") as service,
+        httpx.Client(base_url=service.url, timeout=40) as client,
+    ):
+        assert client.post("/enroll", content=photo(1), headers=JPEG).status_code == 201
+        before = found(client, 1)
+        server.stop()
+        (folder / "standby.signal").touch()
+        if USER is not None:
+            shutil.chown(folder / "standby.signal", USER)
+        server.start()
+        refused = client.post("/enroll", content=photo(2), headers=JPEG)
+        assert (refused.status_code, refused.json()["type"]) == (503, "urn:revisit:problem:unavailable")
+        assert "standby" in refused.json()["detail"]
+        until(lambda: client.get("/readyz").status_code == 503)
+        assert found(client, 1) == before
+        with psycopg.connect(server.url) as connection:
+            connection.execute("SELECT pg_promote()")
+        until_ready(client)
         assert client.post("/enroll", content=photo(2), headers=JPEG).status_code == 201
         assert "Traceback" not in "".join(service.output)

@@ -13,6 +13,8 @@ import pytest
 
 from app.http.application import create_app
 from schemas.description import Description
+from schemas.errors import StorageFailed
+from schemas.records import ViewRecord
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.sample_images import photo
@@ -155,3 +157,17 @@ def test_callers_who_wait_are_answered_when_waiting_is_given_up(
     caller.join(PATIENCE_S)
     assert answers == [202]
     assert client.post("/enroll", content=photo(2), headers=JPEG).status_code == 202
+
+
+def test_an_enrolment_whose_wait_breaks_off_is_acknowledged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The view is durable by then: an error would say that nothing is left of it."""
+    runtime = build(settings(tmp_path))
+
+    def away(view_id: str) -> ViewRecord:
+        raise StorageFailed("the database server cannot be asked")
+
+    with CheckedClient(create_app(runtime)) as client:
+        monkeypatch.setattr(runtime.settlements, "look", away)
+        kept = client.post("/enroll", content=photo(1), headers=JPEG)
+        assert kept.status_code == 202, kept.text
+        until(lambda: is_done(client, kept.json()["job"]))

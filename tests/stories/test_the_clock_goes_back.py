@@ -8,7 +8,8 @@ import pytest
 
 from tests.preloading import compiled
 from tests.sample_images import photo
-from tests.stories.running import RunningService
+from tests.stories.importing import ZIP, ended, photos, zipped
+from tests.stories.running import RunningService, worker
 
 JPEG = {"content-type": "image/jpeg"}
 HOUR_S = 3600
@@ -56,3 +57,18 @@ def test_the_view_of_a_moment_ago_is_not_matched_after_a_jump_of_the_clock(tmp_p
         again = client.post("/enroll", content=photo(seed=1), headers=JPEG | {"Idempotency-Key": "first"})
         assert again.headers["idempotent-replayed"] == "true"
         assert client.get("/readyz").status_code == 200
+
+
+def test_an_import_by_a_worker_whose_clock_is_behind_tells_what_it_enrolled(tmp_path: Path) -> None:
+    clock = tmp_path / "clock"
+    clock.write_text(str(-HOUR_S))
+    library = compiled(Path(__file__).with_name("faked_clock.c"), tmp_path)
+    data = tmp_path / "data"
+    with (
+        RunningService(data, False, REVISIT_INLINE_WORKER="false") as service,
+        worker(data, LD_PRELOAD=str(library), FAKED_CLOCK=str(clock)),
+        httpx.Client(base_url=service.url, timeout=30) as client,
+    ):
+        job = client.post("/maps/walk/imports", content=zipped(photos(3)), headers=ZIP).json()["id"]
+        told = ended(client, job)["result"]
+        assert (told["enrolled"], told["already_there"]) == (3, 0)

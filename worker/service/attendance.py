@@ -44,8 +44,8 @@ class AttendedStore(Protocol):
         """Signs of life."""
         ...
 
-    def keep_reserve(self) -> None:
-        """Make the reserve for deletions where it is missing and there is room."""
+    def tend(self) -> None:
+        """Do what is due now and then."""
         ...
 
 
@@ -127,7 +127,7 @@ class Attendance:
             working=None if loop is None else lambda: loop.alive,
             serving=me.kind == "serve",
             every_s=lease_s / ROUNDS,
-            each_round=store.keep_reserve,
+            each_round=store.tend,
             on_freed=(lambda: None) if loop is None else loop.wake_all,
         )
 

@@ -256,14 +256,14 @@ class _Run:
             self._tell()
         try:
             read = reading.result()
-            view = read.view
+            view, created = read.view, False
             if read.problem is not None:
                 if self._refuse_poor:
                     raise PoorImage(read.problem)
                 self._report.poor += 1
             if view is None:
                 one = self._importer.submit(self._claim, read.data, read.attributes, read.image, self._refuse_poor)
-                view = one.view
+                view, created = one.view, one.created
         except (*STORAGE_ERRORS, LeaseLost, EncoderAway):
             raise
         except Repeated:
@@ -276,7 +276,7 @@ class _Run:
             self._fail(item.file, "malformed-body", str(error))
             return
         # A run after a crash finds views that an earlier run of the same job enrolled.
-        own = view.enrolled_at >= self._began and view.id not in self._seen
+        own = (created or view.enrolled_at >= self._began) and view.id not in self._seen
         self._seen.add(view.id)
         self._describing.append(_Describing(item.file, view.id, own, 3 * view.image.width * view.image.height))
 

@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import datetime, timedelta
 
 import sqlalchemy as sa
 
-from schemas.errors import Conflict, Damaged, KeyReused, NotFound
+from schemas.errors import Conflict, Damaged, DiskFull, KeyReused, NotFound, StorageFailed
 from schemas.records import Replay
 from worker.storage import checksums
 from worker.storage.database import Database
@@ -18,16 +20,18 @@ from worker.storage.tables import CALLS, VOCABULARIES
 KEPT = timedelta(hours=24)
 
 GIVEN_UP = timedelta(minutes=10)
-"""Time after which a call without an answer no longer runs: its process was killed, or could not tell that it failed.
-Enrolling the same image twice makes one view."""
+"""Time after which a call without an answer no longer runs: its process was killed. Two enrolments of an image are one."""
 
 
 class Calls(Part):
-    """Calls by Idempotency-Key, kept for a day after they began."""
+    """Calls by Idempotency-Key, kept for a day after they began.
+
+    A call whose end cannot be stored would seem to run for that day: such ends are held and stored later.
+    """
 
     def __init__(self, database: Database, images: ImageStore) -> None:
         super().__init__(database, images)
-        self._failed: set[str] = set()  # of this process, which could not delete them
+        self._late: dict[str, Callable[[], None]] = {}
 
     def begin(self, key: str, fingerprint: str, now: datetime) -> Replay | None:
         """Claim an Idempotency-Key; returns the stored answer when the call has finished, None when it is new.
@@ -39,17 +43,16 @@ class Calls(Part):
         Conflict
             The first call with the key still runs.
         """
-        with self._database.writing() as connection:
+        if key in self._late:
+            self.finish_late()
+        mine = CALLS.c.key == key, CALLS.c.begun_at == now
+        with self._late_unless_done(key, lambda: self._delete(*mine)), self._database.writing() as connection:
             given_up = CALLS.c.finished_at.is_(None) & (CALLS.c.begun_at <= now - GIVEN_UP)
-            if key in self._failed:
-                given_up |= CALLS.c.finished_at.is_(None) & (CALLS.c.key == key)
             connection.execute(sa.delete(CALLS).where((CALLS.c.begun_at <= now - KEPT) | given_up))
             row = connection.execute(sa.select(CALLS).where(CALLS.c.key == key)).one_or_none()
             if row is None:
                 connection.execute(sa.insert(CALLS).values(key=key, fingerprint=fingerprint, begun_at=now))
-        self._failed.discard(key)
-        if row is None:
-            return None
+                return None
         if row.fingerprint != fingerprint:
             raise KeyReused(f"the Idempotency-Key {key!r} came before with another request; take a new key")
         if row.finished_at is None:
@@ -60,24 +63,40 @@ class Calls(Part):
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:
         """Store the answer to a call."""
-        with self._database.writing(in_turn=False) as connection:
-            connection.execute(
-                sa.update(CALLS)
-                .where(CALLS.c.key == key)
-                .values(
-                    finished_at=now,
-                    status=int(replay.status),
-                    headers=as_json(dict(replay.headers)),
-                    body=bytes(replay.body),
-                )
-            )
+        kept = {
+            "status": int(replay.status), "headers": as_json(dict(replay.headers)), "body": bytes(replay.body),
+        }  # fmt: skip
+        ended = sa.update(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None))
+        with self._late_unless_done(key, lambda: self._end(ended.values(finished_at=now, **kept))):
+            self._end(ended.values(finished_at=now, **kept))
 
     def abandon(self, key: str) -> None:
-        """Delete an unfinished call that failed, so that it can be tried again, at once where that is not possible."""
-        self._failed.add(key)
+        """Delete an unfinished call that failed, so that it can be tried again."""
+        with self._late_unless_done(key, lambda: self._delete(CALLS.c.key == key)):
+            self._delete(CALLS.c.key == key)
+
+    def finish_late(self) -> None:
+        """Store the ends of calls that could not be stored; raises DiskFull, StorageFailed as long as they cannot."""
+        for key, store in list(self._late.items()):
+            store()
+            self._late.pop(key, None)
+
+    @contextmanager
+    def _late_unless_done(self, key: str, store: Callable[[], None]) -> Iterator[None]:
+        try:
+            yield
+        except (DiskFull, StorageFailed):
+            self._late[key] = store
+            raise
+        self._late.pop(key, None)
+
+    def _end(self, ended: sa.Update) -> None:
+        with self._database.writing(in_turn=False) as connection:
+            connection.execute(ended)
+
+    def _delete(self, *which: sa.ColumnElement[bool]) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:
-            connection.execute(sa.delete(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None)))
-        self._failed.discard(key)
+            connection.execute(sa.delete(CALLS).where(*which, CALLS.c.finished_at.is_(None)))
 
 
 class Vocabularies(Part):

@@ -111,6 +111,8 @@ class Database:
             # SQLite says of a used-up quota, and of a disk that is full when it is synced, only that there is an error.
             if isinstance(problem, StorageFailed) and self.space is not None and self.space.refused():
                 problem = DiskFull(FULL.format("database"))
+            if isinstance(error, sa.exc.DBAPIError) and dialect.is_read_only(error):
+                self.engine.dispose()  # another connection may find the server that takes writes, or that this one does
             self.trouble = problem.detail
             raise problem from error
 

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,9 @@ from schemas.errors import SetupError
 
 BUSY_S = 60
 """Seconds that a writer waits for its turn."""
+
+READS_WAIT_S = 10
+"""Seconds that a reader of PostgreSQL waits for a lock. Only `LOCK TABLE` and what changes tables keep readers out."""
 
 SILENT_S = 10
 """Seconds after which PostgreSQL ends a writing transaction whose process says nothing: it was stopped, or cut off."""
@@ -45,14 +49,29 @@ _IN_A_MOMENT = {
     "57P02": "it crashed",
     "57P03": "it is starting",
     "53300": "it has no connection left",
-    "25006": "it is a standby and takes no writes",
+    "25006": "it takes no writes: it is a standby, or its default_transaction_read_only is on",
     "40001": "others changed the same rows",
     "40P01": "others waited for the same rows",
     "25P03": "this process was silent for too long while it wrote",
 }
 
+_REFUSES = {
+    "57014": "it cut a statement short (its statement_timeout, or somebody by hand)",
+    "25P04": "its transaction_timeout is shorter than a transaction",
+    "42501": "its user may not do this any more",
+    "53200": "it is out of memory",
+    "58030": "its disk reports an error",
+}
+"""What whoever runs the server has to see to. Others of `_OPERATORS` are told in the server's words."""
+
+_OPERATORS = ("28", "3D", "3F", "42501", "42P01", "53", "57", "58", "25P04")
+"""Beginnings of codes of which no statement of ours is the reason: rights, names, resources, operators, the system."""
+
 _OVER = frozenset({"40001", "40P01"})
 """Codes that say of a transaction, whatever it was doing, that nothing of it is kept."""
+
+_FATAL = re.compile(r"\bFATAL:\s+(.*)")
+_NAMED = re.compile(r"( for| of)?( user| role| database)? \"[^\"]*\"")
 
 
 def make_engine(url: str) -> sa.Engine:
@@ -80,9 +99,23 @@ def make_engine(url: str) -> sa.Engine:
 
 
 def _postgresql(url: sa.URL) -> sa.Engine:
-    patience = {name: value for name, value in SERVER_GONE.items() if name not in url.query}
+    patience = {
+        name: value for name, value in {**SERVER_GONE, "client_encoding": "utf8"}.items() if name not in url.query
+    }
     url = url.set(drivername="postgresql+psycopg")
     engine = sa.create_engine(url, max_overflow=-1, pool_pre_ping=True, connect_args=patience)
+
+    @sa.event.listens_for(engine, "connect")
+    def prepare(connection: Any, _: object) -> None:
+        connection.autocommit = True
+        connection.execute(_session())
+        connection.autocommit = False
+
+    @sa.event.listens_for(engine, "checkout")
+    def may_be_read_only(connection: Any, *_: object) -> None:
+        # SQLAlchemy would say READ WRITE once a transaction was READ ONLY. A standby has no code of its own for that,
+        # and it would override what is set for the server.
+        connection.read_only = None
 
     @sa.event.listens_for(engine, "before_cursor_execute")
     def choose_format(
@@ -92,6 +125,16 @@ def _postgresql(url: sa.URL) -> sa.Engine:
             cursor.format = 1  # psycopg.pq.Format.BINARY
 
     return engine
+
+
+def _session() -> str:
+    """What a connection begins with, whatever is set for the server, the database or the user: what was acknowledged is
+    durable, times can be read, and no reader waits without end."""
+    return (
+        f"SELECT set_config('lock_timeout', '{round(1000 * READS_WAIT_S)}', false), "
+        "set_config('datestyle', 'ISO', false), "
+        "set_config('synchronous_commit', replace(current_setting('synchronous_commit'), 'off', 'on'), false)"
+    )
 
 
 def _sqlite(url: sa.URL) -> sa.Engine:
@@ -269,8 +312,37 @@ def server_trouble(error: sa.exc.DBAPIError) -> str | None:
     if state in _IN_A_MOMENT:
         return _IN_A_MOMENT[state]
     if state is None or error.connection_invalidated:
-        return "there is no connection to it" if isinstance(error, sa.exc.OperationalError) else None
+        if not isinstance(error, sa.exc.OperationalError):
+            return None
+        said = _FATAL.search(str(error.orig))  # names of users and databases are not for callers
+        return "there is no connection to it" + (f" ({_NAMED.sub('', said[1])})" if said else "")
     return "there is no connection to it" if state[:2] == "08" else None
+
+
+def server_refusal(error: sa.exc.DBAPIError) -> str | None:
+    """What whoever runs PostgreSQL has to see to before it does this again, in words; None for other errors."""
+    state = getattr(error.orig, "sqlstate", None) or ""
+    if not state.startswith(_OPERATORS):
+        return None
+    return _REFUSES.get(state) or f"it says {error.orig.diag.message_primary!r}"  # type: ignore[union-attr]
+
+
+def lacks_characters(error: sa.exc.DBAPIError) -> bool:
+    """Whether the encoding of the database has no code for a character."""
+    return getattr(error.orig, "sqlstate", None) == "22P05"
+
+
+def encoding_of(connection: sa.Connection) -> str | None:
+    """The encoding of a PostgreSQL database that cannot hold every character; None for others."""
+    if connection.dialect.name != "postgresql":
+        return None
+    encoding = str(connection.scalar(sa.text("SHOW server_encoding")))
+    return None if encoding in ("UTF8", "SQL_ASCII") else encoding  # the latter takes bytes as they come
+
+
+def is_read_only(error: sa.exc.DBAPIError) -> bool:
+    """Whether the connection is one to a standby, or began while writes were forbidden, which another may not be."""
+    return getattr(error.orig, "sqlstate", None) == "25006"
 
 
 def kept_nothing(error: sa.exc.DBAPIError, *, sent: bool) -> bool:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import sqlalchemy as sa
 
-from schemas.errors import Damaged, DiskFull, RevisitError, StorageFailed
+from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from worker.storage import dialect
 from worker.storage.again import RolledBack
 
@@ -21,12 +21,21 @@ _SQLITE = {
 _FILES = frozenset({errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENODEV, errno.ENXIO, errno.EMFILE})
 
 FULL = "the disk of the {} is full, or a quota of it; free some space or delete views"
+SERVER_FULL = (
+    "the disk of the database server is full; whoever runs it should make room there: deletions may fail until then, "
+    "queries work, the service goes on by itself"
+)
 DAMAGED = (
     "the file of the database is damaged ({}): whoever runs the service should stop it, then run "
     "`./revisit doctor --repair` or restore a backup"
 )
 AWAY = "the database server cannot be asked: {}; try again in a moment, the service goes on by itself"
-BUSY = "the database was being written by others for {} s; try again in a moment"
+REFUSES = "the database server refuses: {}; whoever runs it should see to that, the service goes on by itself"
+BUSY = "the database was being written by others, or locked, for too long; try again in a moment"
+ENCODING = (
+    "the encoding of the database{} lacks characters; whoever runs the service should move it to one made with "
+    "`CREATE DATABASE ... ENCODING 'UTF8' TEMPLATE template0`"
+)
 FAILED = "the {} cannot be written or read: {}; see to the disk, the service goes on by itself"
 
 
@@ -42,16 +51,22 @@ def problem_of(error: BaseException, what: str, *, sent: bool = True) -> Revisit
         Whether the server may have been told to commit; else it is RolledBack where it is StorageFailed by the server.
     """
     if dialect.is_full(error):
-        return DiskFull(FULL.format(what))
+        server = getattr(getattr(error, "orig", None), "sqlstate", None) is not None
+        return DiskFull(SERVER_FULL if server else FULL.format(what))
     if isinstance(error, sa.exc.DBAPIError):
         if dialect.is_damaged(error):
             return Damaged(DAMAGED.format(error.orig))
+        if dialect.lacks_characters(error):
+            return SetupError(ENCODING.format(""))
         if dialect.is_busy(error):
-            return StorageFailed(BUSY.format(dialect.BUSY_S))
+            return StorageFailed(BUSY)
         trouble = dialect.server_trouble(error)
         if trouble is not None:
             kept_nothing = dialect.kept_nothing(error, sent=sent)
             return (RolledBack if kept_nothing else StorageFailed)(AWAY.format(trouble))
+        refusal = dialect.server_refusal(error)
+        if refusal is not None:
+            return StorageFailed(REFUSES.format(refusal))
         code = (getattr(error.orig, "sqlite_errorcode", 0) or 0) & 0xFF
         return StorageFailed(FAILED.format(what, _SQLITE[code])) if code in _SQLITE else None
     if isinstance(error, OSError) and error.errno in _FILES:

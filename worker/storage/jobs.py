@@ -1,14 +1,15 @@
 """Describe jobs: claimed by a worker, finished once, failed after three attempts."""
 
 import secrets
+from collections.abc import Collection
 from datetime import datetime
-from typing import Any
+from typing import Any, get_args
 
 import sqlalchemy as sa
 
 from schemas.description import Description
 from schemas.errors import Damaged, LeaseLost
-from schemas.records import Claim, MapClaim
+from schemas.records import Claim, JobKind, MapClaim
 from worker.storage import clock, forgetting, switching
 from worker.storage.descriptions import keep_description
 from worker.storage.part import Part
@@ -134,6 +135,17 @@ class Jobs(Part):
     def release(self, claim: Claim) -> None:
         """Put a job back without counting the attempt; does nothing when the claim is void."""
         self._put_back(claim)
+
+    def take_back(self, worker: str, held: Collection[str], *, describe: bool) -> int:
+        """Put back jobs of a worker, to describe or of maps, that it does not hold; returns how many.
+
+        It never learned that its claim was committed, or could not put them back.
+        """
+        kinds = [kind for kind in get_args(JobKind) if (kind == "describe") == describe]
+        lost = JOBS.c.kind.in_(kinds), JOBS.c.state == "running", JOBS.c.worker == worker, JOBS.c.token.is_not(None)
+        with self._database.writing(in_turn=False, frees=True) as connection:
+            back = {"state": "waiting", "worker": None, "token": None, "attempts": JOBS.c.attempts - 1}
+            return connection.execute(sa.update(JOBS).where(*lost, JOBS.c.id.not_in(held)).values(**back)).rowcount
 
     def _put_back(self, claim: Claim | MapClaim) -> None:
         with self._database.writing(in_turn=False, frees=True) as connection:

@@ -99,16 +99,11 @@ class MapJobs(Jobs):
     # claims
 
     def claim_map_job(self, worker: str, now: datetime) -> MapClaim | None:
-        """Claim the oldest job of a map that waits; a job at most three times.
-
-        A worker does one such job at a time. What it is said to do while it asks for one it could neither end nor put
-        back, because the database was away, and goes on with now.
-        """
+        """Claim the oldest job of a map that waits; a job at most three times."""
         waits = (JOBS.c.kind == "shadow") | (
             JOBS.c.kind.in_(("vocabulary", "snapshot", "import")) & JOBS.c.recipe.is_(None)
         )
-        left = (JOBS.c.state == "running") & JOBS.c.token.is_not(None) & (JOBS.c.worker == worker)
-        mine = sa.select(JOBS).where(waits, (JOBS.c.state == "waiting") | left).order_by(JOBS.c.number).limit(1)
+        mine = sa.select(JOBS).where(waits, JOBS.c.state == "waiting").order_by(JOBS.c.number).limit(1)
         with self._database.reading() as connection:
             if connection.execute(mine).first() is None:
                 return None
@@ -116,10 +111,12 @@ class MapJobs(Jobs):
             job = connection.execute(mine.with_for_update(skip_locked=True)).one_or_none()
             if job is None:
                 return None
-            if job.attempts < ATTEMPTS or job.state == "running":
-                token, attempts = secrets.token_hex(16), job.attempts + (job.state == "waiting")
-                held = {"state": "running", "worker": worker, "token": token, "attempts": attempts}
-                connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**held))
+            if job.attempts < ATTEMPTS:
+                token = secrets.token_hex(16)
+                held = {"state": "running", "worker": worker, "token": token}
+                connection.execute(
+                    sa.update(JOBS).where(JOBS.c.number == job.number).values(attempts=JOBS.c.attempts + 1, **held)
+                )
                 name = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == job.map_id))
                 return MapClaim(job.id, job.kind, token, str(name))
             _fail(connection, job, now, ("worker-died", WORKER_DIED))

@@ -12,6 +12,7 @@ from alembic.script import ScriptDirectory
 from schemas.errors import SetupError
 from worker.storage import dialect, vector_tables
 from worker.storage.database import Database
+from worker.storage.disk_errors import ENCODING
 from worker.storage.locks import MIGRATE, USE, FolderLock, held
 
 SCRIPTS = Path(__file__).parent / "migrations"
@@ -130,9 +131,17 @@ def _upgrade(database: Database, data: Path, share: FolderLock, *, allowed: bool
 
 
 def create(database: Database) -> None:
-    """Bring the tables of a database that nobody else uses to this version."""
+    """Bring the tables of a database that nobody else uses to this version.
+
+    Raises
+    ------
+    SetupError
+        It is empty, and could not hold every character.
+    """
     config = _config()
     with database.writing() as connection:  # all or nothing: both databases roll back changes of tables
+        if current(connection) is None and (encoding := dialect.encoding_of(connection)) is not None:
+            raise SetupError(ENCODING.format(f", {encoding},"))
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
 

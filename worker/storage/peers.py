@@ -4,6 +4,7 @@ In PostgreSQL these are advisory locks, which end with their connection; with SQ
 locks on files of the data folder.
 """
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ from worker.storage import dialect
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
 from worker.storage.locks import held
+
+log = logging.getLogger("revisit")
 
 SCHEMA = "hashtext('revisit ' || current_schema())"
 """First key of all of these locks: the services of a schema are those of one database."""
@@ -58,20 +61,22 @@ class Peers:
     def __init__(self, database: Database) -> None:
         self._engine = database.engine
         self._connection: sa.Connection | None = None
+        self._belongs = False
 
     @contextmanager
     def joined(self) -> Iterator[bool]:
         """Join the services of the database; yields whether there is no other, and none joins during the block.
 
-        A SQLite file has one service: the lock of its data folder sees to that. A service whose connection broke no
-        longer counts.
+        A SQLite file has one service: the lock of its data folder sees to that. A service whose connection broke does
+        not count before it noticed (`rejoin`).
         """
         if dialect.is_file(self._engine):
             yield True
             return
         self.leave()
+        self._belongs = True
         with translated("database"):
-            self._connection = self._engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+            self._connect()
             alone = bool(self._ask("pg_try_advisory_lock"))
             if not alone:  # waits for one that cleans up
                 self._ask("pg_advisory_lock_shared")
@@ -83,8 +88,34 @@ class Peers:
                     self._ask("pg_advisory_lock_shared")
                     self._ask("pg_advisory_unlock")
 
+    def rejoin(self) -> None:
+        """Join again if the connection broke, as when the server was started anew; else do nothing."""
+        if not self._belongs:
+            return
+        try:
+            if self._connection is not None:
+                self._connection.execute(sa.text("SELECT 1"))
+                return
+        except sa.exc.DBAPIError:
+            self._drop()
+        try:
+            self._connect()
+            if self._ask("pg_try_advisory_lock_shared"):
+                return
+        except sa.exc.DBAPIError as error:  # whatever else uses the database tells of it
+            log.debug("this service does not count among those of its database yet: %s", error)
+        self._drop()  # or somebody cleans up at this moment
+
     def leave(self) -> None:
         """Leave them; a second time does nothing."""
+        self._belongs = False
+        self._drop()
+
+    def _connect(self) -> None:
+        self._connection = self._engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+        self._connection.execute(sa.text("SET lock_timeout = 0"))
+
+    def _drop(self) -> None:
         if self._connection is not None:
             self._connection.invalidate()
             self._connection.close()

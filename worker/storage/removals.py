@@ -1,12 +1,15 @@
 """Deletion: complete, and in portions, so that other writers do not wait for a large one."""
 
-from collections.abc import Callable, Collection, Sequence
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import NamedTuple
 
 import sqlalchemy as sa
 
+from schemas.errors import DiskFull, StorageFailed
 from schemas.records import Filters
 from schemas.removal import Holding, Removal
 from worker.storage import clock, switching
@@ -17,7 +20,7 @@ from worker.storage.image_files import Discarded
 from worker.storage.image_store import ImageStore
 from worker.storage.kept_queries import drop_oldest
 from worker.storage.part import Part
-from worker.storage.rows import find_map, find_view
+from worker.storage.rows import find_map, find_view, log
 from worker.storage.tables import DAY_SCORES, DESCRIPTIONS, JOBS, KEPT_QUERIES, MAPS, VIEWS
 
 PORTION = 200
@@ -43,6 +46,8 @@ class Removals(Part):
     ) -> None:
         super().__init__(database, images)
         self._holding = holding
+        self._unfinished: set[int] = set()
+        self._finishing: threading.Thread | None = None
 
     def delete_view(self, view_id: str) -> Removal:
         """Remove a view completely; raises NotFound."""
@@ -66,8 +71,11 @@ class Removals(Part):
     def delete_map(self, name: str) -> Removal:
         """Remove a map, its views and their images; raises NotFound."""
 
+        taken: list[int] = []
+
         def take_name(connection: sa.Connection) -> tuple[int, list[str]]:
             map_id = int(find_map(connection, name).id)
+            taken[:] = [map_id]
             # So that a later map of this name begins after every index of this one.
             clock.tick(connection, map_id)
             # Without a name no call finds it; its views are deleted next, or by recovery after a crash.
@@ -77,7 +85,35 @@ class Removals(Part):
             connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
             return map_id, making
 
-        return self.clear(*self._database.freeing(take_name))
+        with self._finished_later(taken):  # whose end may be unknown
+            nameless = self._database.freeing(take_name)
+        return self.clear(*nameless)
+
+    def finish_late(self) -> None:
+        """Finish deletions of maps that broke off in this process, in a thread of its own; returns at once."""
+        if self._unfinished and (self._finishing is None or not self._finishing.is_alive()):
+            self._finishing = threading.Thread(target=self._finish, name="revisit-removing", daemon=True)
+            self._finishing.start()
+
+    def _finish(self) -> None:
+        for map_id in list(self._unfinished):
+            try:
+                with self._database.reading() as connection:
+                    named = connection.scalar(sa.select(MAPS.c.name).where(MAPS.c.id == map_id)) is not None
+                if named:  # it was never deleted
+                    self._unfinished.discard(map_id)
+                else:
+                    self.clear(map_id)
+            except (DiskFull, StorageFailed) as error:
+                log.info("a deletion that broke off is finished later: %s", error.detail)
+
+    @contextmanager
+    def _finished_later(self, map_ids: Collection[int]) -> Iterator[None]:
+        try:
+            yield
+        except (DiskFull, StorageFailed):
+            self._unfinished.update(map_ids)
+            raise
 
     def clear_deleted_maps(self) -> None:
         """Finish deletions of maps that a crash interrupted."""
@@ -87,7 +123,16 @@ class Removals(Part):
             self.clear(map_id)
 
     def clear(self, map_id: int, making: Sequence[str] = ()) -> Removal:
-        """Remove a map without a name, by its number; `making`: its snapshots that were being made until now."""
+        """Remove a map without a name, by its number; `making`: its snapshots that were being made until now.
+
+        What breaks off is finished later, see `finish_late`.
+        """
+        with self._finished_later([map_id]):
+            removal = self._clear(map_id, making)
+        self._unfinished.discard(map_id)
+        return removal
+
+    def _clear(self, map_id: int, making: Sequence[str]) -> Removal:
         portions = []
         queries = 0
         while portion_of := self._database.freeing(

@@ -146,7 +146,7 @@ class Restoring(Part, again=False):
         try:
             self._removals.clear(restoration.map_id)
         except Exception:
-            log.exception("what was restored so far is removed at the next start")
+            log.exception("what was restored so far is removed later, or at the next start")
 
 
 def _check_view(view: SnapshotView, numbers: list[int], images: set[bytes], ids: set[str], keep_images: bool) -> None:

@@ -181,10 +181,15 @@ class SqlStore:
             connection.execute(sa.insert(CALLS), probe)
             connection.execute(sa.delete(CALLS).where(CALLS.c.key == PROBE))
 
-    def keep_reserve(self) -> None:
-        """Make the reserve for deletions where it is missing and there is room."""
+    def tend(self) -> None:
+        """What is done now and then: make the reserve for deletions where it is missing, count among the services of
+        the database again, and finish deletions and calls that could not be finished."""
         if self._database.space is not None:
             self._database.space.restore()
+        self._peers.rejoin()
+        self.removals.finish_late()
+        with suppress(DiskFull, StorageFailed):
+            self.calls.finish_late()
 
     def close(self) -> None:
         """Close connections and release the data folder; a second time does nothing."""

@@ -66,10 +66,11 @@ class VectorIndexing(Part, again=False):
             if not connection.scalar(sa.text(f"SELECT pg_try_advisory_lock({TURN})")):
                 yield None
                 return
+            connection.execute(sa.text("SET lock_timeout = 0"))  # an index is built once nobody uses what it replaces
             try:
                 yield connection
             finally:
-                connection.execute(sa.text(f"SELECT pg_advisory_unlock({TURN})"))
+                connection.invalidate()  # with its lock, and not into the pool
 
     def _next(self, connection: sa.Connection) -> bool:
         there = _indexes(connection)

@@ -13,7 +13,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import SetupError
+from schemas.errors import SetupError, StorageFailed
 from worker.storage.columns import UtcDateTime
 from worker.storage.database import Database
 from worker.storage.tables import VECTORS
@@ -155,8 +155,8 @@ def _make(database: Database) -> str | None:
                 for statement in _REFERENCES:
                     connection.execute(sa.text(statement))
             return _installed(connection)
-    except sa.exc.ProgrammingError as error:
-        said = getattr(error.orig, "diag", None)
+    except StorageFailed as error:
+        said = getattr(getattr(error.__cause__, "orig", None), "diag", None)
         if said is None or said.sqlstate != "42501":  # insufficient privilege
             raise
         raise SetupError(

@@ -1,6 +1,5 @@
 """`/jobs`: work in the background."""
 
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -9,7 +8,7 @@ from fastapi.sse import EventSourceResponse
 
 from app.http.dependencies import Curates, JobId, Lifecycles, no_parameters
 from app.http.job_events import job_events
-from app.http.keys import Accesses, check_map
+from app.http.keys import Accesses, ChecksAgain, check_map
 from app.http.openapi import refusals
 from app.http.parameters import ListJobs
 from schemas.errors import Forbidden
@@ -69,12 +68,17 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
         **refusals("not-found"),
     },
 )
-async def follow_job(job_id: JobId, curator: Curates, lifecycle: Lifecycles) -> Response:
+async def follow_job(job_id: JobId, curator: Curates, lifecycle: Lifecycles, check_again: ChecksAgain) -> Response:
     """The job now, then again whenever its state or progress changes; ends when the job has ended.
 
-    The stream also ends when the service stops: connect again.
+    The stream also ends when the service stops, or the key no longer does: connect again.
     """
-    events = job_events(await curator.job(job_id), partial(curator.job, job_id), lambda: lifecycle.draining)
+
+    async def look() -> Job:
+        await check_again()
+        return await curator.job(job_id)
+
+    events = job_events(await curator.job(job_id), look, lambda: lifecycle.draining)
     # Proxies such as nginx would hold events back until they fill a buffer.
     return EventSourceResponse(events, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
 

@@ -1,0 +1,61 @@
+"""Keys that cannot be read, and keys that are lost while an answer lasts."""
+
+import threading
+import time
+from datetime import UTC, datetime
+
+import pytest
+
+from schemas.keys import KeyRecord
+from tests.http.fakes import FakeRuntime
+from tests.keys_in_memory import KeyMaker
+from tests.openapi import CheckedClient
+
+
+def test_probes_do_not_wait_for_keys_that_cannot_be_read() -> None:
+    """A database server that stands still; the service is alive all the same."""
+    keys = KeyMaker()
+    keys.make("operator", "admin")
+    answering = threading.Event()
+    read = keys.store.all
+
+    def stands_still() -> list[KeyRecord]:
+        answering.wait(30)
+        return read()
+
+    keys.store.all = stands_still  # type: ignore[method-assign]
+    with CheckedClient(FakeRuntime(keys=keys.service).app()) as client:
+        try:
+            for path in ("/livez", "/readyz", "/version", "/"):
+                keys.seconds += 1
+                began = time.perf_counter()
+                assert client.get(path).status_code == 200
+                assert time.perf_counter() - began < 0.5
+        finally:
+            answering.set()
+
+
+@pytest.mark.parametrize("change", ["revoked", "first"])
+def test_events_end_once_their_key_does_not_do_any_more(change: str) -> None:
+    keys = KeyMaker()
+    runtime = FakeRuntime(keys=keys.service)
+    runtime.recogniser.job_states = ["running"] * 20 + ["done"]
+    key = keys.make("robot", "read") if change == "revoked" else None
+
+    def lose() -> None:
+        time.sleep(0.3)
+        if change == "revoked":
+            keys.service.revoke("robot", datetime.now(UTC))
+        else:
+            keys.make("operator", "admin")
+        keys.seconds += 1
+
+    losing = threading.Thread(target=lose)
+    with CheckedClient(runtime.app()) as client:
+        headers = {} if key is None else {"x-api-key": key}
+        losing.start()
+        answer = client.get("/jobs/j9/events", headers=headers)
+        losing.join()
+        assert answer.status_code == 200
+        assert answer.text.count("event: job") == 1
+        assert client.get("/jobs/j9/events", headers=headers).status_code == 401
