@@ -20,7 +20,7 @@ from worker.storage.tables import CALLS, VOCABULARIES
 KEPT = timedelta(hours=24)
 
 GIVEN_UP = timedelta(minutes=10)
-"""Time after which a call without an answer no longer runs: its process was killed. Two enrolments of an image are one."""
+"""After which a call without an answer no longer runs: its process was killed. Two enrolments of an image are one."""
 
 
 class Calls(Part):
