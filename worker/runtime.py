@@ -146,10 +146,9 @@ class Runtime:
 
     def start(self) -> None:
         """Clean up after a crash, then start the scheduler and the loop."""
-        if self.serving:  # a worker would delete the calls that the service is answering
-            self.store.recover()
+        alone = self.serving and self.store.recover()  # a worker would delete the calls that the service is answering
         self.decoder.start()
-        self.attendance.start()
+        self.attendance.start(alone=alone)
         self.scheduler.start()
         if self.loop is not None:
             self.loop.start()

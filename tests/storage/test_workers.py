@@ -23,7 +23,6 @@ def watching(store: SqlStore, freed: Mock | None = None, me: WorkerRecord | None
         store.workers,
         me or this_process("worker"),
         working=lambda: True,
-        serving=False,
         every_s=3600,
         each_round=lambda: None,
         on_freed=freed or Mock(),
@@ -100,6 +99,31 @@ def test_an_image_that_ends_three_workers_is_given_up(store: SqlStore) -> None:
     assert store.jobs.claim("worker", 1) == []
     view = store.views.get(submitted.view.id)
     assert (view.state, view.failure and view.failure[0]) == ("failed", "worker-died")
+
+
+def test_what_a_service_left_goes_back_at_once_where_another_begins_alone(store: SqlStore) -> None:
+    """A container that was killed, and started again: nobody on that machine can see that its process is gone."""
+    enroll(store, "gate")
+    store.workers.beat(replace(FAR, kind="serve"), NOW)
+    store.jobs.claim(FAR.name, 1)
+    next_one = watching(store, me=this_process("serve"))
+    next_one.start(alone=True)
+    assert len(store.jobs.claim("next", 1)) == 1
+    next_one.stop()
+
+
+def test_two_services_with_workers_of_their_own_leave_each_other_their_jobs(store: SqlStore) -> None:
+    enroll(store, "gate")
+    other = replace(FAR, kind="serve")
+    store.workers.beat(other, NOW)
+    [claim] = store.jobs.claim(FAR.name, 1)
+    mine = watching(store, me=this_process("serve"))
+    mine.start(alone=False)
+    for _ in range(3 * ROUNDS):
+        store.workers.beat(other, NOW)
+        mine._round()
+    mine.stop()
+    finish(store, claim)
 
 
 def test_a_worker_that_stops_takes_itself_out(store: SqlStore) -> None:

@@ -89,8 +89,6 @@ class Attendance:
         This process, from `this_process`.
     working : function or None
         Whether this process's worker works; None when it has none and only watches.
-    serving : bool
-        Whether this is the one process that serves: another of that kind is a dead predecessor.
     every_s : float
         Seconds between rounds.
     each_round : function
@@ -105,12 +103,11 @@ class Attendance:
         me: WorkerRecord,
         *,
         working: Callable[[], bool] | None,
-        serving: bool,
         every_s: float,
         each_round: Callable[[], None],
         on_freed: Callable[[], None],
     ) -> None:
-        self._rows, self._me, self._working, self._serving = rows, me, working, serving
+        self._rows, self._me, self._working = rows, me, working
         self._every_s, self._each_round, self._on_freed = every_s, each_round, on_freed
         self._seen: dict[str, tuple[int, int]] = {}  # name: (count, rounds that it stood still)
         self._fresh: dict[str, float] = {}  # name: when its count last moved, of a monotonic clock
@@ -125,7 +122,6 @@ class Attendance:
             store.workers,
             me,
             working=None if loop is None else lambda: loop.alive,
-            serving=me.kind == "serve",
             every_s=lease_s / ROUNDS,
             each_round=store.tend,
             on_freed=(lambda: None) if loop is None else loop.wake_all,
@@ -141,9 +137,15 @@ class Attendance:
         """Number of workers that are alive, as far as is known."""
         return max(self._alive, int(self._working is not None and self._working()))
 
-    def start(self) -> None:
-        """Give the first sign of life, then go on in a thread."""
-        self._round()
+    def start(self, *, alone: bool = False) -> None:
+        """Give the first sign of life, then go on in a thread.
+
+        Parameters
+        ----------
+        alone : bool
+            Whether no other service uses the database: the workers of services in it are dead predecessors then.
+        """
+        self._round(alone)
         self._thread.start()
 
     def stop(self) -> None:
@@ -161,7 +163,7 @@ class Attendance:
         while not self._ended.wait(self._every_s):
             self._round()
 
-    def _round(self) -> None:
+    def _round(self, alone: bool = False) -> None:
         now = datetime.now(UTC)
         try:
             self._each_round()
@@ -169,7 +171,7 @@ class Attendance:
                 rows = self._rows.present()
             else:
                 rows = self._rows.beat(self._me, now)
-            dead = self._dead(rows)
+            dead = self._dead(rows, alone)
             if self._rows.bury(dead, now):
                 self._on_freed()
             if dead:
@@ -181,7 +183,7 @@ class Attendance:
             self._seen = {}
             log.exception("signs of life could not be exchanged")
 
-    def _dead(self, rows: list[WorkerRecord]) -> set[str]:
+    def _dead(self, rows: list[WorkerRecord], alone: bool) -> set[str]:
         seen, self._seen = self._seen, {}
         fresh, now = self._fresh, time.monotonic()
         dead = set()
@@ -189,7 +191,7 @@ class Attendance:
             count, still = seen.get(row.name, (-1, 0))
             self._seen[row.name] = row.beats, still + 1 if count == row.beats else 0
             mine = row.name == self._me.name
-            predecessor = self._serving and row.kind == "serve"
+            predecessor = alone and row.kind == "serve"
             if not mine and (predecessor or self._gone(row) or self._seen[row.name][1] >= ROUNDS):
                 dead.add(row.name)
         self._fresh = {

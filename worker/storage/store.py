@@ -119,18 +119,25 @@ class SqlStore:
         self.uploads.discard(job_id)
         self.snapshots.drop_draft(job_id)
 
-    def recover(self) -> None:
+    def recover(self) -> bool:
         """Clean up after a crash: delete unfinished calls, maps, snapshots and images, and uploads without a job;
         finish deletions.
 
         Only for the `serve` process of a data folder, before its first call: it would delete running calls too. While
         other services use the database, what is in it may be theirs, and is left alone.
+
+        Returns
+        -------
+        bool
+            Whether there is no other service; False where that is not known.
         """
         try:
             with self._peers.joined() as alone:
                 self._clean_up(alone)
+                return alone
         except (DiskFull, StorageFailed) as error:  # queries can be answered all the same
             log.error("what a crash left could not be cleaned up: %s; the next start tries again", error.detail)
+            return False
 
     def _clean_up(self, alone: bool) -> None:
         left = CALLS.c.finished_at.is_(None)
