@@ -67,13 +67,11 @@ class Calls(Part):
             "status": int(replay.status), "headers": as_json(dict(replay.headers)), "body": bytes(replay.body),
         }  # fmt: skip
         ended = sa.update(CALLS).where(CALLS.c.key == key, CALLS.c.finished_at.is_(None))
-        with self._late_unless_done(key, lambda: self._end(ended.values(finished_at=now, **kept))):
-            self._end(ended.values(finished_at=now, **kept))
+        self._store(key, lambda: self._end(ended.values(finished_at=now, **kept)))
 
     def abandon(self, key: str) -> None:
         """Delete an unfinished call that failed, so that it can be tried again."""
-        with self._late_unless_done(key, lambda: self._delete(CALLS.c.key == key)):
-            self._delete(CALLS.c.key == key)
+        self._store(key, lambda: self._delete(CALLS.c.key == key))
 
     def finish_late(self) -> None:
         """Store the ends of calls that could not be stored; raises DiskFull, StorageFailed as long as they cannot."""
@@ -81,8 +79,14 @@ class Calls(Part):
             store()
             self._late.pop(key, None)
 
+    def _store(self, key: str, store: Callable[[], None]) -> None:
+        """Store the end of a call now, or later where that cannot be done."""
+        with self._late_unless_done(key, store):
+            store()
+
     @contextmanager
     def _late_unless_done(self, key: str, store: Callable[[], None]) -> Iterator[None]:
+        """Remember `store` for later where the block cannot be stored."""
         try:
             yield
         except (DiskFull, StorageFailed):

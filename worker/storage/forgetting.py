@@ -1,8 +1,8 @@
 """Maps that keep no images: an image is removed once its view is described.
 
 A view that is not described, or is to be by another recipe too, or whose description was damaged, keeps its image, for
-it is needed. Which images are
-removed is decided by `image_store.needs_image` alone, so that what a crash leaves is swept at the next start.
+it is needed. Which images are removed is decided by `image_store.needs_image` alone, so that what a crash leaves is
+swept at the next start.
 """
 
 from typing import Any
