@@ -7,12 +7,14 @@ from typing import Any
 
 import cv2
 import httpx
+import psutil
 import pytest
 
 from tests.drawn_videos import frames, video
 from tests.sample_images import encoded
 from tests.stories.importing import ZIP, ended, photos, zipped
 from tests.stories.running import RunningService
+from worker.images.apart.video import Video
 
 MP4 = {"content-type": "video/mp4"}
 
@@ -139,9 +141,15 @@ def test_a_stop_waits_for_no_frame_that_is_far(tmp_path: Path) -> None:
         assert client.post("/maps/walk/imports?every=60s", content=body, headers=MP4).status_code == 202
         while client.get("/maps/walk").json()["views"]["ready"] < 1:
             time.sleep(0.01)
-        began = time.monotonic()
-        service.stop()
-        assert time.monotonic() - began < 10
+        [decoder] = [process for process in psutil.Process(service.pid).children() if Video.CHILD in process.cmdline()]
+        decoder.suspend()  # the next frame never comes
+        try:
+            began = time.monotonic()
+            service.stop()
+            assert time.monotonic() - began < 10
+        finally:
+            if decoder.is_running():
+                decoder.kill()
     assert any((tmp_path / "data" / "imports").iterdir())  # to be gone on with
 
 

@@ -115,7 +115,7 @@ class Importer:
                     report.files_without_row += note.problem == "no-row"
                     report.add(note)
                 exif = wanted_of_exif(items) if options.exif else frozenset()
-                run = _Run(self, claim, stopping, report, exif, bool(options.refuse_poor))
+                run = _Run(self, claim, stopping, report, exif, bool(options.refuse_poor), recording.close)
                 with ThreadPoolExecutor(1, "revisit-importing", initializer=step_aside) as thread:
                     thread.submit(copy_context().run, run.all, items).result()
             self._jobs.finish_import(claim, report.progress, asdict(report), _now())
@@ -220,9 +220,10 @@ class _Run:
         report: Report,
         exif: frozenset[str],
         refuse_poor: bool,
+        close: Callable[[], None],
     ) -> None:
         self._importer, self._claim, self._stopping, self._report = importer, claim, stopping, report
-        self._exif, self._refuse_poor = exif, refuse_poor
+        self._exif, self._refuse_poor, self._close = exif, refuse_poor, close
         self._began = importer.began(claim)
         self._seen: set[str] = set()
         self._describing: deque[_Describing] = deque()
@@ -237,8 +238,10 @@ class _Run:
                     self._import(item, reading)
                     while self._is_ahead():
                         self._await_oldest()
-            finally:
+            except BaseException:
                 threads.shutdown(wait=False, cancel_futures=True)
+                self._close()  # or else the threads, which are waited for, go on to the next frame of a video
+                raise
         while self._describing:
             self._await_oldest()
 

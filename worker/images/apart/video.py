@@ -46,10 +46,12 @@ class Video(ImageStream):
     BadBody, BodyTooLarge
     """
 
+    CHILD = "worker.images.apart.video_child"
+
     def __init__(
         self, path: Path, every_s: float, limits: Limits, deadline_s: float, listing: Path | None = None
     ) -> None:
-        super().__init__("worker.images.apart.video_child", path, every_s, limits.max_pixels, deadline_s)
+        super().__init__(self.CHILD, path, every_s, limits.max_pixels, deadline_s)
         try:
             known = self.listed(listing)
         except Ended as error:
