@@ -78,7 +78,7 @@ def alone(trial: Trial, service: ServiceRetriever) -> list[QueryResult]:
 
 
 def drive(
-    trial: Trial, answers: Sequence[QueryResult], images: Mapping[str, set[int]], order: Sequence[int]
+    trial: Trial, followed: Drives, answers: Sequence[QueryResult], images: Mapping[str, set[int]], order: Sequence[int]
 ) -> tuple[Counts, Counts]:
     """Follow the images in some order: counts of their verdicts alone, and of the drive's.
 
@@ -86,6 +86,8 @@ def drive(
     ----------
     trial : Trial
         Whose images are enrolled.
+    followed : Drives
+        That know of no drive yet.
     answers : sequence of QueryResult
         As `alone` gives them.
     images : mapping of view id to set of int
@@ -93,7 +95,7 @@ def drive(
     order : sequence of int
         Indices of the trial's queries.
     """
-    followed, counts = Drives(), [Counts(0, 0, 0), Counts(0, 0, 0)]
+    counts = [Counts(0, 0, 0), Counts(0, 0, 0)]
     for index in order:
         single = answers[index]
         results, decision, _ = followed.follow(("map", "drive"), FOREVER_S, single.results, single.decision)
@@ -179,12 +181,12 @@ def drives(service: ServiceRetriever, trial: Trial, seed: int) -> list[Counts]:
     """Counts of one map, for the columns of `HEADING` up to SeqSLAM's."""
     images = enrolled_in_order(trial, service)
     service.runtime.comparer.all()
-    answers = alone(trial, service)
+    answers, further = alone(trial, service), service.runtime.services.searcher.further
     in_order, jumble = orders(trial, seed)
     stops = stop_and_go(len(in_order), np.random.default_rng(seed))
     ways = (in_order, jumble, in_order[::-1], in_order[::2], stops)
     (single, driven), (_, jumbled), (_, back), second, standing = (
-        drive(trial, answers, images, order) for order in ways
+        drive(trial, Drives(further), answers, images, order) for order in ways
     )
     return [single, driven, jumbled, back, *second, *standing]
 

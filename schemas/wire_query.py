@@ -196,7 +196,9 @@ class DriveFacts(Answer):
     """What the images of a drive say together."""
 
     images: int = Field(description="Images that count, this one included; 1: the drive is new, or was forgotten.")
-    posterior: list[DrivePlace] = Field(description="Places of the candidates of this image, likeliest first.")
+    posterior: list[DrivePlace] = Field(
+        description="Places of the candidates of this image, likeliest first; those below .001 are left out."
+    )
     nowhere: float = Field(description="Probability that the image shows none of these places.", ge=0, le=1)
     single_frame_status: Literal["matched", "ambiguous", "no_match"] = Field(
         description="The verdict on this image alone."

@@ -358,7 +358,7 @@ def _services(
             kept=QueryKeeper(store.kept_queries, store.maps, blurring, scheduler, describers, decoder.decode),
             scores=scores,
             explanations=explanations,
-            drives=Drives(),
+            drives=Drives(searcher.further),
         ),
         searcher=searcher,
         views=ViewService(maps=store.maps, views=store.views, removals=store.removals, listings=store.listings),

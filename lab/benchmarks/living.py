@@ -34,7 +34,7 @@ from schemas.where import condition
 from worker.description.presets import Wanted, make_recipe
 from worker.method.decision import GROUPED, decide
 from worker.runtime import Runtime, build
-from worker.service.drives import DRIVEN, Drives
+from worker.service.drives import Drives
 from worker.storage.filter_cache import SETTLED_S
 from worker.storage.image_files import Images
 
@@ -77,7 +77,10 @@ class Bench:
     views: int
     repeats: int
     keep: Keep | None = None
-    drives: Drives = field(default_factory=Drives)
+    drives: Drives = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.drives = Drives(self.runtime.services.searcher.further)
 
     def search(self, filters: Filters | None = None, top: int = GROUPED) -> object:
         """A search for the image, from its description on."""
@@ -87,9 +90,8 @@ class Bench:
 
     def decided(self, drive: str | None) -> None:
         """What a query does after its description, as one of a drive or alone."""
-        top = GROUPED if drive is None else DRIVEN
         recipe = self.runtime.store.maps.get(MAP).description
-        results = self.runtime.services.searcher.search({MAP: Filters()}, recipe, self.descriptions[0], top=top)
+        results = self.runtime.services.searcher.search({MAP: Filters()}, recipe, self.descriptions[0], top=GROUPED)
         precision = results.recipe.ranking.precision
         decision = decide(
             results.ranking, results.levels, results.calibration, precision, searched=results.searched, shown=5

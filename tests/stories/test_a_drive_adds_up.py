@@ -9,10 +9,14 @@ import pytest
 
 from app.http.application import create_app
 from scenes import scene
+from schemas.records import Filters
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
 from tests.stories.photos import photo
-from worker.runtime import build
+from worker.method.decision import decide
+from worker.runtime import Runtime, build
+from worker.service.drives import Driven, Drives
+from worker.service.results import RankedResults
 
 pytestmark = pytest.mark.one_database("drives are kept in the memory of the service")
 
@@ -21,9 +25,13 @@ STREET = [0.0, 3.0, 6.0, 9.0, 12.0, 15.0]
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CheckedClient]:
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> Runtime:
     folder: Path = tmp_path_factory.mktemp("drive")
-    runtime = build(Settings(data=folder, encoder="compact", threads=1, compare=False))
+    return build(Settings(data=folder, encoder="compact", threads=1, compare=False))
+
+
+@pytest.fixture(scope="module")
+def client(runtime: Runtime) -> Iterator[CheckedClient]:
     with CheckedClient(create_app(runtime)) as running:
         street = scene("mill lane")
         for ahead in STREET:
@@ -147,3 +155,38 @@ def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:
     answer = put(client, 0.0, map="empty", drive="robot-5")
     assert (answer["status"], answer["drive"]["images"], answer["drive"]["posterior"]) == ("no_match", 0, [])
     assert answer["drive"]["nowhere"] == 1
+
+
+def told(results: RankedResults, driven: Driven) -> list[tuple[float, str]]:
+    """Probability and best view of each place."""
+    return [(place.probability, results.views[place.views[0]].view.id) for place in driven.posterior]
+
+
+def test_a_drive_finds_its_place_behind_the_views_that_an_image_has_already(
+    client: CheckedClient, runtime: Runtime
+) -> None:
+    searcher = runtime.services.searcher
+    looked_up: list[int] = []
+
+    def further(results: RankedResults, count: int) -> RankedResults:
+        looked_up.append(count)
+        return searcher.further(results, count)
+
+    def gone(results: RankedResults, count: int) -> RankedResults:
+        return results
+
+    few, many, deleted = Drives(further), Drives(further), Drives(gone)
+    for ahead in [*STREET, *reversed(STREET)]:
+        image = runtime.services.query.query(
+            photo(scene("mill lane").seen_from(dx=0.6, ahead=ahead + 0.4, turn=14).at("dusk")), "default", keep=False
+        )
+        answers = []
+        for drives, top in ((few, 1), (many, len(STREET)), (deleted, 1)):
+            recipe = image.results.recipe.description
+            results = searcher.search({"default": Filters()}, recipe, image.description, top=top)
+            alone = decide(results.ranking, results.levels, results.calibration, 0.5, searched=results.searched)
+            results, decision, driven = drives.follow(("default", "robot"), 60, results, alone)
+            answers.append((decision.status, decision.confidence, results.views[0].view.id, told(results, driven)))
+        assert answers[0] == answers[1]
+        assert len(answers[2][-1]) == 1
+    assert max(looked_up, default=0) > 1

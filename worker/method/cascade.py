@@ -259,6 +259,10 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
         others = len(places.group([seqs[i] for i in rivals]))
     usual = _usual_dense(evidence)
+
+    def candidate(place: int) -> RankedCandidate:
+        return _candidate(evidence, score, parts, int(order[place]), usual)
+
     return Ranking(
         seqs=candidates.seqs[order],
         order=candidates.order[order],
@@ -272,8 +276,9 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
         others=others,
         rivals=tuple(rivals),
         cells={i: evidence.cells[row] for i, row in enumerate(order.tolist()) if row in evidence.cells},
-        first=tuple(_candidate(evidence, score, parts, int(row), usual) for row in order[:top]),
-        opposed=_candidate(evidence, score, parts, int(order[rivals[0]]), usual) if rivals else None,
+        first=tuple(map(candidate, range(min(top, len(seqs))))),
+        opposed=candidate(rivals[0]) if rivals else None,
+        candidate=candidate,
     )
 
 

@@ -1,6 +1,6 @@
 """Evidence about the candidates of a query, and the ranking that follows from it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -137,6 +137,8 @@ class Ranking:
         The first `top`.
     opposed : RankedCandidate or None
         The rival.
+    candidate : function
+        Any of them, by index, with its evidence.
     """
 
     seqs: Sequence64
@@ -153,6 +155,7 @@ class Ranking:
     cells: Mapping[int, Floats]
     first: tuple[RankedCandidate, ...]
     opposed: RankedCandidate | None
+    candidate: Callable[[int], RankedCandidate]
 
     @property
     def rival(self) -> int | None:

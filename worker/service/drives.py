@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,9 @@ from worker.service.results import RankedResults
 
 DRIVEN = 20
 """Views that an image of a drive may be decided for, at least; a single image decides for fewer."""
+
+LISTED = 1e-3
+"""Least probability of a view whose place is told of, the likeliest apart."""
 
 MOST = 1000
 """Drives that are followed at once; the one that was silent longest is forgotten first."""
@@ -40,7 +43,7 @@ class Driven:
     images : int
         That were followed, this one included; 1 when the drive is new, or was forgotten.
     posterior : tuple of PlaceProbability
-        Most probable first; indices into the views of the results.
+        Most probable first; indices into the views of the results. Places whose views hardly count are left out.
     single_status : str
         The verdict on this image alone.
     agreeing : int
@@ -83,12 +86,16 @@ class Drives:
 
     Parameters
     ----------
+    further : function
+        Results with so many of their candidates as views, or fewer where some are gone.
     now : function
         Seconds of a clock that never goes back.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now = now
+    def __init__(
+        self, further: Callable[[RankedResults, int], RankedResults], now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._further, self._now = further, now
         self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -115,7 +122,7 @@ class Drives:
         timeout_s : float
             The drive is forgotten when its last image is older.
         results : RankedResults
-            With `DRIVEN` views or more, if there are so many.
+            Its views are those of a single image; where the drive is for others, these are looked up.
         decision : Decision
             On the image alone.
         consistent : int, optional
@@ -140,9 +147,8 @@ class Drives:
             self._kept[key] = _Kept(call, before, _Path(drive, row), recipe, results.first_map.revision, now)
             while len(self._kept) > MOST:
                 self._kept.popitem(last=False)
-        posterior = _by_place(
-            results.ranking, len(results.views), dict(zip(single.seqs.tolist(), together, strict=True))
-        )
+        probability = dict(zip(single.seqs.tolist(), together.tolist(), strict=True))
+        results, posterior = self._together(results, probability)
         driven = Driven(drive.images, posterior, decision.status, row.images)
         if consistent is not None:
             return results, _consistent(decision, row.images, consistent), driven
@@ -150,7 +156,26 @@ class Drives:
         leaning = decision.status != "matched" and posterior[0].probability >= LIKELIER
         if drive.images == 1 or not (together_sure or leaning):
             return results, decision, driven
-        return _led(results, decision, driven, together_sure)
+        places = _by_place(results.ranking, len(results.views), len(results.views), probability, 0.0)
+        return _led(results, decision, driven, places, together_sure)
+
+    def _together(
+        self, results: RankedResults, probability: Mapping[int, float]
+    ) -> tuple[RankedResults, tuple[PlaceProbability, ...]]:
+        """Results with the views that count, and their places.
+
+        Most images are for views that they have already: looking up more takes longer than all the rest.
+        """
+        ranking = results.ranking
+        known = len(ranking.seqs) if not ranking.reranked else max(ranking.reranked, len(results.views))
+        count = min(known, max(DRIVEN, len(results.views)))
+        posterior = _by_place(ranking, count, len(results.views), probability)
+        needed = 1 + max(view for place in posterior for view in place.views)
+        if needed > len(results.views):
+            results = self._further(results, needed)
+            if needed > len(results.views):
+                posterior = _by_place(ranking, len(results.views), len(results.views), probability)
+        return results, posterior
 
     def _images(self, key: tuple[str, str]) -> int:
         with self._lock:
@@ -166,12 +191,12 @@ def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:
 
 
 def _led(
-    results: RankedResults, decision: Decision, driven: Driven, sure: bool
+    results: RankedResults, decision: Decision, driven: Driven, places: tuple[PlaceProbability, ...], sure: bool
 ) -> tuple[RankedResults, Decision, Driven]:
-    """The answer with the places of a drive in the order of their probability."""
-    order = [view for place in driven.posterior for view in place.views]
+    """The answer with its places in the order of their probability by the drive."""
+    order = [view for place in places for view in place.views]
     rank = {view: i for i, view in enumerate(order)}
-    places = tuple(PlaceProbability(p.probability, tuple(rank[view] for view in p.views)) for p in driven.posterior)
+    places = tuple(PlaceProbability(p.probability, tuple(rank[view] for view in p.views)) for p in places)
     views = tuple(results.views[i] for i in order)
     decided = replace(
         decision,
@@ -182,7 +207,8 @@ def _led(
         confidences=confidences(places),
     )
     rival = views[places[1].views[0]] if len(places) > 1 else None
-    return replace(results, views=views, rival=rival), decided, replace(driven, posterior=places)
+    driven = replace(driven, posterior=places[: len(driven.posterior)])
+    return replace(results, views=views, rival=rival), decided, driven
 
 
 def _single(results: RankedResults, decision: Decision) -> Single:
@@ -198,16 +224,23 @@ def _single(results: RankedResults, decision: Decision) -> Single:
     return Single(seqs[ascending], order[ascending], shared[ascending], results.searched)
 
 
-def _by_place(ranking: Ranking, count: int, probability: dict[int, float]) -> tuple[PlaceProbability, ...]:
-    """Probabilities of views, added up by place: a place is that of its likeliest view, and its neighbours' count for
-    it, as they are no rivals of it."""
+def _by_place(
+    ranking: Ranking, count: int, shown: int, probability: Mapping[int, float], least: float = LISTED
+) -> tuple[PlaceProbability, ...]:
+    """Probabilities of the first `count` views, added up by place: a place is that of its likeliest view, and its
+    neighbours' count for it, as they are no rivals of it.
+
+    Left out are places whose views are all below `least`, unless there is no other, and of the rest such views behind
+    the first `shown`.
+    """
     seqs = [int(seq) for seq in ranking.seqs[:count]]
-    left = sorted(range(count), key=lambda view: (-probability.get(seqs[view], 0.0), view))
-    places = []
-    while left:
-        best = seqs[left[0]]
-        near = {view for view in left if not ranking.places.apart(best, seqs[view])}
-        mass = sum(probability.get(seqs[view], 0.0) for view in near)
-        places.append(PlaceProbability(float(mass), tuple(view for view in left if view in near)))
+    each = [float(probability.get(seq, 0.0)) for seq in seqs]
+    left = sorted(range(count), key=lambda view: (-each[view], view))
+    places: list[PlaceProbability] = []
+    while left and (not places or each[left[0]] >= least):
+        best = left[0]
+        near = [view for view in left if not ranking.places.apart(seqs[best], seqs[view])]
+        told = tuple(view for view in near if view == best or view < shown or each[view] >= least)
+        places.append(PlaceProbability(sum(each[view] for view in near), told))
         left = [view for view in left if view not in near]
     return tuple(sorted(places, key=lambda place: -place.probability))

@@ -21,7 +21,7 @@ from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
 from worker.service import moving
 from worker.service.day_scores import ScoreKeeper
-from worker.service.drives import DRIVEN, Driven, Drives
+from worker.service.drives import Driven, Drives
 from worker.service.explanations import Explained, Explanations, headline
 from worker.service.keeping import QueryKeeper
 from worker.service.ports import Views
@@ -208,7 +208,7 @@ class QueryService:
         image = self._decode(data)
         decoded = time.perf_counter()
         found, described = self._searcher.describe_and_search(
-            image, wanted, describers, top=max(top, GROUPED if drive is None else DRIVEN), candidates=candidates
+            image, wanted, describers, top=max(top, GROUPED), candidates=candidates
         )
         decisions = [_decide(one.results, precision, top, candidates) for one in found]
         driven = None

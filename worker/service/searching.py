@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import takewhile
 
 import numpy as np
 
@@ -234,6 +235,13 @@ class Searcher:
             calibration=self._calibration(records[0]),
             timing_ms=watch.timing_ms(),
         )
+
+    def further(self, results: RankedResults, count: int) -> RankedResults:
+        """Results with so many of their candidates as views; they end before one that was deleted meanwhile."""
+        more = [results.ranking.candidate(index) for index in range(len(results.views), count)]
+        views = self._views.at([candidate.seq for candidate in more], results.recipe.description.id)
+        scored = (ScoredView(**vars(one), view=views[one.seq]) for one in takewhile(lambda one: one.seq in views, more))
+        return replace(results, views=(*results.views, *scored))
 
     def _levels_of(self, record: MapRecord) -> MapLevels:
         """What wrong answers get in a map; read once for each revision."""
