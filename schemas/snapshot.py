@@ -9,7 +9,7 @@ from schemas.blur import MOST_WORDS
 from schemas.recipe import DescriptionRecipe, RankingConfig
 
 FORMAT: Final = "revisit-snapshot"
-VERSION: Final = 1
+VERSION: Final = 2
 
 MAP_NAME = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
@@ -38,7 +38,7 @@ class SnapshotFacts(Line):
     """
 
     format: Literal["revisit-snapshot"] = FORMAT
-    version: Literal[1] = VERSION
+    version: Literal[1, 2] = VERSION
     id: str = Field(pattern="^[0-9a-f-]{36}$")
     map: str = Field(pattern=MAP_NAME)
     map_created_at: AwareDatetime
@@ -58,7 +58,7 @@ class SnapshotFacts(Line):
 
 
 class SnapshotDescription(Line):
-    """A description by the map's recipe; bodies as `worker.storage.packing` makes them, in Base64."""
+    """A description by the map's recipe; bodies as `worker.storage.packing` makes them; in version 1, Base64."""
 
     descriptor_count: Count
     static_share: Finite
@@ -70,8 +70,21 @@ class SnapshotDescription(Line):
     keypoints: Base64Bytes | None
 
 
-class SnapshotView(Line):
-    """A view; `number` orders views by enrolment and names them within the snapshot. `description` only when ready.
+class SnapshotSizes(Line):
+    """A description whose bodies, of so many bytes, stand one after another in a part of their own."""
+
+    descriptor_count: Count
+    static_share: Finite
+    nodes: Count
+    label_shares: Count
+    vectors: Count
+    appearances: Count
+    cells: Count
+    keypoints: Count | None
+
+
+class _View(Line):
+    """A view without its description; `number` orders views by enrolment and names them within the snapshot.
 
     The snapshot has its image, unless the map keeps none and the view is described.
     """
@@ -100,6 +113,17 @@ class SnapshotView(Line):
     state: Literal["pending", "ready", "failed"]
     failure_code: str | None
     failure_detail: str | None
+
+
+class SnapshotLine(_View):
+    """A view as a line of version 2; with a description only when it is ready."""
+
+    description: SnapshotSizes | None
+
+
+class SnapshotView(_View):
+    """A view with its description, when it is ready: a line of version 1."""
+
     description: SnapshotDescription | None
 
 

@@ -6,6 +6,7 @@ import random
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -79,7 +80,10 @@ def refuses(store: SqlStore, body: bytes) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        (b'"version":1', b'"version":2', "version 2; this program"),
+        (b'"version":2', b'"version":3', "version 3; this program"),
+        (b'"version":2', b'"version":1', "line 1 of its part views/000001.ndjson cannot be used"),
+        (b'"keypoints":112', b'"keypoints":999', "the description of the view"),
+        (b'"keypoints":112', b'"keypoints":0  ', "the description of the view"),
         (b'"format":"revisit-snapshot"', b'"format":"revisit-backups!"', "revisit-backups!"),
         (b'"map":"campus"', b'"map":"../pus"', "map"),
         (b'"views":5', b'"views":6', "6"),
@@ -101,14 +105,38 @@ def test_what_somebody_wrote_himself_is_read_with_care(
     assert elsewhere.maps.all() == []
 
 
-def forged(body: bytes) -> bytes:
-    """The same parts with another manifest."""
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda parts, at: parts.insert(at + 1, parts.pop(at)), "the description of the view"),
+        (lambda parts, at: parts.insert(at, parts[at]), "stands where number 1 belongs"),
+        (lambda parts, at: parts.pop(at), "the description of the view"),
+        (lambda parts, at: parts.pop(at + 1), "are of no views"),
+        (lambda parts, at: parts.insert(at, (parts[at][0], parts.pop(at)[1] + b"x")), "have not all"),
+    ],
+)
+def test_descriptions_and_views_that_do_not_fit_each_other_are_refused(
+    store: SqlStore, elsewhere: SqlStore, change: Callable[[list[tuple[str, bytes]], int], None], told: str
+) -> None:
+    filled(store)
+    path = elsewhere.snapshots.receiving("forged")
+    path.write_bytes(forged(made(store).read_bytes(), lambda parts: change(parts, 6)))
+
+    with pytest.raises(BadSnapshot, match=told):
+        elsewhere.restoring.restore(path, None, NOW)
+
+    assert elsewhere.maps.all() == []
+
+
+def forged(body: bytes, change: Callable[[list[tuple[str, bytes]]], None] = lambda parts: None) -> bytes:
+    """Its parts, changed, with a manifest that fits."""
     import hashlib
     import io
     import tarfile
 
     with tarfile.open(fileobj=io.BytesIO(body)) as tar:
         parts = [(one.name, tar.extractfile(one).read()) for one in tar]  # type: ignore[union-attr]
+    change(parts)
     lines = b"".join(
         json.dumps(
             {"name": name, "sha256": hashlib.sha256(part).hexdigest(), "size": len(part)}, separators=(",", ":")

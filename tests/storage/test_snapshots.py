@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
+from hypothesis import given, strategies as st
 
 from schemas.errors import Conflict, Damaged, NotFound
 from schemas.records import Filters, ViewAttributes
@@ -14,6 +15,9 @@ from tests.storage.carried import JOB, contents, filled, made, views
 from tests.storage.databases import data_folder, postgres_schema
 from tests.storage.material import NOW, describe_all, enroll, image
 from worker.service.snapshots import SnapshotService
+from worker.storage import snapshot_portions
+from worker.storage.snapshot_files import SnapshotReader
+from worker.storage.snapshot_portions import MOST_BYTES, MOST_VIEWS, SizedView, portions
 from worker.storage.store import SqlStore, open_store
 
 
@@ -72,7 +76,10 @@ def test_any_tar_program_can_look_into_it(store: SqlStore) -> None:
     assert sum(name.startswith("images/") for name in listed) == 5
 
 
-def test_it_is_the_map_of_one_moment_while_the_service_works(store: SqlStore, elsewhere: SqlStore) -> None:
+def test_it_is_the_map_of_one_moment_while_the_service_works(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(snapshot_portions, "MOST_VIEWS", 8)
     filled(store, 80)
     before = [view.id for view in views(store)]
     gone = before[-30]
@@ -110,6 +117,26 @@ def test_a_damaged_image_makes_no_snapshot_and_a_damaged_description_is_made_ane
     with pytest.raises(Damaged):
         made(store)
     assert [path.name for path in (data / "snapshots").iterdir()] == [f"{JOB}.snapshot"]
+
+
+def test_a_snapshot_of_version_1_is_restored_like_one_made_now(store: SqlStore, elsewhere: SqlStore) -> None:
+    old = Path(__file__).with_name("version-1.snapshot")
+    assert SnapshotReader(old).facts().version == 1
+    filled(store)
+
+    restored = elsewhere.restoring.restore(old, None, NOW)
+
+    assert (restored.views, restored.pending) == (5, 1)
+    assert contents(elsewhere) == contents(store)
+
+
+@given(st.lists(st.integers(1, 3 * MOST_BYTES), max_size=300))
+def test_portions_are_all_views_in_order_and_none_is_too_large(sizes: list[int]) -> None:
+    cut = list(portions([SizedView(seq, size) for seq, size in enumerate(sizes)]))
+
+    assert [seq for portion in cut for seq in portion] == list(range(len(sizes)))
+    assert all(1 <= len(portion) <= MOST_VIEWS for portion in cut)
+    assert all(len(portion) == 1 or sum(sizes[seq] for seq in portion) <= MOST_BYTES for portion in cut)
 
 
 def test_snapshots_are_listed_and_deleted_and_leftovers_swept(store: SqlStore, data: Path) -> None:

@@ -1,6 +1,7 @@
 """Snapshots: made in the background, kept, given away, restored."""
 
 import logging
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -12,6 +13,9 @@ from schemas.records import JobProgress, JobRecord, MapClaim
 from schemas.snapshot import RestoredMap, SnapshotRecord
 
 log = logging.getLogger("revisit.worker")
+
+TOLD_EVERY_S = 0.5
+"""Seconds between two reports of a job's progress; each is durable."""
 
 
 class SnapshotFiles(Protocol):
@@ -153,10 +157,15 @@ class SnapshotService:
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
         """Do a job of the kind ``snapshot`` until `stopping()` is true; an error fails the job."""
 
+        told = -TOLD_EVERY_S
+
         def tell(done: int, total: int) -> None:
+            nonlocal told
             if stopping():
                 raise _Stop
-            self._jobs.report(claim, JobProgress(done, total))
+            if done == total or time.monotonic() - told >= TOLD_EVERY_S:
+                self._jobs.report(claim, JobProgress(done, total))
+                told = time.monotonic()
 
         try:
             record = self._files.make(claim.map, claim.job_id, datetime.now(UTC), tell)

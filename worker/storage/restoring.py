@@ -31,7 +31,7 @@ from worker.storage.snapshot_files import (
     VOCABULARY,
     SnapshotReader,
 )
-from worker.storage.snapshot_rows import attributes, description_rows, facts, read_comparisons, read_lines
+from worker.storage.snapshot_rows import attributes, description_rows, facts, read_comparisons, read_views
 from worker.storage.tables import COMPARISONS, MAPS, VIEWS, VOCABULARIES
 
 TAKEN = "the map {!r} exists already; restore under another name (`as`), or delete that map first"
@@ -118,7 +118,7 @@ class Restoring(Part, again=False):
             elif part.name == VOCABULARY:
                 vocabulary = hashlib.sha256(part.body).hexdigest()
             elif part.name.startswith(VIEW_PARTS):
-                found = read_lines(part.name, part.body, told.description)
+                found = read_views(part, told)
                 taken = taken or self._are_taken([view.id for view in found])
                 for view in found:
                     _check_view(view, numbers, images, ids, told.keep_images)
@@ -194,7 +194,7 @@ class _Restoration:
         tensors = next((part.body for part in reader.parts(VOCABULARY)), None)
         self._make_map(tensors)
         for part in reader.parts(VIEW_PARTS):
-            views = read_lines(part.name, part.body, self._recipe)
+            views = read_views(part, self._told)
             with self._database.writing() as connection:
                 self._store_views(connection, views)
         # The rows are there, so that nobody removes an image that another map gives up meanwhile.

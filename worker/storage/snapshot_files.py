@@ -5,12 +5,13 @@ Its parts, in this order::
     snapshot.json             what it is: `schemas.snapshot.SnapshotFacts`
     vocabulary.safetensors    unless the vocabulary is one that revisit brings along
     images/<SHA-256>          images of a portion of views, then
-    views/000001.ndjson       these views with their descriptions, one a line; and so on
+    descriptions/000001.bin   bodies of their descriptions, one after another, then
+    views/000001.ndjson       these views, one a line, with the sizes of these bodies; and so on
     comparisons/000001.ndjson
     manifest.ndjson           name, size and SHA-256 of every part before it, one a line
     manifest.sha256           that of manifest.ndjson
 
-Nothing is compressed, and no name is used as a path.
+Nothing is compressed, and no name is used as a path. In version 1 the lines of views have the bodies, in Base64.
 """
 
 import hashlib
@@ -18,7 +19,7 @@ import json
 import os
 import re
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from tempfile import TemporaryFile
@@ -31,7 +32,7 @@ from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
 from worker.storage.one_thread import OneThread
 
 FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
-IMAGE, VIEWS, COMPARISONS = "images/", "views/", "comparisons/"
+IMAGE, BODIES, VIEWS, COMPARISONS = "images/", "descriptions/", "views/", "comparisons/"
 
 BLOCK = 512
 END = bytes(2 * BLOCK)
@@ -50,17 +51,27 @@ _DIGEST = re.compile(rb'"elapsed_us":[0-9]+,"sha256":"([0-9a-f]{64})"')
 """Of the image of a view, in its line."""
 
 _NAME = re.compile(
-    r"snapshot\.json|vocabulary\.safetensors|images/[0-9a-f]{64}|(?:views|comparisons)/[0-9]{6,9}\.ndjson"
+    r"snapshot\.json|vocabulary\.safetensors|images/[0-9a-f]{64}|descriptions/[0-9]{6,9}\.bin"
+    r"|(?:views|comparisons)/[0-9]{6,9}\.ndjson"
     r"|manifest\.ndjson|manifest\.sha256"
 )
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part that was read: its name and its bytes."""
+    """A part that was read.
+
+    Parameters
+    ----------
+    name : str
+    body : bytes
+    bodies : bytes
+        Of a part of views: what the part of descriptions before it has.
+    """
 
     name: str
     body: bytes
+    bodies: bytes = b""
 
 
 def _header(name: str, size: int) -> bytes:
@@ -96,19 +107,29 @@ class SnapshotWriter:
         self.image_bytes = self.row_bytes = 0
         self._put(FACTS, bytes(self._facts_size))
 
-    def add(self, name: str, body: bytes, digest: str | None = None) -> None:
-        """Append a part; `digest`: its SHA-256, if that is known."""
-        self._thread.do(len(body), partial(self._add, name, body, digest))
-        if name.startswith(IMAGE):
-            self.image_bytes += len(body)
-        else:
-            self.row_bytes += len(body)
+    def add(self, name: str, pieces: Sequence[bytes]) -> None:
+        """Append a part."""
+        size = sum(map(len, pieces))
+        self._thread.do(size, partial(self._add, name, pieces))
+        self.row_bytes += size
 
-    def add_lines(self, kind: str, lines: list[bytes]) -> None:
+    def add_images(self, images: Sequence[tuple[str, bytes]]) -> None:
+        """Append images, by their SHA-256."""
+        size = sum(len(image) for _, image in images)
+        self._thread.do(size, partial(self._add_images, images))
+        self.image_bytes += size
+
+    def add_views(self, lines: Sequence[bytes], bodies: Sequence[bytes]) -> None:
+        """Append the lines of views, and before them the bodies of their descriptions."""
+        if bodies:
+            self.add(f"{BODIES}{self._numbers.get(VIEWS, 0) + 1:06}.bin", bodies)
+        self.add_lines(VIEWS, lines)
+
+    def add_lines(self, kind: str, lines: Sequence[bytes]) -> None:
         """Append lines as the next part of a kind; nothing when there are none."""
         if lines:
             self._numbers[kind] = self._numbers.get(kind, 0) + 1
-            self.add(f"{kind}{self._numbers[kind]:06}.ndjson", b"".join(lines))
+            self.add(f"{kind}{self._numbers[kind]:06}.ndjson", lines)
 
     def end(self, facts: SnapshotFacts) -> None:
         """Write the facts as they are now and the manifest; wait until all is on the disk."""
@@ -144,9 +165,15 @@ class SnapshotWriter:
         self._file.write(body)
         self._file.write(_padding(len(body)))
 
-    def _add(self, name: str, body: bytes, digest: str | None) -> None:
+    def _add(self, name: str, pieces: Sequence[bytes]) -> None:
+        body = b"".join(pieces)
         self._put(name, body)
-        self._lines.write(_manifest_line(name, digest or hashlib.sha256(body).hexdigest(), len(body)))
+        self._lines.write(_manifest_line(name, hashlib.sha256(body).hexdigest(), len(body)))
+
+    def _add_images(self, images: Sequence[tuple[str, bytes]]) -> None:
+        for digest, image in images:
+            self._put(f"{IMAGE}{digest}", image)
+            self._lines.write(_manifest_line(f"{IMAGE}{digest}", digest, len(image)))
 
 
 def _as_bytes(facts: SnapshotFacts) -> bytes:
@@ -188,7 +215,7 @@ class SnapshotReader:
             return _facts(_read(file, size, FACTS))
 
     def verified(self) -> Iterator[Part]:
-        """Read all parts before the manifest, then compare all bytes with it.
+        """Read all parts before the manifest, those of descriptions with their views, then compare all bytes with it.
 
         Nothing may be kept of what this gave before it has come to its end without BadSnapshot.
         """
@@ -196,7 +223,7 @@ class SnapshotReader:
         lines = hashlib.sha256()
         line_digests = bytearray()
         numbers: dict[str, int] = {}
-        seen_facts = False
+        seen_facts, bodies = False, b""
         with self._path.open("rb") as file:
             while True:
                 name, size = _read_header(file)
@@ -214,7 +241,15 @@ class SnapshotReader:
                 lines.update(line)
                 line_digests += hashlib.sha256(line).digest()
                 self._digests += digest.digest()
-                yield Part(name, body)
+                if name.startswith(BODIES):
+                    bodies = body
+                elif name.startswith(VIEWS):
+                    yield Part(name, body, bodies)
+                    bodies = b""
+                else:
+                    yield Part(name, body)
+            if bodies:
+                raise BadSnapshot("its last descriptions are of no views")
             _check_manifest(file, size, lines.digest(), line_digests)
             name, size = _read_header(file)
             if name != SEAL or size != 64 or _read(file, size, name) != lines.hexdigest().encode():
@@ -247,17 +282,22 @@ class SnapshotReader:
                 file.seek(size + len(_padding(size)), os.SEEK_CUR)
 
     def parts(self, kind: str) -> Iterator[Part]:
-        """Read the parts of a kind again, each compared with what was verified."""
+        """Read the parts of a kind again, views with their descriptions, each compared with what was verified."""
+        wanted, bodies = (kind, BODIES) if kind == VIEWS else (kind,), b""
         with self._path.open("rb") as file:
             for at in range(0, len(self._digests), 32):
                 name, size = _read_header(file)
-                if not name.startswith(kind):
+                if not name.startswith(wanted):
                     file.seek(size + len(_padding(size)), os.SEEK_CUR)
                     continue
                 body = _read(file, size, name)
                 if hashlib.sha256(body).digest() != self._digests[at : at + 32]:
                     raise BadSnapshot(f"its part {name} changed while it was read")
-                yield Part(name, body)
+                if name.startswith(BODIES):
+                    bodies = body
+                    continue
+                yield Part(name, body, bodies)
+                bodies = b""
 
 
 def _read_header(file: BinaryIO) -> tuple[str, int]:
@@ -289,14 +329,15 @@ def _read(file: BinaryIO, size: int, name: str) -> bytes:
 
 def _check_order(name: str, seen_facts: bool, numbers: dict[str, int]) -> None:
     kind = name.partition("/")[0]
-    ordered = {FACTS: 0, VOCABULARY: 1, "images": 2, "views": 2, "comparisons": 3}
+    ordered = {FACTS: 0, VOCABULARY: 1, "images": 2, "descriptions": 2, "views": 2, "comparisons": 3}
     last = numbers.get("order", 0)
     if kind not in ordered or ordered[kind] < last or (kind == FACTS) == seen_facts:
         raise BadSnapshot(f"its part {name} is not where it belongs")
-    if kind in ("views", "comparisons"):
-        numbers[kind] = numbers.get(kind, 0) + 1
-        if name != f"{kind}/{numbers[kind]:06}.ndjson":
-            raise BadSnapshot(f"its part {name} stands where number {numbers[kind]} belongs")
+    if kind in ("descriptions", "views", "comparisons"):
+        number = numbers.get("views" if kind == "descriptions" else kind, 0) + 1
+        if name.partition("/")[2].partition(".")[0] != f"{number:06}" or numbers.get(kind) == number:
+            raise BadSnapshot(f"its part {name} stands where number {number} belongs")
+        numbers[kind] = number
     if kind == VOCABULARY and last == ordered[VOCABULARY]:
         raise BadSnapshot(f"it has a second {name}")
     numbers["order"] = ordered[kind]
@@ -333,9 +374,9 @@ def _facts(body: bytes) -> SnapshotFacts:
         form, version = stated["format"], stated["version"]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise BadSnapshot(f"its part {FACTS} cannot be read: it is no snapshot of revisit, or damaged") from None
-    if (form, version) != (FORMAT, VERSION):
+    if form != FORMAT or version not in range(1, VERSION + 1):
         raise BadSnapshot(
-            f"it is of the format {form!r}, version {version!r}; this program reads {FORMAT!r}, {VERSION}"
+            f"it is of the format {form!r}, version {version!r}; this program reads {FORMAT!r} up to {VERSION}"
         )
     try:
         return SnapshotFacts.model_validate_json(body)

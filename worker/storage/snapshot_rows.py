@@ -1,10 +1,11 @@
 """Conversion between rows and the lines of a snapshot; damaged rows never get into one."""
 
 import json
-from binascii import b2a_base64
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Any
+from functools import cache
+from itertools import chain
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 from pydantic import ValidationError
@@ -13,15 +14,17 @@ from schemas.errors import BadSnapshot, Damaged
 from schemas.image import ImageFacts
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Position, ViewAttributes
-from schemas.snapshot import SnapshotComparison, SnapshotDescription, SnapshotView
+from schemas.snapshot import SnapshotComparison, SnapshotDescription, SnapshotFacts, SnapshotLine, SnapshotView
 from worker.storage import checksums, packing
 from worker.storage.damage import vectors_fault
 from worker.storage.rows import COORDINATES, has_whole_attributes
+from worker.storage.snapshot_files import Part
 from worker.storage.tables import APPEARANCES, CELLS, COMPARISONS, DESCRIPTIONS, KEYPOINTS, VECTORS, VIEWS
 
 PARTS = {"vectors": VECTORS, "appearances": APPEARANCES, "cells": CELLS, "keypoints": KEYPOINTS}
 
-_NONE = b"null"
+BODIES = ("label_shares", *PARTS)
+"""Bodies of a description, in the order in which a snapshot has them."""
 
 DAMAGED_VIEW = (
     "the attributes of the view {} are damaged, so that no whole snapshot can be made; enrol its image again with its "
@@ -29,14 +32,22 @@ DAMAGED_VIEW = (
 )
 
 
-def view_lines(connection: sa.Connection, seqs: Sequence[int], recipe: DescriptionRecipe) -> list[tuple[str, bytes]]:
-    """SHA-256 of the image and line of each view, in enrolment order; raises Damaged for attributes that are.
+class WrittenView(NamedTuple):
+    """A view as it goes into a snapshot: the SHA-256 of its image, its line, and the bodies of its description."""
+
+    digest: str
+    line: bytes
+    bodies: tuple[bytes, ...]
+
+
+def written_views(connection: sa.Connection, seqs: Sequence[int], recipe: DescriptionRecipe) -> list[WrittenView]:
+    """Views in enrolment order; raises Damaged for attributes that are.
 
     A view whose description is missing or damaged goes without: where it is restored, it is described from its image.
     """
-    views = connection.execute(sa.select(VIEWS).where(VIEWS.c.seq.in_(seqs)).order_by(VIEWS.c.seq)).all()
-    described = _descriptions(connection, seqs, recipe)
-    return [(row.sha256, _view_line(row, described.get(row.seq))) for row in views]
+    of = recipe.id  # a hash of all of it, made anew each time it is read
+    rows = connection.execute(_rows(), {"seqs": seqs, "recipe": of}).all()
+    return [_written(row, _described(row, recipe, of)) for row in rows]
 
 
 def comparison_lines(
@@ -69,7 +80,7 @@ def comparison_lines(
         ]
 
 
-def _view_line(row: sa.Row[Any], described: dict[str, bytes] | None) -> bytes:
+def _written(row: sa.Row[Any], described: "_Described | None") -> WrittenView:
     if not has_whole_attributes(row):
         raise Damaged(DAMAGED_VIEW.format(row.id))
     ready = row.state == "ready" and described is not None
@@ -93,71 +104,94 @@ def _view_line(row: sa.Row[Any], described: dict[str, bytes] | None) -> bytes:
         "state": "ready" if ready else "failed" if failed else "pending",
         "failure_code": row.failure_code if failed else None,
         "failure_detail": row.failure_detail if failed else None,
+        "description": None,
     }
-    facts = json.dumps(view, allow_nan=False, separators=(",", ":")).encode()
-    if described is None or not ready:
-        return facts[:-1] + b',"description":null}\n'
-    # Joined by hand: an encoder would look at each letter of the Base64, which needs no escape.
-    fields = b",".join(b'"%b":%b' % (name.encode(), value) for name, value in described.items())
-    return b'%b,"description":{%b}}\n' % (facts[:-1], fields)
+    bodies: tuple[bytes, ...] = ()
+    if described is not None and ready:
+        sizes = {name: len(described.bodies[name]) if name in described.bodies else None for name in BODIES}
+        view["description"] = described.facts | sizes
+        bodies = tuple(described.bodies[name] for name in BODIES if name in described.bodies)
+    line = json.dumps(view, allow_nan=False, separators=(",", ":")).encode()
+    return WrittenView(row.sha256, line + b"\n", bodies)
 
 
 def _moment(value: datetime | None) -> str | None:
     return None if value is None else value.isoformat()
 
 
-def _text(body: bytes) -> bytes:
-    """Bytes as a JSON string of Base64."""
-    return b'"%b"' % b2a_base64(body, newline=False)
+class _Described(NamedTuple):
+    """A description: what a line says of it, and its bodies by their names."""
+
+    facts: dict[str, Any]
+    bodies: dict[str, bytes]
 
 
-def _descriptions(
-    connection: sa.Connection, seqs: Sequence[int], recipe: DescriptionRecipe
-) -> dict[int, dict[str, bytes]]:
-    """Fields of whole descriptions, as JSON, by the sequence number of their view."""
-    of = recipe.id  # a hash of all of it, made anew each time it is read
-    by = DESCRIPTIONS.c.seq.in_(seqs), DESCRIPTIONS.c.recipe == of
-    whole: dict[int, dict[str, bytes]] = {}
-    for row in connection.execute(sa.select(DESCRIPTIONS).where(*by)):
-        if checksums.is_whole(DESCRIPTIONS, row, row.checksum):
-            whole[row.seq] = {
-                "descriptor_count": b"%d" % row.descriptor_count,
-                "static_share": json.dumps(row.static_share, allow_nan=False).encode(),
-                "nodes": b"%d" % row.nodes,
-                "label_shares": _text(row.label_shares),
-                "keypoints": _NONE,
-            }
-    for name, table in PARTS.items():
-        for part in connection.execute(sa.select(table).where(table.c.seq.in_(seqs), table.c.recipe == of)):
-            if checksums.of_body(part.seq, of, part.body) != part.checksum:
-                whole.pop(part.seq, None)
-            elif part.seq in whole:
-                whole[part.seq][name] = _text(part.body)
-    needed = set(PARTS) - {"keypoints"}
-    with_keypoints = recipe.parameters.local_features is not None
-    return {
-        seq: described
-        for seq, described in whole.items()
-        if needed <= described.keys() and not (with_keypoints and described["keypoints"] == _NONE)
-    }
+def _described(row: sa.Row[Any], recipe: DescriptionRecipe, of: str) -> _Described | None:
+    """The description in a row of `_rows` by a recipe with the id `of`; None unless all of it is there and whole."""
+    if row.described_seq is None or not checksums.is_whole_labelled(DESCRIPTIONS, row, "described"):
+        return None
+    bodies = {"label_shares": row.described_label_shares}
+    for name in PARTS:
+        body, checksum = getattr(row, name), getattr(row, f"{name}_checksum")
+        if body is None and name == "keypoints" and recipe.parameters.local_features is None:
+            continue
+        if body is None or checksums.of_body(row.seq, of, body) != checksum:
+            return None
+        bodies[name] = body
+    facts = {name: getattr(row, f"described_{name}") for name in ("descriptor_count", "static_share", "nodes")}
+    return _Described(facts, bodies)
 
 
-def read_lines(name: str, body: bytes, recipe: DescriptionRecipe) -> list[SnapshotView]:
+@cache
+def _rows() -> sa.Select[Any]:
+    """Views of the sequence numbers in ``seqs``, in enrolment order, with their descriptions by ``recipe``.
+
+    One statement: each more costs as much as the reading itself.
+    """
+    joined: sa.FromClause = VIEWS
+    for table in (DESCRIPTIONS, *PARTS.values()):
+        mine = table.c.seq == VIEWS.c.seq, table.c.recipe == sa.bindparam("recipe")
+        joined = joined.outerjoin(table, sa.and_(*mine))
+    described = checksums.labelled(DESCRIPTIONS, "described")
+    bodies = [(table.c.body.label(name), table.c.checksum.label(f"{name}_checksum")) for name, table in PARTS.items()]
+    wanted = sa.select(*VIEWS.c, *described, *chain(*bodies)).select_from(joined)
+    return wanted.where(VIEWS.c.seq.in_(sa.bindparam("seqs", expanding=True))).order_by(VIEWS.c.seq)
+
+
+def read_views(part: Part, told: SnapshotFacts) -> list[SnapshotView]:
     """The views of a part; raises BadSnapshot for anything that could not be stored."""
-    views = []
-    for number, line in enumerate(body.splitlines(), 1):
-        view = _checked(SnapshotView, f"line {number} of its part {name}", line)
+    views, end = [], 0
+    for number, line in enumerate(part.body.splitlines(), 1):
+        where = f"line {number} of its part {part.name}"
+        if told.version == 1:
+            view: SnapshotView = _checked(SnapshotView, where, line)
+        else:
+            view, end = _joined(_checked(SnapshotLine, where, line), part.bodies, end)
         if (view.description is not None) != (view.state == "ready"):
             raise BadSnapshot(
                 f"the view {view.id} is {view.state} and has {'a' if view.description else 'no'} description"
             )
         if view.description is not None:
             try:
-                _check_description(view.description, recipe)
+                _check_description(view.description, told.description)
             except ValueError as error:
                 raise BadSnapshot(f"the description of the view {view.id} cannot be used: {error}") from None
         views.append(view)
+    if end != len(part.bodies):
+        raise BadSnapshot(f"the views of its part {part.name} have not all that the descriptions before it have")
     return views
+
+
+def _joined(line: SnapshotLine, bodies: bytes, begin: int) -> tuple[SnapshotView, int]:
+    """A view with its description, whose bodies begin there; and where they end."""
+    description = None
+    if line.description is not None:
+        facts = dict(line.description)
+        for name in BODIES:
+            if (size := facts[name]) is not None:
+                facts[name], begin = bodies[begin : begin + size], begin + size
+        description = SnapshotDescription.model_construct(**facts)
+    return SnapshotView.model_construct(**dict(line) | {"description": description}), begin
 
 
 def read_comparisons(name: str, body: bytes) -> list[SnapshotComparison]:

@@ -1,34 +1,37 @@
 """Snapshots: files of single maps, made at one revision while the service works, and kept."""
 
-import json
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import sqlalchemy as sa
 
-from schemas.errors import BadSnapshot, Damaged, NotFound
+from schemas.errors import BadSnapshot, NotFound
 from schemas.recipe import DescriptionRecipe
 from schemas.removal import Holding
 from schemas.snapshot import SnapshotFacts, SnapshotRecord
 from worker.storage.database import Database
 from worker.storage.disk_errors import translated
-from worker.storage.image_store import ImageStore, forgets, needs_image
+from worker.storage.image_store import ImageStore, needs_image
 from worker.storage.part import Part
 from worker.storage.rows import find_map, find_recipe, log, map_record
 from worker.storage.snapshot_contents import SnapshotContents
-from worker.storage.snapshot_files import COMPARISONS, IMAGE, VIEWS, VOCABULARY, SnapshotWriter
+from worker.storage.snapshot_files import COMPARISONS, VOCABULARY, SnapshotWriter
 from worker.storage.snapshot_places import WRITING, SnapshotPlace
-from worker.storage.snapshot_rows import comparison_lines, view_lines
+from worker.storage.snapshot_portions import Portions, SizedView
+from worker.storage.snapshot_rows import comparison_lines
 from worker.storage.tables import CELLS, JOBS, VIEWS as VIEW_ROWS, VOCABULARIES
 
-PORTION = 32
-"""Views whose lines are in memory at once."""
+SAMPLE = 32
+"""Descriptions from whose sizes that of all is estimated."""
 
 COMPARISON_PORTION = 2000
+
+WRITTEN_AT_ONCE = 1024 * 1024
+"""Bytes; images are smaller."""
 
 RECEIVING = ".receiving-"
 
@@ -75,7 +78,7 @@ class Snapshots(Part, again=False):
             A row or an image that nothing can replace is damaged.
         """
         with translated("snapshots"), self._place.draft(snapshot_id) as draft:
-            with draft.open("wb") as file, self._database.reading() as connection:
+            with draft.open("wb", WRITTEN_AT_ONCE) as file, self._database.reading() as connection:
                 views = self._write(connection, file, name, snapshot_id, now, tell)
             self._place.keep(draft, snapshot_id, lambda: tell(views, views))
         return self.get(snapshot_id)
@@ -94,15 +97,16 @@ class Snapshots(Part, again=False):
         record = map_record(connection, row)
         recipe = find_recipe(connection, row.recipe)
         own = VIEW_ROWS.c.map_id == row.id
-        seqs = list(connection.scalars(sa.select(VIEW_ROWS.c.seq).where(own).order_by(VIEW_ROWS.c.seq)))
-        self._require_space(connection, row, len(seqs))
+        sizes = sa.select(VIEW_ROWS.c.seq, VIEW_ROWS.c.byte_count).where(own).order_by(VIEW_ROWS.c.seq)
+        views = [SizedView(*view) for view in connection.execute(sizes)]
+        self._require_space(connection, row, len(views))
         facts = SnapshotFacts(
             id=snapshot_id,
             map=name,
             map_created_at=row.created_at,
             created_at=now,
             revision=row.revision,
-            views=len(seqs),
+            views=len(views),
             image_bytes=0,
             row_bytes=0,
             description=recipe,
@@ -116,12 +120,12 @@ class Snapshots(Part, again=False):
         )
         writer = SnapshotWriter(file, facts)
         try:
-            left_out = self._write_parts(connection, writer, row, recipe, seqs, tell)
+            left_out = self._write_parts(connection, writer, row, recipe, views, tell)
             counts = {"image_bytes": writer.image_bytes, "row_bytes": writer.row_bytes}
-            writer.end(facts.model_copy(update={"views": len(seqs) - len(left_out), **counts}))
+            writer.end(facts.model_copy(update={"views": len(views) - len(left_out), **counts}))
         finally:
             writer.close()
-        return len(seqs)
+        return len(views)
 
     def _write_parts(
         self,
@@ -129,50 +133,26 @@ class Snapshots(Part, again=False):
         writer: SnapshotWriter,
         row: sa.Row[Any],
         recipe: DescriptionRecipe,
-        seqs: list[int],
+        views: Sequence[SizedView],
         tell: Callable[[int, int], None],
     ) -> set[int]:
         """Write all parts; returns the sequence numbers of views that were deleted meanwhile."""
         trained = sa.select(VOCABULARIES.c.tensors).where(VOCABULARIES.c.digest == recipe.vocabulary)
         if (tensors := connection.scalar(trained)) is not None:
-            writer.add(VOCABULARY, tensors)
+            writer.add(VOCABULARY, [tensors])
         left_out: set[int] = set()
-        for start in range(0, len(seqs), PORTION):
-            tell(start, len(seqs))
-            portion = seqs[start : start + PORTION]
-            kept = []
-            without_image = _without_image(connection, row.id, portion)
-            for seq, (digest, line) in zip(portion, view_lines(connection, portion, recipe), strict=True):
-                if seq in without_image:
-                    kept.append(line)
-                elif (whole := self._whole(row.id, seq, digest, line, recipe)) is None:
-                    left_out.add(seq)
-                else:
-                    if whole.image is not None:
-                        writer.add(f"{IMAGE}{whole.digest}", whole.image, whole.digest)
-                    kept.append(whole.line)
-            writer.add_lines(VIEWS, kept)
+        done = 0
+        for portion in Portions(self._database, self._images, connection, row.id, recipe).all(views):
+            tell(done, len(views))
+            writer.add_images(portion.images)
+            writer.add_views(
+                [view.line for view in portion.views], [body for view in portion.views for body in view.bodies]
+            )
+            left_out |= portion.left_out
+            done += len(portion.views) + len(portion.left_out)
         for lines in comparison_lines(connection, row.id, row.recipe, left_out, COMPARISON_PORTION):
             writer.add_lines(COMPARISONS, lines)
         return left_out
-
-    def _whole(self, map_id: int, seq: int, digest: str, line: bytes, recipe: DescriptionRecipe) -> "_Whole | None":
-        """A view with its image; None when the view was deleted after the snapshot began.
-
-        Where only its image was removed since, because it was described, the view is as it is by now.
-        """
-        try:
-            return _Whole(digest, line, self._images.read(digest))
-        except Damaged:
-            with self._database.reading() as connection:
-                if connection.scalar(sa.select(VIEW_ROWS.c.seq).where(VIEW_ROWS.c.seq == seq)) is None:
-                    return None
-                if not _without_image(connection, map_id, [seq]):
-                    raise
-                [(digest, line)] = view_lines(connection, [seq], recipe)
-            if json.loads(line)["description"] is None:
-                raise
-            return _Whole(digest, line, None)
 
     def _require_space(self, connection: sa.Connection, row: sa.Row[Any], views: int) -> None:
         """Raise DiskFull unless there is room for all of it."""
@@ -180,10 +160,9 @@ class Snapshots(Part, again=False):
             return
         own = VIEW_ROWS.c.map_id == row.id, needs_image(connection)
         images = connection.scalar(sa.select(sa.func.sum(VIEW_ROWS.c.byte_count)).where(*own)) or 0
-        some = sa.select(sa.func.length(CELLS.c.body)).where(CELLS.c.recipe == row.recipe).limit(PORTION)
+        some = sa.select(sa.func.length(CELLS.c.body)).where(CELLS.c.recipe == row.recipe).limit(SAMPLE)
         sizes = list(connection.scalars(some))
-        # Cells are the largest part of a description; Base64 makes 4 bytes of 3.
-        described = 3 * views * max(sizes, default=0)
+        described = 2 * views * max(sizes, default=0)  # cells are the largest part of a description
         self._database.space.admit(int(images) + described)
 
     # kept
@@ -247,22 +226,6 @@ class Snapshots(Part, again=False):
         """Raise DiskFull unless there is room for a file of `size` bytes."""
         if self._database.space is not None:
             self._database.space.admit(size)
-
-
-def _without_image(connection: sa.Connection, map_id: int, seqs: Sequence[int]) -> set[int]:
-    """Views of a map that go without their image: described ones, where the map keeps no images."""
-    if not forgets(connection, map_id):
-        return set()
-    described = VIEW_ROWS.c.seq.in_(seqs), VIEW_ROWS.c.state == "ready"
-    return set(connection.scalars(sa.select(VIEW_ROWS.c.seq).where(*described)))
-
-
-class _Whole(NamedTuple):
-    """A view as it goes into a snapshot: the SHA-256 of its image, its line, and the image, if it is kept."""
-
-    digest: str
-    line: bytes
-    image: bytes | None
 
 
 @contextmanager

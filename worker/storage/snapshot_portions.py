@@ -1,0 +1,162 @@
+"""Views of a map in portions, as they go into its snapshot: while images of one are read, so are rows of the next."""
+
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import sqlalchemy as sa
+
+from schemas.errors import Damaged
+from schemas.recipe import DescriptionRecipe
+from worker.storage.database import Database
+from worker.storage.image_store import ImageStore, forgets
+from worker.storage.snapshot_rows import WrittenView, written_views
+from worker.storage.tables import VIEWS
+
+MOST_VIEWS, MOST_BYTES = 64, 8 * 1024 * 1024
+"""Of a portion, and of its images; one that is larger goes alone. Two portions are in memory at once."""
+
+IMAGE_THREADS, TOGETHER = 4, 8
+"""Threads that read images, and images that one of them reads at a time."""
+
+
+@dataclass(frozen=True)
+class Portion:
+    """Some views of a snapshot.
+
+    Parameters
+    ----------
+    views : list of WrittenView
+    images : list of (str, bytes)
+        SHA-256 and bytes, of views that go with their image.
+    left_out : set of int
+        Sequence numbers of views that were deleted meanwhile.
+    """
+
+    views: list[WrittenView] = field(default_factory=list)
+    images: list[tuple[str, bytes]] = field(default_factory=list)
+    left_out: set[int] = field(default_factory=set)
+
+
+class SizedView(NamedTuple):
+    """The sequence number of a view, and the bytes of its image."""
+
+    seq: int
+    size: int
+
+
+class _Read(NamedTuple):
+    """A view with its image, or why that cannot be read; None: it goes without."""
+
+    seq: int
+    view: WrittenView
+    image: bytes | Damaged | None
+
+
+class Portions:
+    """Reads the views of a map by a recipe.
+
+    Parameters
+    ----------
+    database : Database
+    images : ImageStore
+    connection : sqlalchemy.Connection
+        A transaction that sees the map as the snapshot is to show it.
+    map_id : int
+    recipe : DescriptionRecipe
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        images: ImageStore,
+        connection: sa.Connection,
+        map_id: int,
+        recipe: DescriptionRecipe,
+    ) -> None:
+        self._database, self._images, self._connection = database, images, connection
+        self._map_id, self._recipe = map_id, recipe
+
+    def all(self, views: Sequence[SizedView]) -> Iterator[Portion]:
+        """Portions of views that are given in enrolment order; raises Damaged where one cannot be told whole."""
+        with ThreadPoolExecutor(IMAGE_THREADS, "revisit-images") as readers:
+            try:
+                before: list[Future[list[_Read]]] = []
+                for seqs in portions(views):
+                    without = without_image(self._connection, self._map_id, seqs)
+                    written = list(zip(seqs, written_views(self._connection, seqs, self._recipe), strict=True))
+                    reading = [
+                        readers.submit(self._read, written[at : at + TOGETHER], without)
+                        for at in range(0, len(written), TOGETHER)
+                    ]
+                    if before:
+                        yield self._settled(before)
+                    before = reading
+                if before:
+                    yield self._settled(before)
+            finally:
+                readers.shutdown(wait=False, cancel_futures=True)
+
+    def _read(self, views: list[tuple[int, WrittenView]], without: Collection[int]) -> list[_Read]:
+        """Views with their images, those apart that go without."""
+        read = []
+        for seq, view in views:
+            image: bytes | Damaged | None = None
+            if seq not in without:
+                try:
+                    image = self._images.read(view.digest)
+                except Damaged as error:
+                    image = error
+            read.append(_Read(seq, view, image))
+        return read
+
+    def _settled(self, reading: list[Future[list[_Read]]]) -> Portion:
+        portion = Portion()
+        for part in reading:
+            for seq, view, image in part.result():
+                now = self._now(seq, image) if isinstance(image, Damaged) else view
+                if now is None:
+                    portion.left_out.add(seq)
+                    continue
+                portion.views.append(now)
+                if isinstance(image, bytes):
+                    portion.images.append((view.digest, image))
+        return portion
+
+    def _now(self, seq: int, why: Damaged) -> WrittenView | None:
+        """A view that lost its image as it is by now: without one, since it is described; None: it was deleted.
+
+        Raises Damaged, `why`, where it needs its image.
+        """
+        with self._database.reading() as connection:
+            if connection.scalar(sa.select(VIEWS.c.seq).where(VIEWS.c.seq == seq)) is None:
+                return None
+            if not without_image(connection, self._map_id, [seq]):
+                raise why
+            [view] = written_views(connection, [seq], self._recipe)
+        if not view.bodies:
+            raise why
+        return view
+
+
+def portions(views: Sequence[SizedView]) -> Iterator[list[int]]:
+    """Sequence numbers of views, so many together as `MOST_VIEWS` and `MOST_BYTES` say."""
+    together: list[int] = []
+    size = 0
+    for view in views:
+        if together and (len(together) == MOST_VIEWS or size + view.size > MOST_BYTES):
+            yield together
+            together, size = [], 0
+        together.append(view.seq)
+        size += view.size
+    if together:
+        yield together
+
+
+def without_image(connection: sa.Connection, map_id: int, seqs: Sequence[int]) -> set[int]:
+    """Views of a map that go without their image: described ones, where the map keeps no images."""
+    if not forgets(connection, map_id):
+        return set()
+    described = VIEWS.c.seq.in_(seqs), VIEWS.c.state == "ready"
+    return set(connection.scalars(sa.select(VIEWS.c.seq).where(*described)))
