@@ -1,17 +1,22 @@
 """The deletion of a map that breaks off is finished without a new start: no call finds the map any more."""
 
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
+import time_machine
 
 from schemas.errors import NotFound, StorageFailed
-from tests.storage.material import describe_all, enroll
+from schemas.snapshot import RestoredMap
+from tests.storage.carried import filled, made
+from tests.storage.material import NOW, describe_all, enroll
 from tests.waiting import until
 from worker.storage.database import Database
 from worker.storage.removals import Removals
+from worker.storage.restoring import _Restoration
 from worker.storage.store import SqlStore
 from worker.storage.tables import MAPS, VIEWS
 
@@ -63,6 +68,96 @@ def test_a_map_whose_deletion_may_not_have_begun_is_left_alone(
     store.tend()
     until(lambda: not store.removals._unfinished)
     assert rows(store) == (1, 1)
+
+
+def killed(store: SqlStore) -> None:
+    """What a process remembers goes with it."""
+    store.removals._unfinished.clear()
+
+
+def is_gone_after(store: SqlStore, minutes: float) -> bool:
+    with time_machine.travel(datetime.now(UTC) + timedelta(minutes=minutes)):
+        store.tend()
+        if store.removals._finishing is not None:
+            store.removals._finishing.join()
+        return rows(store) == (0, 0)
+
+
+def test_a_map_whose_deletion_was_killed_goes_with_another_service(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enroll(store, "gate")
+    with monkeypatch.context() as patch:
+        patch.setattr(Removals, "_remove", refuse)
+        with pytest.raises(StorageFailed):
+            store.removals.delete_map("campus")
+    killed(store)
+
+    assert not is_gone_after(store, 9), "whoever deletes may be at work"
+    assert is_gone_after(store, 11)
+    assert list((data / "pictures").glob("??/??/*")) == []
+
+
+def test_what_was_restored_half_goes_with_another_service(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled(elsewhere)
+    with monkeypatch.context() as patch:
+        patch.setattr(store._images, "add", refuse)
+        patch.setattr(store.restoring, "_undo", lambda restoration: None)
+        with pytest.raises(StorageFailed):
+            store.restoring.restore(made(elsewhere), None, NOW)
+    assert rows(store) == (1, 5)
+
+    assert not is_gone_after(store, 9)
+    assert is_gone_after(store, 11)
+
+
+def test_a_restoration_that_was_taken_for_killed_says_so(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by a process that was stopped for longer than others wait."""
+    filled(elsewhere)
+    add = store._images.add
+
+    def slow(images: dict[str, bytes]) -> None:
+        add(images)
+        assert is_gone_after(store, 11)
+
+    monkeypatch.setattr(store._images, "add", slow)
+    with pytest.raises(StorageFailed, match="removed"):
+        store.restoring.restore(made(elsewhere), None, NOW)
+    assert rows(store) == (0, 0)
+
+
+def test_a_restored_map_whose_name_may_be_stored_or_not_is_whole_or_gone(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection breaks after the commit that gives the name, and again while what was restored is removed."""
+    filled(elsewhere)
+    snapshot = made(elsewhere)
+    finish = _Restoration.finish
+
+    def named_and_broken(restoration: _Restoration, name: str, now: datetime) -> RestoredMap:
+        finish(restoration, name, now)
+        raise StorageFailed("away")
+
+    monkeypatch.setattr(_Restoration, "finish", named_and_broken)
+    with monkeypatch.context() as patch:
+        patch.setattr(Removals, "_remove", refuse)
+        with pytest.raises(StorageFailed):
+            store.restoring.restore(snapshot, None, NOW)
+    assert store.maps.all() == []
+    assert rows(store) == (1, 5)
+
+    until(lambda: is_gone_after(store, 0))
+
+
+def test_a_restored_map_is_nobodys_to_remove(store: SqlStore, elsewhere: SqlStore) -> None:
+    filled(elsewhere)
+    store.restoring.restore(made(elsewhere), None, NOW)
+    assert not is_gone_after(store, 60)
+    assert rows(store) == (1, 5)
 
 
 def broken_off(database: Database, work: Any) -> Any:

@@ -316,6 +316,7 @@ def without_later(connection: sa.Connection) -> None:
         "maps.shadow",
         "maps.blur",
         "maps.edited",
+        "maps.given_up_at",
         "views.sent_sha256",
     ):
         table, name = column.split(".")

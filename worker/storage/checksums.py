@@ -50,7 +50,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     VIEWS.name: _but(VIEWS, "seq", "state", "failure_code", "failure_detail"),
     DESCRIPTIONS.name: _but(DESCRIPTIONS),
     # Revisions change with every view; they are checked against the clock and the rows that bear them.
-    MAPS.name: _but(MAPS, "id", "revision", "anew", "edited"),
+    MAPS.name: _but(MAPS, "id", "revision", "anew", "edited", "given_up_at"),
     COMPARISONS.name: _but(COMPARISONS),
     JOBS.name: _but(JOBS),
     TOMBSTONES.name: _but(TOMBSTONES),

@@ -2,9 +2,9 @@
 
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 import sqlalchemy as sa
@@ -25,6 +25,9 @@ from worker.storage.tables import DAY_SCORES, DESCRIPTIONS, JOBS, KEPT_QUERIES, 
 
 PORTION = 200
 """Views deleted in one transaction."""
+
+GIVEN_UP = timedelta(minutes=10)
+"""Silence after which whoever deletes or restores a map was killed."""
 
 
 class Removals(Part):
@@ -78,8 +81,7 @@ class Removals(Part):
             taken[:] = [map_id]
             # So that a later map of this name begins after every index of this one.
             clock.tick(connection, map_id)
-            # Without a name no call finds it; its views are deleted next, or by recovery after a crash.
-            connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(name=None))
+            _take_name(connection, map_id)
             making = _being_made(connection, map_id)
             # A snapshot that is being made ends, unless it is written already and about to be kept.
             connection.execute(sa.delete(JOBS).where(JOBS.c.map_id == map_id))
@@ -90,7 +92,11 @@ class Removals(Part):
         return self.clear(*nameless)
 
     def finish_late(self) -> None:
-        """Finish deletions of maps that broke off in this process, in a thread of its own; returns at once."""
+        """Finish deletions of maps that broke off in this process, or with one that was killed, and remove what that
+        had restored half; in a thread of its own, returns at once."""
+        with suppress(DiskFull, StorageFailed), self._database.reading() as connection:
+            given_up = MAPS.c.name.is_(None), MAPS.c.given_up_at <= datetime.now(UTC)
+            self._unfinished.update(connection.scalars(sa.select(MAPS.c.id).where(*given_up)))
         if self._unfinished and (self._finishing is None or not self._finishing.is_alive()):
             self._finishing = threading.Thread(target=self._finish, name="revisit-removing", daemon=True)
             self._finishing.start()
@@ -121,6 +127,12 @@ class Removals(Part):
             left = list(connection.scalars(sa.select(MAPS.c.id).where(MAPS.c.name.is_(None))))
         for map_id in left:
             self.clear(map_id)
+
+    def withdraw(self, map_id: int) -> None:
+        """Remove a map whose restoration broke off, and that may have its name by now."""
+        with self._finished_later([map_id]):
+            self._database.freeing(lambda connection: _take_name(connection, map_id))
+        self.clear(map_id)
 
     def clear(self, map_id: int, making: Sequence[str] = ()) -> Removal:
         """Remove a map without a name, by its number; `making`: its snapshots that were being made until now.
@@ -217,6 +229,12 @@ _DESCRIBED = (
     .join(MAPS, MAPS.c.id == DESCRIPTIONS.c.map_id)
     .where(DESCRIPTIONS.c.seq.in_(sa.bindparam("seqs", expanding=True)))
 )
+
+
+def _take_name(connection: sa.Connection, map_id: int) -> None:
+    """Without a name no call finds a map; its views are deleted next, or after a crash by who comes later."""
+    left = {"name": None, "given_up_at": datetime.now(UTC) + GIVEN_UP}
+    connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**left))
 
 
 def _being_made(connection: sa.Connection, map_id: int) -> list[str]:

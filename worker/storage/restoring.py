@@ -1,18 +1,18 @@
 """Restoring a snapshot: all of it is verified first, then it is stored under no name, and named last.
 
-A map without a name is found by no call, and is removed when the service starts: whatever ends a restoration half way,
-nothing of it is ever seen.
+A map without a name is found by no call, and is removed when the service starts, or by another one ten minutes after
+the last sign of who restored it: whatever ends a restoration half way, nothing of it is ever seen.
 """
 
 import hashlib
 from collections.abc import Callable
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 
-from schemas.errors import BadSnapshot, Conflict
+from schemas.errors import BadSnapshot, Conflict, StorageFailed
 from schemas.snapshot import RestoredMap, SnapshotFacts, SnapshotView
 from worker.storage import checksums, clock, switching
 from worker.storage.database import Database
@@ -21,7 +21,7 @@ from worker.storage.enrolment import fact_columns, keep_pairs
 from worker.storage.enrolment_order import following_id
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
-from worker.storage.removals import Removals
+from worker.storage.removals import GIVEN_UP, Removals
 from worker.storage.rows import as_json, attribute_columns, batches, inserting, keep_recipe, log
 from worker.storage.snapshot_files import (
     COMPARISONS as COMPARISON_PARTS,
@@ -144,7 +144,7 @@ class Restoring(Part, again=False):
         if restoration.map_id is None:
             return
         try:
-            self._removals.clear(restoration.map_id)
+            self._removals.withdraw(restoration.map_id)
         except Exception:
             log.exception("what was restored so far is removed later, or at the next start")
 
@@ -165,6 +165,10 @@ def _check_view(view: SnapshotView, numbers: list[int], images: set[bytes], ids:
 def _refuse_taken(connection: sa.Connection, name: str) -> None:
     if connection.scalar(sa.select(MAPS.c.id).where(MAPS.c.name == name)) is not None:
         raise Conflict(TAKEN.format(name))
+
+
+def _given_up_at() -> datetime:
+    return datetime.now(UTC) + GIVEN_UP
 
 
 def _key_of(inserted: sa.CursorResult[Any]) -> int:
@@ -196,6 +200,7 @@ class _Restoration:
         for part in reader.parts(VIEW_PARTS):
             views = read_views(part, self._told)
             with self._database.writing() as connection:
+                self._tell(connection)
                 self._store_views(connection, views)
         # The rows are there, so that nobody removes an image that another map gives up meanwhile.
         batch: dict[str, bytes] = {}
@@ -204,6 +209,8 @@ class _Restoration:
             if len(batch) >= MOST_IMAGES or sum(map(len, batch.values())) >= MOST_BYTES:
                 self._images.add(batch)
                 batch.clear()
+                with self._database.writing() as connection:
+                    self._tell(connection)
         self._images.add(batch)
         for part in reader.parts(COMPARISON_PARTS):
             self._store_comparisons(part.name, part.body)
@@ -213,7 +220,7 @@ class _Restoration:
         assert self.map_id is not None
         with self._database.writing() as connection:
             _refuse_taken(connection, name)
-            connection.execute(sa.update(MAPS).where(MAPS.c.id == self.map_id).values(name=name))
+            self._tell(connection, name=name, given_up_at=None)
             revision = clock.tick(connection, self.map_id)
             switching.queue(connection, self.map_id, self._pending, self._recipe.id, now, background=False)
         return RestoredMap(
@@ -224,6 +231,12 @@ class _Restoration:
             revision=revision,
             new_ids=self.new_ids,
         )
+
+    def _tell(self, connection: sa.Connection, **changed: object) -> None:
+        """Say that somebody is at work on the map; raises StorageFailed when it was removed since nobody had."""
+        values = {"given_up_at": _given_up_at(), **changed}
+        if connection.execute(sa.update(MAPS).where(MAPS.c.id == self.map_id).values(**values)).rowcount == 0:
+            raise StorageFailed("what was restored so far was removed, since nothing was added for minutes; try again")
 
     def _make_map(self, tensors: bytes | None) -> None:
         told = self._told
@@ -242,6 +255,7 @@ class _Restoration:
                 "refuse_poor": told.refuse_poor or None,
                 "blur": as_json(list(told.blur)) if told.blur else None,
                 "created_at": told.map_created_at,
+                "given_up_at": _given_up_at(),
             }
             made = connection.execute(sa.insert(MAPS).values(name=None, revision=born, anew=born, **columns))
             map_id = _key_of(made)
@@ -314,4 +328,5 @@ class _Restoration:
         ]
         if rows:
             with self._database.writing() as connection:
+                self._tell(connection)
                 connection.execute(inserting(COMPARISONS), rows)

@@ -72,6 +72,7 @@ MAPS = sa.Table(
     sa.Column("drop_images", sa.Boolean),  # whether images are removed once they are described; NULL: no
     sa.Column("shadow", sa.Text),  # id of the job of its shadow: next_recipe waits to be told; NULL: none
     sa.Column("blur", sa.Text),  # JSON: words whose cells are covered before an image is stored; NULL: none
+    sa.Column("given_up_at", UtcDateTime),  # without a name: from when on nobody is at work on it
     _seal(),
     _unsealed("maps", "id"),
     sqlite_autoincrement=True,
