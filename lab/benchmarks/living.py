@@ -41,7 +41,7 @@ from worker.storage.image_files import Images
 MAP = "default"
 IMAGE_BYTES = 50_000
 CHUNK = 1 << 20
-PATIENCE_S, POLL_S = 600.0, 0.01
+PATIENCE_S, POLL_S = 600.0, 0.1
 PARTS = ("filters", "drive", "switch", "snapshot", "health")
 
 

@@ -135,16 +135,18 @@ class Images:
         if not DIGEST.fullmatch(digest):
             raise Damaged(f"the stored SHA-256 of its image, {digest!r}, is none; enrol the image again")
         path = self._path(digest)
-        name = path.relative_to(self._folder.parent)
         try:
             image = path.read_bytes()
         except FileNotFoundError:
-            raise Damaged(LOST.format(name, "is missing")) from None
+            raise self._lost(path, "is missing") from None
         except OSError as error:
-            raise Damaged(LOST.format(name, f"cannot be read ({error.strerror})")) from error
+            raise self._lost(path, f"cannot be read ({error.strerror})") from error
         if hashlib.sha256(image).hexdigest() != digest:
-            raise Damaged(LOST.format(name, "does not hold what was enrolled" if image else "is empty"))
+            raise self._lost(path, "does not hold what was enrolled" if image else "is empty")
         return image
+
+    def _lost(self, path: Path, how: str) -> Damaged:
+        return Damaged(LOST.format(path.relative_to(self._folder.parent), how))
 
     def discard(self, digests: Iterable[str]) -> Discarded:
         """Remove images that no view needs, after their rows were deleted.

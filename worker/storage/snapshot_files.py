@@ -44,6 +44,9 @@ MOST_PART = 1024 * 1024 * 1024
 MOST_WAITING = 16 * 1024 * 1024
 """Bytes of parts that wait to be written: some two portions of views."""
 
+WRITTEN_AHEAD = 32 * 1024 * 1024
+"""Bytes after which the disk is told to begin with them, so that little is left to wait for at the end."""
+
 _SLACK = 64
 """Spaces after the facts, for the digits of counts that are known at the end."""
 
@@ -105,6 +108,7 @@ class SnapshotWriter:
         self._numbers: dict[str, int] = {}
         self._facts_size = len(_as_bytes(facts)) + _SLACK
         self.image_bytes = self.row_bytes = 0
+        self._begun = 0  # up to where the disk has been told to begin
         self._put(FACTS, bytes(self._facts_size))
 
     def add(self, name: str, pieces: Sequence[bytes]) -> None:
@@ -164,6 +168,10 @@ class SnapshotWriter:
         self._file.write(_header(name, len(body)))
         self._file.write(body)
         self._file.write(_padding(len(body)))
+        end = self._file.tell()
+        if end - self._begun >= WRITTEN_AHEAD:
+            os.posix_fadvise(self._file.fileno(), self._begun, end - self._begun, os.POSIX_FADV_DONTNEED)
+            self._begun = end
 
     def _add(self, name: str, pieces: Sequence[bytes]) -> None:
         body = b"".join(pieces)

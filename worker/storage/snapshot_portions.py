@@ -17,7 +17,7 @@ from worker.storage.tables import VIEWS
 MOST_VIEWS, MOST_BYTES = 64, 8 * 1024 * 1024
 """Of a portion, and of its images; one that is larger goes alone. Two portions are in memory at once."""
 
-IMAGE_THREADS, TOGETHER = 4, 8
+IMAGE_THREADS, TOGETHER = 4, 16
 """Threads that read images, and images that one of them reads at a time."""
 
 

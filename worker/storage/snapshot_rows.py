@@ -26,6 +26,10 @@ PARTS = {"vectors": VECTORS, "appearances": APPEARANCES, "cells": CELLS, "keypoi
 BODIES = ("label_shares", *PARTS)
 """Bodies of a description, in the order in which a snapshot has them."""
 
+_COLUMNS = tuple(VIEWS.c.keys())
+
+_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+
 DAMAGED_VIEW = (
     "the attributes of the view {} are damaged, so that no whole snapshot can be made; enrol its image again with its "
     "attributes, or delete it"
@@ -83,27 +87,22 @@ def comparison_lines(
 def _written(row: sa.Row[Any], described: "_Described | None") -> WrittenView:
     if not has_whole_attributes(row):
         raise Damaged(DAMAGED_VIEW.format(row.id))
-    ready = row.state == "ready" and described is not None
-    failed = row.state == "failed"
+    known = dict(zip(_COLUMNS, row, strict=False))  # many times as quick as a column at a time
+    ready, failed = known["state"] == "ready" and described is not None, known["state"] == "failed"
     view = {
-        "number": row.seq,
-        "id": row.id,
-        "place": row.place,
-        **{name: getattr(row, name) for name in COORDINATES},
-        "captured_at": _moment(row.captured_at),
-        "metadata": json.loads(row.metadata),
-        "filename": row.filename,
-        "enrolled_at": _moment(row.enrolled_at),
-        "elapsed_us": row.elapsed_us,
-        "sha256": row.sha256,
-        "sent_sha256": row.sent_sha256,
-        "width": row.width,
-        "height": row.height,
-        "byte_count": row.byte_count,
-        "format": row.format,
+        "number": known["seq"],
+        **{name: known[name] for name in ("id", "place", *COORDINATES)},
+        "captured_at": _moment(known["captured_at"]),
+        "metadata": json.loads(known["metadata"]),
+        "filename": known["filename"],
+        "enrolled_at": _moment(known["enrolled_at"]),
+        **{
+            name: known[name]
+            for name in ("elapsed_us", "sha256", "sent_sha256", "width", "height", "byte_count", "format")
+        },
         "state": "ready" if ready else "failed" if failed else "pending",
-        "failure_code": row.failure_code if failed else None,
-        "failure_detail": row.failure_detail if failed else None,
+        "failure_code": known["failure_code"] if failed else None,
+        "failure_detail": known["failure_detail"] if failed else None,
         "description": None,
     }
     bodies: tuple[bytes, ...] = ()
@@ -111,8 +110,7 @@ def _written(row: sa.Row[Any], described: "_Described | None") -> WrittenView:
         sizes = {name: len(described.bodies[name]) if name in described.bodies else None for name in BODIES}
         view["description"] = described.facts | sizes
         bodies = tuple(described.bodies[name] for name in BODIES if name in described.bodies)
-    line = json.dumps(view, allow_nan=False, separators=(",", ":")).encode()
-    return WrittenView(row.sha256, line + b"\n", bodies)
+    return WrittenView(known["sha256"], _JSON.encode(view).encode() + b"\n", bodies)
 
 
 def _moment(value: datetime | None) -> str | None:
