@@ -237,11 +237,14 @@ class Searcher:
         )
 
     def further(self, results: RankedResults, count: int) -> RankedResults:
-        """Results with so many of their candidates as views; they end before one that was deleted meanwhile."""
+        """Results with so many of their candidates as views; they end before one that is not there any more."""
         more = [results.ranking.candidate(index) for index in range(len(results.views), count)]
         views = self._views.at([candidate.seq for candidate in more], results.recipe.description.id)
-        scored = (ScoredView(**vars(one), view=views[one.seq]) for one in takewhile(lambda one: one.seq in views, more))
-        return replace(results, views=(*results.views, *scored))
+        described = {seq for seq, view in views.items() if view.description is not None}
+        there = takewhile(lambda one: one.seq in described, more)
+        return replace(
+            results, views=(*results.views, *(ScoredView(**vars(one), view=views[one.seq]) for one in there))
+        )
 
     def _levels_of(self, record: MapRecord) -> MapLevels:
         """What wrong answers get in a map; read once for each revision."""

@@ -162,7 +162,7 @@ class Snapshots(Part, again=False):
         images = connection.scalar(sa.select(sa.func.sum(VIEW_ROWS.c.byte_count)).where(*own)) or 0
         some = sa.select(sa.func.length(CELLS.c.body)).where(CELLS.c.recipe == row.recipe).limit(SAMPLE)
         sizes = list(connection.scalars(some))
-        described = 2 * views * max(sizes, default=0)  # cells are the largest part of a description
+        described = 3 * views * max(sizes, default=0)  # cells are some half of a description
         self._database.space.admit(int(images) + described)
 
     # kept
