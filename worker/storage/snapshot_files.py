@@ -169,7 +169,7 @@ class SnapshotWriter:
         self._file.write(body)
         self._file.write(_padding(len(body)))
         end = self._file.tell()
-        if end - self._begun >= WRITTEN_AHEAD:
+        if end - self._begun >= WRITTEN_AHEAD and hasattr(os, "posix_fadvise"):  # macOS has none
             os.posix_fadvise(self._file.fileno(), self._begun, end - self._begun, os.POSIX_FADV_DONTNEED)
             self._begun = end
 
