@@ -167,6 +167,7 @@ class Drives:
         Most images are for views that they have already: looking up more takes longer than all the rest.
         """
         ranking = results.ranking
+        # Of further ones the places are not known: see `Ranking.places`.
         known = len(ranking.seqs) if not ranking.reranked else max(ranking.reranked, len(results.views))
         count = min(known, max(DRIVEN, len(results.views)))
         posterior = _by_place(ranking, count, len(results.views), probability)
