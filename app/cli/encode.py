@@ -10,6 +10,7 @@ from app.cli.console import Failure, Verbs, show
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
 from app.cli.processor import check_processor
 from app.cli.serve import settings_of
+from app.cli.starting import collecting_nothing
 
 if TYPE_CHECKING:
     from schemas.settings import Settings
@@ -51,7 +52,8 @@ def run_encode(arguments: argparse.Namespace) -> int:
     logs.configure(settings.log, settings.log_level)
     listening = listen(settings)
     try:
-        return _encode(settings, listening)
+        with collecting_nothing():
+            return _encode(settings, listening)
     finally:
         listening.close()
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from app.cli.console import DONE, FAILED, Failure, say
+from app.cli.starting import started
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -68,7 +69,12 @@ def serve_until_stopped(
     # When it has finished, uvicorn raises the signal that stopped it again; that must not count as a failure.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
-    server = Server(configured(app, settings), settings.grace_s, drain=drain, announce=announce)
+
+    def ready() -> None:
+        started()
+        announce()
+
+    server = Server(configured(app, settings), settings.grace_s, drain=drain, announce=ready)
     server.run(sockets=[listening])
     if not server.started:
         say(f"revisit: the {what} could not start; the reason is above")

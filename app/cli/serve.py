@@ -13,6 +13,7 @@ from app.cli import logs
 from app.cli.console import DONE, Failure, Verbs, show
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
 from app.cli.processor import check_processor
+from app.cli.starting import collecting_nothing, started
 
 if TYPE_CHECKING:
     from schemas.settings import Settings
@@ -78,7 +79,8 @@ def run_serve(arguments: argparse.Namespace) -> int:
     logs.configure(settings.log, settings.log_level)
     listening = listen(settings)
     try:
-        return _serve(settings, listening)
+        with collecting_nothing():
+            return _serve(settings, listening)
     finally:
         listening.close()
 
@@ -178,13 +180,15 @@ def run_worker(arguments: argparse.Namespace) -> int:
     check_processor()
     settings = settings_of(arguments, "data", "encoder", "device", "threads")
     logs.configure(settings.log, settings.log_level)
-    from worker.runtime import build
-
-    runtime = build(settings, serving=False)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    runtime.start()
+    with collecting_nothing():
+        from worker.runtime import build
+
+        runtime = build(settings, serving=False)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stop.set())
+        runtime.start()
+        started()
     show(f"revisit worker describes images of {settings.data.resolve()} with {runtime.encoder.name}")
     try:
         stop.wait()
