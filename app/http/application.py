@@ -11,7 +11,6 @@ from fastapi import FastAPI
 from app.http import problems
 from app.http.addresses import Addresses
 from app.http.cors import cors
-from app.http.dependencies import documented_body, once_each
 from app.http.keys import KeyGate
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
@@ -56,6 +55,15 @@ TAGS = [
     {"name": "service", "description": "Health, metrics and version."},
 ]
 
+_OF_MAPS = (views, images, changes, maps, shadow, imports, map_health, unknown, proposals, places, jobs, snapshots)
+_ROUTERS = (
+    enroll.router,
+    query.router,
+    maps.previews,
+    *(group.router for group in (localize, *_OF_MAPS, compreface, health, console)),
+)
+"""In the order in which their routes are tried."""
+
 
 def create_app(runtime: "Runtime") -> FastAPI:
     """The application of a runtime that is built but not started; they start and stop together."""
@@ -92,6 +100,8 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         version=VERSION,
         lifespan=lifespan,
         openapi_tags=TAGS,
+        # As they are: routers that are included are made anew, for each application and by its first request.
+        routes=[route for router in _ROUTERS for route in router.routes],
         # FastAPI's pages load scripts from other hosts; `app.console.pages` has pages of our own.
         docs_url=None,
         redoc_url=None,
@@ -103,12 +113,6 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
     metrics.statistics.settings = service.settings
     for teller in service.tellers:
         teller.on_outcome(partial(metrics.event, teller.name))
-    for group in (enroll, query):
-        app.include_router(group.router)
-    app.include_router(maps.previews, dependencies=[once_each, documented_body])
-    of_maps = (views, images, changes, maps, shadow, imports, map_health, unknown, proposals, places, jobs, snapshots)
-    for group in (localize, *of_maps, compreface, health, console):
-        app.include_router(group.router, dependencies=[once_each, documented_body])
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     problems.install(app)
     _add_middleware(app, service, metrics, tracer_provider)

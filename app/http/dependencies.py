@@ -122,11 +122,9 @@ async def _documented_body(request: Request) -> None:
         await refuse_body(request)
 
 
-documented_body = Depends(_documented_body)
-"""For all routes: a body is an error where the OpenAPI document has none, instead of being ignored."""
-
-once_each = Depends(_once_each)
-"""For routes whose parameters FastAPI reads: a repeated parameter is an error."""
+checked = [Depends(_once_each), Depends(_documented_body)]
+"""For routes whose parameters FastAPI reads: a repeated parameter is an error, and so is a body where the OpenAPI
+document has none, instead of being ignored."""
 
 no_parameters = Depends(_no_parameters)
 """For routes without parameters: an unknown parameter is an error instead of being ignored."""

@@ -329,10 +329,9 @@ def encoder_application(
             await asyncio.to_thread(shared.service.stop)
 
     app = FastAPI(title="revisit encode", version=VERSION, lifespan=lifespan, docs_url=None, redoc_url=None,
-                  openapi_url=None, redirect_slashes=False)  # fmt: skip
+                  openapi_url=None, redirect_slashes=False,
+                  routes=[*probes.routes, *router.routes, *of_model.routes])  # fmt: skip
     app.state.shared = shared
-    for group in (probes, router, of_model):
-        app.include_router(group)
     problems.install(app)
     app.add_exception_handler(RevisitError, _refused)
     app.add_middleware(BodyLimit, settings=settings)

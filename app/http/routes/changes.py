@@ -6,13 +6,13 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from app.http.conditional import is_fresh, quoted
-from app.http.dependencies import Curates, QueryId, ViewId, no_parameters, usable_view
+from app.http.dependencies import Curates, QueryId, ViewId, checked, no_parameters, usable_view
 from app.http.image_parameters import ChangesParameters
 from app.http.keys import Accesses
 from app.http.openapi import answers_bytes, refusals
 from schemas.wire import Changes
 
-router = APIRouter(tags=["images"])
+router = APIRouter(tags=["images"], dependencies=checked)
 
 _DRAWN = "The earlier photo beside the later one, with what is gone, new and moved outlined. 1280 pixels wide."
 _REFUSED = refusals("not-found", "image-not-kept", "too-many-requests")

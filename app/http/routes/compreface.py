@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from app.http import compreface as shapes
 from app.http.body import json_object
 from app.http.curate import Curator
-from app.http.dependencies import Curates, MapName, Measures, Recognises, ViewId, no_parameters
+from app.http.dependencies import Curates, MapName, Measures, Recognises, ViewId, checked, no_parameters
 from app.http.openapi import OF_IMAGES, answers_bytes, refusals, takes_json
 from app.http.recognise import Recogniser
 from app.http.routes import images
@@ -21,7 +21,7 @@ from schemas.errors import NotFound, RevisitError
 from schemas.records import Filters, Position, ViewAttributes
 from schemas.wire import QueryAnswer, View
 
-router = APIRouter(prefix=COMPREFACE, tags=["compatible services"])
+router = APIRouter(prefix=COMPREFACE, tags=["compatible services"], dependencies=checked)
 
 PAGE = 500
 """Views or places that are read at once."""

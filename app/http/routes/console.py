@@ -5,9 +5,9 @@ from fastapi.responses import Response
 
 from app.console.files import POLICY, files
 from app.http.conditional import is_fresh
-from app.http.dependencies import no_parameters
+from app.http.dependencies import checked, no_parameters
 
-router = APIRouter(tags=["service"], dependencies=[no_parameters])
+router = APIRouter(tags=["service"], dependencies=[*checked, no_parameters])
 
 
 async def console(request: Request) -> Response:

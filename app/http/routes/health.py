@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 
 from app.console import pages
-from app.http.dependencies import Lifecycles, Measures, no_parameters
+from app.http.dependencies import Lifecycles, Measures, checked, no_parameters
 from app.http.keys import Accesses
 from app.http.metrics import MEDIA_TYPE
 from app.http.middleware import STARTING_RETRY_S
@@ -17,7 +17,7 @@ from app.http.openapi import answers_bytes, document, refusals
 from schemas.keys import Access
 from schemas.wire import Readiness, Version
 
-router = APIRouter(tags=["service"], dependencies=[no_parameters])
+router = APIRouter(tags=["service"], dependencies=[*checked, no_parameters])
 
 _OF_MAP = "map "
 

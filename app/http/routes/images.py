@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from app.http.conditional import is_fresh, quoted
-from app.http.dependencies import Curates, QueryId, ViewId, no_parameters
+from app.http.dependencies import Curates, QueryId, ViewId, checked, no_parameters
 from app.http.image_parameters import ExplanationParameters
 from app.http.openapi import DRAWN_BY, answers_bytes, refusals
 from app.http.parameters import (
@@ -15,7 +15,7 @@ from app.http.parameters import (
     ThumbnailParameters,
 )
 
-router = APIRouter(tags=["images"])
+router = APIRouter(tags=["images"], dependencies=checked)
 
 TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff")
 _DRAWN = ("too-many-requests",)

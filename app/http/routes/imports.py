@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from python_multipart.multipart import parse_options_header
 
-from app.http.dependencies import Curates, MapName
+from app.http.dependencies import Curates, MapName, checked
 from app.http.import_parameters import ImportParameters
 from app.http.notes import note
 from app.http.openapi import refusals
@@ -14,7 +14,7 @@ from app.http.rate_limits import charge_images
 from schemas.errors import BadBody
 from schemas.wire import Job
 
-router = APIRouter(tags=["maps"])
+router = APIRouter(tags=["maps"], dependencies=checked)
 
 ARCHIVES = ("application/zip", "application/x-zip-compressed")
 BAG = "application/x-mcap"

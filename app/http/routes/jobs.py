@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse
 
-from app.http.dependencies import Curates, JobId, Lifecycles, no_parameters
+from app.http.dependencies import Curates, JobId, Lifecycles, checked, no_parameters
 from app.http.job_events import job_events
 from app.http.keys import Accesses, ChecksAgain, check_map
 from app.http.openapi import refusals
@@ -14,7 +14,7 @@ from app.http.parameters import ListJobs
 from schemas.errors import Forbidden
 from schemas.wire import Job, Jobs
 
-router = APIRouter(tags=["jobs"])
+router = APIRouter(tags=["jobs"], dependencies=checked)
 
 EVENT = {
     "type": "object",

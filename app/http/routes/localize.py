@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from pydantic import ValidationError
 
 from app.http.body import json_object
-from app.http.dependencies import Measures, Recognises
+from app.http.dependencies import Measures, Recognises, checked
 from app.http.geopose import OSCP, OSCP_VERSION, GeoPoseRequest, oscp_answer, speaks_oscp
 from app.http.keys import Accesses, check_map
 from app.http.openapi import OF_IMAGES, refusals, takes_json
@@ -20,7 +20,7 @@ from app.http.validation import in_words
 from schemas.errors import BadBody, InvalidParameters, NoPose
 from schemas.records import Filters
 
-router = APIRouter(tags=["enrol and query"])
+router = APIRouter(tags=["enrol and query"], dependencies=checked)
 
 LARGEST = 1 << 31
 """Bytes; REVISIT_MAX_BODY_MB has refused what is larger before."""

@@ -4,13 +4,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from app.http.dependencies import Curates, MapName
+from app.http.dependencies import Curates, MapName, checked
 from app.http.examples import MAP_HEALTH
 from app.http.openapi import refusals
 from app.http.parameters import HealthParameters
 from schemas.wire import MapHealth
 
-router = APIRouter(tags=["maps"])
+router = APIRouter(tags=["maps"], dependencies=checked)
 
 
 @router.get(

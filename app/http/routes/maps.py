@@ -7,7 +7,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 
 from app.http.body import LARGEST_JSON, json_object
-from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.dependencies import Curates, MapName, checked, no_parameters
 from app.http.examples import CALIBRATION_REPORT, POST_CALIBRATION
 from app.http.keys import Accesses
 from app.http.openapi import refusals, takes_json, takes_map
@@ -19,8 +19,8 @@ from schemas.wire import CalibrationReport, Deleted, DynamicPreview, Job, MapFac
 
 M = TypeVar("M", bound=BaseModel)
 
-previews = APIRouter(tags=["maps"])
-router = APIRouter(tags=["maps"], dependencies=[no_parameters])
+previews = APIRouter(tags=["maps"], dependencies=checked)
+router = APIRouter(tags=["maps"], dependencies=[*checked, no_parameters])
 
 MOST_LABELS = 2 * 1024 * 1024
 """Bytes of the largest body with labelled queries: 5,000 take some 500 kB."""

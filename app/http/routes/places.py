@@ -4,13 +4,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from app.http.dependencies import Curates
+from app.http.dependencies import Curates, checked
 from app.http.keys import Accesses, check_map
 from app.http.openapi import refusals
 from app.http.parameters import ListPlaces
 from schemas.wire import Places
 
-router = APIRouter(tags=["maps"])
+router = APIRouter(tags=["maps"], dependencies=checked)
 
 
 @router.get("/places", response_model=Places, responses=refusals("not-found"))

@@ -6,14 +6,14 @@ from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import Response
 
 from app.http.body import json_object
-from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.dependencies import Curates, MapName, checked, no_parameters
 from app.http.openapi import answers_bytes, refusals, takes_json
 from app.http.parameters import ProposalParameters
 from app.http.validation import validated
 from schemas.requests import PostProposal
 from schemas.wire import DismissedPlace, NamedPlace, Proposals
 
-router = APIRouter(tags=["maps"])
+router = APIRouter(tags=["maps"], dependencies=checked)
 
 ProposalId = Annotated[str, Path(description="Id of the proposal, from the list.")]
 

@@ -3,11 +3,11 @@
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse, Response
 
-from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.dependencies import Curates, MapName, checked, no_parameters
 from app.http.openapi import refusals
 from schemas.wire import Job, Shadow
 
-router = APIRouter(tags=["maps"], dependencies=[no_parameters])
+router = APIRouter(tags=["maps"], dependencies=[*checked, no_parameters])
 
 
 @router.get("/maps/{map}/shadow", response_model=Shadow, responses=refusals("not-found"))

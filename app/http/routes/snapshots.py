@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from app.http.body import has_body
-from app.http.dependencies import Curates, MapName, SnapshotId, no_parameters
+from app.http.dependencies import Curates, MapName, SnapshotId, checked, no_parameters
 from app.http.keys import Accesses, check_map
 from app.http.openapi import answers_bytes, refusals
 from app.http.parameters import RestoreParameters
@@ -15,7 +15,7 @@ from app.http.receiving import received
 from schemas.errors import BadBody
 from schemas.wire import Job, RestoredMap, Snapshot, Snapshots
 
-router = APIRouter(tags=["snapshots"])
+router = APIRouter(tags=["snapshots"], dependencies=checked)
 
 MEDIA_TYPE = "application/x-tar"
 CHUNK = 1 << 20

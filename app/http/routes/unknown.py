@@ -6,7 +6,7 @@ from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import Response
 
 from app.http.body import json_object
-from app.http.dependencies import Curates, MapName, no_parameters
+from app.http.dependencies import Curates, MapName, checked, no_parameters
 from app.http.openapi import answers_bytes, refusals, takes_json
 from app.http.parameters import AttributesDocument, UnknownParameters
 from app.http.routes.views import in_document
@@ -15,7 +15,7 @@ from schemas.errors import InvalidParameters
 from schemas.requests import PostUnknown
 from schemas.wire import DismissedPlace, NamedPlace, UnknownPlaces
 
-router = APIRouter(tags=["maps"])
+router = APIRouter(tags=["maps"], dependencies=checked)
 
 PlaceId = Annotated[str, Path(description="Id of the unknown place, from the list.")]
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request
 
 from app.http.body import json_object
-from app.http.dependencies import Curates, ViewId, no_parameters
+from app.http.dependencies import Curates, ViewId, checked, no_parameters
 from app.http.examples import PATCH, VIEW
 from app.http.keys import Accesses, check_map
 from app.http.merge_patch import merge
@@ -20,7 +20,7 @@ from schemas.records import ViewAttributes
 from schemas.values import METADATA_DEPTH, within_depth
 from schemas.wire import Deleted, Position, View, Views, rfc3339
 
-router = APIRouter(tags=["views"])
+router = APIRouter(tags=["views"], dependencies=checked)
 
 _VIEW: dict[int | str, dict[str, Any]] = {200: {"content": {"application/json": {"example": VIEW}}}}
 _PATCH_SCHEMA: dict[str, Any] = {
