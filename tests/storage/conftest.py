@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -43,9 +44,19 @@ def reopen(database_url: str, data: Path) -> Iterator[Open]:
         store.close()
 
 
+@cache
+def migrated_file() -> bytes:
+    """A SQLite file with all tables: going through the migrations takes longer than most tests."""
+    with data_folder() as folder:
+        open_store(sqlite_url(folder), folder).close()
+        return (folder / "revisit.db").read_bytes()
+
+
 @pytest.fixture
-def store(reopen: Open) -> SqlStore:
+def store(database_url: str, data: Path, reopen: Open) -> SqlStore:
     """An empty store."""
+    if database_url == sqlite_url(data):
+        (data / "revisit.db").write_bytes(migrated_file())
     return reopen()
 
 

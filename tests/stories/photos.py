@@ -1,6 +1,7 @@
 """What stories show the service: drawn places as a camera would save them."""
 
 import io
+from functools import lru_cache
 
 from PIL import Image as PilImage
 
@@ -8,6 +9,7 @@ from scenes.scene import Scene
 from schemas.image import Bytes2D
 
 
+@lru_cache(maxsize=2048)  # stories are told on two databases, and many of them of the same places
 def photo(look: Scene) -> bytes:
     """A JPEG of a scene."""
     return jpeg(look.pixels)
