@@ -102,8 +102,9 @@ class RequestContext:
                 headers["X-Request-Id"] = request_id
                 for name, value in _OF_EVERY_ANSWER.items():
                     headers.setdefault(name, value)
-                if status >= 400:
-                    headers.setdefault("Cache-Control", "no-store")
+                # Whoever has a key may keep what it gives, and asks each time; what stands between keeps nothing:
+                # caches know of Authorization that answers are one caller's, and not of X-Api-Key.
+                headers.setdefault("Cache-Control", "no-store" if status >= 400 else "private, no-cache")
                 if unread or self._draining():
                     # With the rest of a body unread, or no service to come back to, no other request can follow.
                     headers["Connection"] = "close"
