@@ -293,35 +293,6 @@ def test_idempotency_keys_of_two_callers_do_not_meet(locked: Locked) -> None:
     assert enroll(locked.admin, 2).headers["idempotent-replayed"] == "true"
 
 
-def test_keys_of_images_of_a_drive_are_their_senders_too(locked: Locked) -> None:
-    calls = []
-    for key in (locked.bearer["read"], locked.admin):
-        headers = {**IMAGE, "authorization": f"Bearer {key}", "idempotency-key": "1"}
-        locked.client.post("/query?map=belfry&drive=robot-7", content=JPEG, headers=headers)
-        calls.append(locked.runtime.recogniser.given["call"])
-
-    assert len(set(calls)) == 2
-
-
-@pytest.mark.parametrize(("allowed", "status"), [(("belfry",), 404), (("belfry", "crypt"), 200)])
-def test_an_explained_query_of_several_maps_needs_all_of_them(
-    locked: Locked, monkeypatch: pytest.MonkeyPatch, allowed: tuple[str, ...], status: int
-) -> None:
-    """What is drawn shows a view of one map beside a rival of another."""
-
-    async def maps_of_query(query_id: str) -> tuple[str, ...]:
-        return ("belfry", "crypt")
-
-    async def explanation(query_id: str, view_id: str | None) -> bytes:
-        return b"drawn"
-
-    monkeypatch.setattr(locked.runtime.recogniser, "maps_of_query", maps_of_query)
-    monkeypatch.setattr(locked.runtime.recogniser, "explanation", explanation)
-    bearer = {"authorization": f"Bearer {locked.keys.make('visitor', 'read', *allowed)}"}
-
-    assert locked.client.get("/queries/q1/explanation.png", headers=bearer).status_code == status
-
-
 def test_guessing_is_slowed_down_and_locks_out_nobody_with_a_key(locked: Locked) -> None:
     statuses = [locked.call("GET", "/maps", "guess").status_code for _ in range(FAILURES + 5)]
 
