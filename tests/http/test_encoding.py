@@ -234,7 +234,12 @@ def test_what_cannot_be_encoded_is_refused(client: TestClient, images: Tensor, f
     assert answer.json()["type"] == "urn:revisit:problem:malformed-body"
 
 
-TENSOR = {"name": PIXELS, "datatype": "UINT8", "shape": [1, 32, 32, 3], "parameters": {"binary_data_size": 3072}}
+TENSOR: dict[str, object] = {
+    "name": PIXELS,
+    "datatype": "UINT8",
+    "shape": [1, 32, 32, 3],
+    "parameters": {"binary_data_size": 3072},
+}
 LONG = 10**4000
 ODD: dict[str, dict[str, object]] = {
     "a size with decimals": TENSOR | {"parameters": {"binary_data_size": 3072.0}},
