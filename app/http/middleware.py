@@ -167,6 +167,29 @@ class RequestContext:
         )
 
 
+class Failures:
+    """Answers 500 to uncaught exceptions inside `app.http.cors`, without which a page could not read that answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request; an exception after its answer has begun goes on to `RequestContext`."""
+        begun = False
+
+        async def send_seen(message: Message) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_seen)
+        except Exception as error:
+            if begun or scope["type"] != "http":
+                raise
+            await internal(error, scope["state"]["request_id"])(scope, receive, send)
+
+
 class ReadinessGate:
     """Answers 503 while the service starts or drains, or when too many connections are open."""
 

@@ -117,6 +117,16 @@ def test_no_page_of_another_origin_may_read_unless_it_is_named(client: CheckedCl
         assert (refused.status_code, refused.headers["access-control-allow-origin"]) == (404, MUSEUM["origin"])
 
 
+def test_a_page_whose_origin_is_named_reads_failures_too() -> None:
+    """A browser tells its page of an answer without these headers that there was none."""
+    runtime = FakeRuntime(settings=Settings(cors=MUSEUM["origin"]))
+    runtime.recogniser.fails["maps"] = RuntimeError("broken")
+    with CheckedClient(runtime.app()) as client:
+        answer = client.get("/maps", headers=MUSEUM)
+    assert (answer.status_code, answer.headers.get("access-control-allow-origin")) == (500, MUSEUM["origin"])
+    assert answer.json()["request_id"] == answer.headers["x-request-id"]
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_preflight_needs_no_key(method: str) -> None:
     keys = KeyMaker()
