@@ -31,6 +31,9 @@ from dataclasses import dataclass
 LONGEST_ECHO = 100
 """Characters of a name that a refusal repeats."""
 
+MOST_MISTAKES = 100
+"""Mistakes of one request that its refusal lists: thousands take seconds to write, and nobody reads them."""
+
 
 def echoed(name: str) -> str:
     """A name as a refusal repeats it: whole, or its beginning and its length."""
@@ -108,13 +111,14 @@ class RequestTimeout(RevisitError):
 
 
 class InvalidParameters(RevisitError):
-    """One or more parameters are unknown, of a wrong type or out of range; `errors` lists all of them."""
+    """One or more parameters are unknown, of a wrong type or out of range; `errors` lists up to `MOST_MISTAKES`."""
 
     code = "invalid-parameter"
 
     def __init__(self, errors: Sequence[ParameterError]) -> None:
-        super().__init__("; ".join(f"{e.parameter}: {e.detail}" for e in errors))
-        self.errors = tuple(errors)
+        self.errors = tuple(errors[:MOST_MISTAKES])
+        more = "; and more" if len(errors) > MOST_MISTAKES else ""
+        super().__init__("; ".join(f"{e.parameter}: {e.detail}" for e in self.errors) + more)
 
     @classmethod
     def of(cls, parameter: str, detail: str) -> "InvalidParameters":

@@ -5,7 +5,8 @@ object names them. What is here is what a shared encoder needs; other ways to wr
 """
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Mapping
 from math import prod
 from typing import Any, Literal
 
@@ -45,6 +46,13 @@ def scale_name(number: int) -> str:
 
 PROBE: npt.NDArray[np.uint8] = np.full((1, 96, 96, 3), 127, np.uint8)
 """A small image, grey, by which it is tried whether a server encodes."""
+
+LARGEST_JSON = 64 * 1024
+"""Bytes of the JSON object of a message; that of ours has some hundred."""
+
+_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
+
+MOST_TENSORS, MOST_DIMENSIONS, LONGEST_SIDE = 16, 8, 2**31
 
 _TYPES: Mapping[str, type] = {"UINT8": np.uint8, "FP32": np.float32}
 _NAMES: Mapping[np.dtype[Any], str] = {np.dtype(kind): name for name, kind in _TYPES.items()}
@@ -101,9 +109,11 @@ def unpacked(
     BadBody
         It is no such message, or a tensor is of another type, or not sent as bytes.
     """
-    length = len(body) if json_length is None else int(json_length) if json_length.isdecimal() else -1
+    length = len(body) if json_length is None else int(json_length[:20]) if json_length.isdecimal() else -1
     if not 0 <= length <= len(body):
-        raise _malformed(f"{JSON_LENGTH} is {json_length}, of a body of {len(body)} bytes")
+        raise _malformed(f"{JSON_LENGTH} is {json_length:.50}, of a body of {len(body)} bytes")
+    if length > LARGEST_JSON:
+        raise _malformed(f"its JSON has {length} bytes, and at most {LARGEST_JSON} are read")
     try:
         said = json.loads(body[:length])
         described = [(str(t["name"]), t["datatype"], t["shape"], t["parameters"]["binary_data_size"])
@@ -113,6 +123,10 @@ def unpacked(
             f"its first {length} bytes are no JSON with {kind} of which each has name, datatype, shape and "
             "parameters.binary_data_size"
         ) from None
+    if len(described) > MOST_TENSORS:
+        raise _malformed(f"it has {len(described)} {kind}, and at most {MOST_TENSORS} are read")
+    if not all(_NAME.fullmatch(name) for name, *_ in described):
+        raise _malformed("names of tensors have 1 to 64 letters, digits, dots, - and _")
     tensors: dict[str, Tensor] = {}
     for name, datatype, shape, size in described:
         tensors[name] = _tensor(name, datatype, shape, size, memoryview(body)[length:])
@@ -125,15 +139,21 @@ def unpacked(
 def _tensor(name: str, datatype: Any, shape: Any, size: Any, rest: memoryview) -> Tensor:
     kind = _TYPES.get(datatype) if isinstance(datatype, str) else None
     if kind is None:
-        raise _malformed(f"{name} is {datatype}; understood are {', '.join(_TYPES)}")
-    if not isinstance(shape, Sequence) or not all(type(side) is int and side > 0 for side in shape):
-        raise _malformed(f"the shape of {name} is {shape}")
+        raise _malformed(f"{name} is {datatype!r:.50}; understood are {', '.join(_TYPES)}")
+    if not isinstance(shape, list) or len(shape) > MOST_DIMENSIONS or not all(map(_is_side, shape)):
+        raise _malformed(f"the shape of {name} is {shape!r:.100}")
     wanted = prod(shape) * np.dtype(kind).itemsize
-    if size != wanted or size > len(rest):
-        raise _malformed(f"{name} of shape {shape} has {wanted} bytes; said are {size}, and {len(rest)} are there")
+    if type(size) is not int or size != wanted or size > len(rest):
+        raise _malformed(
+            f"{name} of shape {shape} has {wanted} bytes; said are {size!r:.50}, and {len(rest)} are there"
+        )
     # A copy: the bytes may begin anywhere, and arithmetic wants them at multiples of four.
     tensor: Tensor = np.frombuffer(rest[:size], kind).reshape(shape).copy()
     return tensor
+
+
+def _is_side(side: object) -> bool:
+    return type(side) is int and 0 < side < LONGEST_SIDE
 
 
 def _malformed(what: str) -> BadBody:

@@ -37,7 +37,8 @@ def _reachable(address: str) -> str:
         to = urlsplit(address)
         port = to.port
     except ValueError as error:  # an IPv6 address without its end, a port that is no number or too large
-        raise ValueError(f"has no usable host and port: {error}") from None
+        why, _, _ = str(error).partition(" as ")  # behind it stands the port, which may be half of a password
+        raise ValueError(f"has no usable host and port: {why}") from None
     try:
         (to.hostname or ".").encode("idna")
     except UnicodeError:
@@ -231,6 +232,11 @@ class Settings(BaseSettings):
         return self.database or f"sqlite:///{self.data / 'revisit.db'}"
 
 
+def without_password(address: str) -> str:
+    """An address as messages show it: without what stands before its host, a user and a password maybe."""
+    return re.sub(r"^([a-z][a-z0-9+.-]*://)?.*@", r"\1***@", address, flags=re.IGNORECASE | re.DOTALL)
+
+
 def read_settings(environment: Mapping[str, str] | None = None, **overrides: object) -> Settings:
     """Settings from ``REVISIT_*`` variables; `overrides` (from flags) win.
 
@@ -253,5 +259,6 @@ def read_settings(environment: Mapping[str, str] | None = None, **overrides: obj
         first = error.errors()[0]
         name = f"REVISIT_{'_'.join(map(str, first['loc']))}".upper()
         secret = "Secret" in str(Settings.model_fields[str(first["loc"][0])].annotation)
-        shown = "***" if secret else repr(first["input"])
+        value = first["input"]
+        shown = "***" if secret else repr(without_password(value) if isinstance(value, str) else value)
         raise SetupError(f"{name}={shown}: {first['msg'].removeprefix('Value error, ')}") from None

@@ -25,11 +25,13 @@ class JsonLines(logging.Formatter):
         line |= {name: value for name, value in vars(record).items() if name not in _USUAL}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=str, ensure_ascii=False)
+        return json.dumps(line, default=str, ensure_ascii=False).translate(_ESCAPED)
 
 
 _SHOWN = ("request_id", "trace_id", "job_id", "view_id", "job_ids", "view_ids", "problem", "slow")
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160), 0x2028, 0x2029)}
+_ESCAPED = {code: f"\\u{code:04x}" for code in _CONTROL}
+"""The same in JSON, of which `json` leaves some as they are: terminals obey them, and programs end lines at them."""
 
 
 class TextLines(logging.Formatter):

@@ -38,7 +38,8 @@ class Addresses:
             await self._app(scope, receive, send)
             return
         path: str = scope["path"]
-        if len(path) > 1 and path.endswith("/"):
+        # A slash that was encoded belongs to a name: that of a place may end so.
+        if len(path) > 1 and path.endswith("/") and scope.get("raw_path", b"/").endswith(b"/"):
             if scope["method"] == "DELETE":
                 await refuse(NotFound("address", path, NAMELESS), scope, receive, send)
                 return

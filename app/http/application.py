@@ -13,7 +13,7 @@ from app.http.addresses import Addresses
 from app.http.cors import cors
 from app.http.keys import KeyGate
 from app.http.metrics import Metrics
-from app.http.middleware import BodyLimit, ReadinessGate, RequestContext
+from app.http.middleware import BodyLimit, Failures, ReadinessGate, RequestContext
 from app.http.openapi import document
 from app.http.other_sites import OtherSites
 from app.http.rate_limits import RateLimit
@@ -134,6 +134,7 @@ def _add_middleware(app: FastAPI, service: Service, metrics: Metrics, tracer_pro
         app.add_middleware(Tracing, provider=tracer_provider, metrics=metrics)
     app.add_middleware(Addresses)
     if service.settings.cors_origins:
+        app.add_middleware(Failures)
         app.add_middleware(cors, origins=service.settings.cors_origins)
     app.add_middleware(
         RequestContext,

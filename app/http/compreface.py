@@ -4,6 +4,7 @@ For apps that speak to CompreFace and change nothing but the address. The servic
 result an image, and its box is the whole image.
 """
 
+import asyncio
 import base64
 import binascii
 from collections.abc import Sequence
@@ -186,7 +187,7 @@ async def one_image(request: Request) -> tuple[str | None, bytes]:
         return sent.images[0]
     encoded = (await json_object(request, LARGEST)).get(FILE_PART)
     try:
-        data = base64.b64decode(encoded if isinstance(encoded, str) else "", validate=True)
+        data = await asyncio.to_thread(base64.b64decode, encoded if isinstance(encoded, str) else "", validate=True)
     except (binascii.Error, ValueError):
         data = b""
     if not data:

@@ -7,10 +7,13 @@ resets the connection, and a reset destroys the answer before the client has rea
 
 import asyncio
 import contextlib
+import fcntl
 import logging
 import re
 import secrets
 import sys
+import termios
+from functools import partial
 from http import HTTPStatus
 from typing import Any, ClassVar
 from urllib.parse import unquote_to_bytes
@@ -21,7 +24,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from app.http.limits import CROWDED, IDLE_S, MOST_HEAD_BYTES, RESERVE, STALLED_S, ConnectionLimits
+from app.http.limits import CROWDED, IDLE_S, MOST_HEAD_BYTES, PAUSED_S, RESERVE, STALLED_S, ConnectionLimits
 from app.http.notes import noting
 from app.http.problems import problem
 
@@ -163,6 +166,18 @@ class BoundedProtocol(H11Protocol):
             self._cancel(name)
         super().connection_lost(exc)
 
+    def pause_writing(self) -> None:
+        """See that a client reads on which is sent more than it has read."""
+        super().pause_writing()
+        self._watch_writing(PAUSED_S)
+
+    def resume_writing(self) -> None:
+        """It did."""
+        super().resume_writing()
+        self._unsent = 0
+        if not self.finishing:
+            self._cancel("write")
+
     # what uvicorn calls
 
     def send_400_response(self, msg: str) -> None:
@@ -171,7 +186,9 @@ class BoundedProtocol(H11Protocol):
         if getattr(error, "error_status_hint", 400) == _TOO_LARGE:
             self._answer("headers-too-large", f"request line and headers have more than {MOST_HEAD_BYTES:,} bytes")
         else:
-            self._answer("bad-request", str(error or msg), getattr(error, "path", ""))
+            # Without the line that h11 repeats: it may hold a key or positions, which no log is to have.
+            what, _, _ = str(error or msg).partition(": bytearray(")
+            self._answer("bad-request", what, getattr(error, "path", ""))
 
     def _unsupported_upgrade_warning(self) -> None:
         """No warning: a client may ask for another protocol, and is answered in this one."""
@@ -238,7 +255,8 @@ class BoundedProtocol(H11Protocol):
         self.finishing = True
         self._unset_keepalive_if_required()
         self._cancel("head")
-        self._watch_writing()
+        self._unsent = 0
+        self._watch_writing(STALLED_S)
         if not unread or self._inner.is_closing():
             self._inner.close()
             return
@@ -256,14 +274,24 @@ class BoundedProtocol(H11Protocol):
         elif not self._inner.is_closing():
             self._after("silence", IDLE_S, self._inner.close)
 
-    def _watch_writing(self) -> None:
-        """Give up a client that does not read its answer: `close` alone waits for it without end."""
-        unsent = self._inner.get_write_buffer_size()
+    def _watch_writing(self, patience_s: float) -> None:
+        """Give up a client that does not read its answer: `close` alone waits for it without end, and so does a stream.
+
+        What it has read is told by what the system has still to send: that takes some of ours a megabyte at a time.
+        """
+        unsent = self._inner.get_write_buffer_size() + self._queued()
         if unsent and unsent == self._unsent:
             self._inner.abort()
             return
         self._unsent = unsent
-        self._after("write", STALLED_S, self._watch_writing)
+        self._after("write", patience_s, partial(self._watch_writing, patience_s))
+
+    def _queued(self) -> int:
+        """Bytes that the system has not sent, or that were not acknowledged; 0 where it does not tell."""
+        with contextlib.suppress(OSError, ValueError):  # ValueError: it is closed
+            told = fcntl.ioctl(self._inner.get_extra_info("socket").fileno(), termios.TIOCOUTQ, bytes(4))
+            return int.from_bytes(told, sys.byteorder)
+        return 0
 
 
 def protocol_with(limits: ConnectionLimits) -> type[BoundedProtocol]:

@@ -191,9 +191,9 @@ class Curator(KeptQueryCuration, RecipeCuration, ChangeCuration):
         """A PNG of what decided about a match."""
         return await asyncio.to_thread(self._renderings.explanation, query_id, view_id)
 
-    async def map_of_query(self, query_id: str) -> str:
-        """The map of an explained query; raises NotFound."""
-        return self._renderings.map_of_query(query_id)
+    async def maps_of_query(self, query_id: str) -> tuple[str, ...]:
+        """The maps of an explained query; raises NotFound."""
+        return self._renderings.maps_of_query(query_id)
 
     # maps
 

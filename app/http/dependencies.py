@@ -88,9 +88,12 @@ async def _job_id(
 async def _query_id(
     query_id: Annotated[str, Path(description="Id of the query, from its answer.")], access: Accesses, curator: Curates
 ) -> str:
-    if access.maps is None:
-        return query_id
-    return await _within(access, "explained query", query_id, curator.map_of_query(query_id))
+    async def map_name() -> str:
+        """Of a query of several maps one that the caller may not use, if there is any."""
+        names = await curator.maps_of_query(query_id)
+        return next((name for name in names if not access.may_use(name)), names[0])
+
+    return query_id if access.maps is None else await _within(access, "explained query", query_id, map_name())
 
 
 async def _snapshot_id(

@@ -52,6 +52,9 @@ SIDE = 32
 MOST_CELLS = 256
 """Rows or columns of a segmentation at most: twice those of any photo."""
 
+LARGEST_NUMBER = 2**63
+"""Of parameters, as the protocol has them: integers of 64 bits."""
+
 _BATCHES = (1, 2, 4, 8, 16, 32, 64, 128)
 
 
@@ -260,8 +263,8 @@ def _parameters(message: dict[str, Any]) -> dict[str, int]:
         raise BadBody("malformed-body", f"parameters are an object, not {given!r:.50}")
     numbers = {name: given[name] for name in ("priority", "timeout", ROWS, COLUMNS) if name in given}
     for name, value in numbers.items():
-        if type(value) is not int or value < 0:
-            raise BadBody("malformed-body", f"parameters.{name} is a number of 0 or more, not {value!r:.50}")
+        if type(value) is not int or not 0 <= value < LARGEST_NUMBER:
+            raise BadBody("malformed-body", f"parameters.{name} is a number of 0 to 2^63, not {value!r:.50}")
     return numbers
 
 

@@ -31,6 +31,9 @@ ANY_HEADING_SD = 180.0
 LEAST_NEAR_M = 100.0
 """Smallest radius of a search around a prior, metres: what phones are wrong by between houses."""
 
+MOST_READINGS = 1000
+"""Readings, or prior poses, of one request; the last is read."""
+
 ANYWHERE_M = 1e7
 """Accuracy from which a prior says nothing, metres: a quarter of the way around the globe."""
 
@@ -76,7 +79,9 @@ class SensorReadings(_Sent):
     """What the phone has measured."""
 
     camera_readings: list[CameraReading] = Field(alias="cameraReadings", min_length=1, max_length=16)
-    geolocation_readings: list[GeolocationReading] = Field(default_factory=list, alias="geolocationReadings")
+    geolocation_readings: list[GeolocationReading] = Field(
+        default_factory=list, alias="geolocationReadings", max_length=MOST_READINGS
+    )
 
 
 class PriorPosition(_Sent):
@@ -117,7 +122,7 @@ class GeoPoseRequest(_Sent):
     id: str = Field(max_length=200)
     type: Literal["geopose"] = "geopose"
     readings: SensorReadings = Field(alias="sensorReadings")
-    priors: list[Prior] = Field(default_factory=list, alias="priorPoses")
+    priors: list[Prior] = Field(default_factory=list, alias="priorPoses", max_length=MOST_READINGS)
 
     def image(self) -> bytes:
         """The first image.

@@ -13,6 +13,7 @@ from fastapi.responses import Response
 from app.http.curate import Curator
 from app.http.problems import problem_of, request_id
 from schemas.errors import InvalidParameters, RevisitError
+from schemas.keys import Access
 from schemas.records import Replay
 
 logger = logging.getLogger("revisit.http")
@@ -31,14 +32,22 @@ def header(description: str) -> dict[str, Any]:
     return {"name": HEADER, "in": "header", "required": False, "description": description, "schema": schema}
 
 
-def key_of(request: Request) -> str | None:
-    """The request's Idempotency-Key, None without one; raises InvalidParameters when it is repeated or malformed."""
+def key_of(request: Request, access: Access) -> str | None:
+    """The request's Idempotency-Key, as the caller's own; None without one.
+
+    Nobody can be answered, or refused, for another's key.
+
+    Raises
+    ------
+    InvalidParameters
+        It is repeated or malformed.
+    """
     keys = request.headers.getlist(HEADER)
     if not keys:
         return None
     if len(keys) > 1 or not _KEY.fullmatch(keys[0]):
         raise InvalidParameters.of(HEADER, "needs to be one value of 1 to 255 visible ASCII characters")
-    return keys[0]
+    return keys[0] if access.key_id is None else f"{keys[0]} of {access.key_id}"
 
 
 def fingerprint(images: Sequence[bytes], parameters: Sequence[tuple[str, str]]) -> str:

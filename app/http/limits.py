@@ -16,6 +16,9 @@ IDLE_S = 5.0
 STALLED_S = 20.0
 """Seconds without progress after which an answer that the client does not read is given up."""
 
+PAUSED_S = 60.0
+"""The same of an answer that is still being made, such as a snapshot, whose reader may be on a line that breaks off."""
+
 RESERVE = 64
 """Connections beyond the bound that are still read: enough to answer each with 503, and to answer the probes."""
 

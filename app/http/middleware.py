@@ -102,8 +102,9 @@ class RequestContext:
                 headers["X-Request-Id"] = request_id
                 for name, value in _OF_EVERY_ANSWER.items():
                     headers.setdefault(name, value)
-                if status >= 400:
-                    headers.setdefault("Cache-Control", "no-store")
+                # Whoever has a key may keep what it gives, and asks each time; what stands between keeps nothing:
+                # caches know of Authorization that answers are one caller's, and not of X-Api-Key.
+                headers.setdefault("Cache-Control", "no-store" if status >= 400 else "private, no-cache")
                 if unread or self._draining():
                     # With the rest of a body unread, or no service to come back to, no other request can follow.
                     headers["Connection"] = "close"
@@ -164,6 +165,29 @@ class RequestContext:
                 **notes.fields,
             },
         )
+
+
+class Failures:
+    """Answers 500 to uncaught exceptions inside `app.http.cors`, without which a page could not read that answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request; an exception after its answer has begun goes on to `RequestContext`."""
+        begun = False
+
+        async def send_seen(message: Message) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_seen)
+        except Exception as error:
+            if begun or scope["type"] != "http":
+                raise
+            await internal(error, scope["state"]["request_id"])(scope, receive, send)
 
 
 class ReadinessGate:

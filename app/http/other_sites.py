@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.http.refusing import refuse
 from app.http.scopes import OPEN_PATHS
 from schemas.errors import OtherSite
-from schemas.keys import UNRESTRICTED
+from schemas.keys import ANONYMOUS, UNRESTRICTED
 
 READING = frozenset({"GET", "HEAD", "OPTIONS"})
 """Methods that change nothing; pages of other sites cannot read what they answer."""
@@ -42,10 +42,12 @@ class OtherSites:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, or refuse it before its body is read."""
-        if scope["type"] == "http" and scope["state"]["access"] is UNRESTRICTED and scope["path"] not in OPEN_PATHS:
+        if scope["type"] == "http" and scope["state"]["access"] is UNRESTRICTED:
             headers = Headers(scope=scope)
             error = self._misnamed(headers) or self._foreign(headers, scope["method"])
-            if error is not None:
+            if error is not None and scope["path"] in OPEN_PATHS:
+                scope["state"]["access"] = ANONYMOUS  # no map is named to it either
+            elif error is not None:
                 await refuse(error, scope, receive, send)
                 return
         await self._app(scope, receive, send)

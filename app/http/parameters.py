@@ -18,6 +18,9 @@ METADATA_FILTER = "metadata.KEY"
 
 _METADATA = "metadata."
 
+MOST_METADATA = 64
+"""Metadata filters of one request, as many as a condition has comparisons: no database takes any number of them."""
+
 _TRUE = ("1", "true", "yes", "on", "t", "y")
 """What pydantic reads as true."""
 
@@ -167,6 +170,8 @@ class FilterParameters(Parameters):
     def contradictions(cls, given: Mapping[str, Any]) -> list[ParameterError]:
         """Mistakes: degrees out of range, `frame` without `near`, a time span that ends before it begins."""
         found = []
+        if (count := len(given.get(METADATA_FILTER, ()))) > MOST_METADATA:
+            found.append(ParameterError(METADATA_FILTER, f"{count} keys; at most {MOST_METADATA} are taken"))
         if given.get("frame") == "geo" and "near" in given:
             try:
                 latitude, longitude, _ = values.near(given["near"])

@@ -12,8 +12,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from app.http.notes import note_problem, noted_path
+from app.http.scopes import methods_of
 from app.http.validation import in_words
 from schemas.errors import (
+    MOST_MISTAKES,
     BadBody,
     Busy,
     InvalidParameters,
@@ -216,14 +218,18 @@ async def _http(request: Request, error: Exception) -> Response:
         "method-not-allowed": f"{echoed(request.url.path)} does not answer {echoed(request.method)}",
     }
     headers = dict(error.headers or {})
-    if "GET" in (allowed := headers.get("Allow", "").split(", ")) and "HEAD" not in allowed:
-        headers["Allow"] = ", ".join([*allowed, "HEAD"])  # app.http.addresses answers it
+    if "Allow" in headers:  # of one route; others may have the address too
+        allowed = {*headers["Allow"].split(", "), *methods_of(request.url.path)}
+        if "GET" in allowed:
+            allowed.add("HEAD")  # app.http.addresses answers it
+        headers["Allow"] = ", ".join(sorted(allowed))
     return problem(code, details.get(code, str(error.detail)), request_id(request), headers=headers)
 
 
 async def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    errors = [in_words(one, one["loc"][1:]) for one in error.errors()]  # [0]: path or query
+    first = error.errors()[: MOST_MISTAKES + 1]
+    errors = [in_words(one, one["loc"][1:]) for one in first]  # [0]: path or query
     return problem_of(InvalidParameters(errors), request_id(request))
 
 

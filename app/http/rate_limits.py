@@ -213,10 +213,13 @@ def charge_images(request: Request, count: int) -> None:
 
 
 def client_of(scope: Scope) -> str:
-    """The caller's address; of IPv6 the network of 64 bits, which a caller has all of."""
+    """The caller's address; of IPv6 the network of 64 bits, which a caller has all of, unless it is IPv4 in IPv6."""
     host = (scope.get("client") or ("unknown", 0))[0]
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
         return str(host)
-    return host if address.version == 4 else str(ipaddress.ip_network((int(address) >> 64 << 64, 64)))
+    if isinstance(address, ipaddress.IPv4Address):
+        return str(host)
+    # A socket that listens on `::` sees every IPv4 caller within one network.
+    return str(address.ipv4_mapped or ipaddress.ip_network((int(address) >> 64 << 64, 64)))

@@ -122,6 +122,11 @@ _COMPILED = [
 ]
 
 
+def methods_of(path: str) -> set[str]:
+    """The methods of all routes of an address, of those that ask for a key."""
+    return {method for method, _, pattern, _ in _COMPILED if pattern.match(path)}
+
+
 def demand(method: str, path: str) -> Demand:
     """What a request asks of its key; of a route that is in no table, the most."""
     method = "GET" if method == "HEAD" else method

@@ -6,12 +6,13 @@ them as multipart parts too, `validated` JSON.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import islice
 from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from schemas.errors import InvalidParameters, ParameterError
+from schemas.errors import MOST_MISTAKES, InvalidParameters, ParameterError
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -100,9 +101,12 @@ _LONGEST_VALUE_SHOWN = 60
 
 
 def problems_of(error: ValidationError, model: type[BaseModel]) -> list[ParameterError]:
-    """The errors of a pydantic validation, each with the value given and what is allowed."""
+    """The first errors of a pydantic validation, each with the value given and what is allowed.
+
+    One more than are listed, by which it is seen that there are more.
+    """
     known = sorted(str(field.validation_alias or name) for name, field in model.model_fields.items())
-    return [in_words(one, one["loc"], known) for one in error.errors(include_url=False)]
+    return [in_words(one, one["loc"], known) for one in error.errors(include_url=False)[: MOST_MISTAKES + 1]]
 
 
 def in_words(one: Mapping[str, Any], path: Sequence[str | int], known: Sequence[str] = ()) -> ParameterError:
@@ -150,6 +154,6 @@ def _refusal(model: type[BaseModel], errors: Iterable[ParameterError]) -> Valida
         InitErrorDetails(
             type=PydanticCustomError(_IN_WORDS, "{detail}", {"detail": one.detail}), loc=(one.parameter,), input=None
         )
-        for one in errors
+        for one in islice(errors, MOST_MISTAKES + 1)
     ]
     return ValidationError.from_exception_data(model.__name__, lines)

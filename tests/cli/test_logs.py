@@ -28,9 +28,12 @@ def test_a_field_of_the_event_itself_wins() -> None:
 
 
 def test_a_line_break_in_a_path_does_not_forge_a_line() -> None:
-    text = TextLines().format(record("GET /views/a\n2026-01-01 00:00:00 INFO    all is well\x1b[2J\x85\u2028 404"))
-    assert len(text.splitlines()) == 1
-    assert "\x1b" not in text
+    message = "GET /views/a\n2026-01-01 00:00:00 INFO    all is well\x1b[2J\x85\u2028\x9b31m 404"
+    for form in (TextLines(), JsonLines()):
+        text = form.format(record(message))
+        assert len(text.splitlines()) == 1
+        assert not {"\x1b", "\x9b"} & set(text)
+    assert json.loads(text)["message"] == message
 
 
 def test_a_traceback_follows_its_line_which_has_the_id() -> None:

@@ -223,7 +223,7 @@ class FakeRecogniser(FakeSnapshots, FakeShadows, FakeInbox, FakeChanges):
     async def explanation(self, query_id: str, view_id: str | None) -> bytes:
         raise NotFound("explained query", query_id)
 
-    async def map_of_query(self, query_id: str) -> str:
+    async def maps_of_query(self, query_id: str) -> tuple[str, ...]:
         raise NotFound("explained query", query_id)
 
     async def view_etag(self, view_id: str, kind: str) -> str:

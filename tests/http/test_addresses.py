@@ -41,6 +41,32 @@ def test_head_of_an_address_that_takes_only_post_is_refused(client: CheckedClien
     assert client.put("/views").headers["allow"].endswith("HEAD")
 
 
+@pytest.mark.parametrize(
+    ("path", "methods"),
+    [
+        ("/views", "DELETE, GET, HEAD"),
+        ("/views/v1", "DELETE, GET, HEAD, PATCH"),
+        ("/maps/m", "DELETE, GET, HEAD, PATCH, PUT"),
+        ("/maps/m/unknown/u1", "DELETE, POST"),
+        ("/compat/compreface/m/api/v1/recognition/subjects/hall/lift", "DELETE, PUT"),
+        ("/livez", "GET, HEAD"),
+        ("/", "GET, HEAD"),
+    ],
+)
+def test_a_method_that_is_refused_is_told_all_others(client: CheckedClient, path: str, methods: str) -> None:
+    """Each method has a route of its own, and the framework names that of the first alone."""
+    for method in ("OPTIONS", "TRACE"):
+        answer = client.request(method, path)
+        assert (answer.status_code, answer.headers["allow"]) == (405, methods)
+
+
+def test_no_answer_is_for_a_cache_that_others_use(client: CheckedClient, view: str) -> None:
+    """Such a cache knows of Authorization that answers are one caller's, and not of X-Api-Key."""
+    for path in ("/maps", "/views", f"/views/{view}", f"/views/{view}/image"):
+        answer = client.get(path)
+        assert (answer.status_code, answer.headers["cache-control"]) == (200, "private, no-cache"), path
+
+
 @pytest.mark.parametrize("path", ["/maps", "/views", "/places", "/version", "/docs"])
 def test_a_slash_at_the_end_changes_nothing(client: CheckedClient, path: str) -> None:
     plain, slashed = client.get(path), client.get(f"{path}/")
@@ -89,6 +115,16 @@ def test_no_page_of_another_origin_may_read_unless_it_is_named(client: CheckedCl
         assert "access-control-allow-credentials" not in answer.headers
         refused = shared.get("/nowhere", headers=MUSEUM)
         assert (refused.status_code, refused.headers["access-control-allow-origin"]) == (404, MUSEUM["origin"])
+
+
+def test_a_page_whose_origin_is_named_reads_failures_too() -> None:
+    """A browser tells its page of an answer without these headers that there was none."""
+    runtime = FakeRuntime(settings=Settings(cors=MUSEUM["origin"]))
+    runtime.recogniser.fails["maps"] = RuntimeError("broken")
+    with CheckedClient(runtime.app()) as client:
+        answer = client.get("/maps", headers=MUSEUM)
+    assert (answer.status_code, answer.headers.get("access-control-allow-origin")) == (500, MUSEUM["origin"])
+    assert answer.json()["request_id"] == answer.headers["x-request-id"]
 
 
 @pytest.mark.parametrize("method", METHODS)

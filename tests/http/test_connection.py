@@ -2,12 +2,13 @@
 
 import asyncio
 import json
+import logging
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.http.connection import protocol_with
@@ -16,7 +17,16 @@ from app.http.server import configured
 from schemas.settings import Settings
 
 LARGE = b"x" * 50_000_000
+PIECE = 1_000_000
 ASK = b"GET / HTTP/1.1\r\nHost: a\r\n"
+
+
+async def streamed(scope: Scope, receive: Receive, send: Send) -> None:
+    """As a snapshot: each piece is sent when there is room for it."""
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"%d" % len(LARGE))]})
+    for begin in range(0, len(LARGE), PIECE):
+        await send({"type": "http.response.body", "body": LARGE[begin : begin + PIECE], "more_body": True})
+    await send({"type": "http.response.body"})
 
 
 async def large(scope: Scope, receive: Receive, send: Send) -> None:
@@ -25,9 +35,9 @@ async def large(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 @asynccontextmanager
-async def listening(connections: int = 10) -> AsyncIterator[tuple[ServerState, int]]:
+async def listening(connections: int = 10, app: ASGIApp = large) -> AsyncIterator[tuple[ServerState, int]]:
     """A server of the application on a free port; its connections stand in the state."""
-    config = configured(large, Settings())
+    config = configured(app, Settings())
     config.load()
     state = ServerState()
     made = protocol_with(ConnectionLimits(connections, head_s=5, discard_s=5, discard_bytes=1000))
@@ -59,11 +69,16 @@ def small_window() -> socket.socket:
     return connection
 
 
-def test_a_client_that_does_not_read_its_answer_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+APPS = pytest.mark.parametrize("app", [large, streamed])
+
+
+@APPS
+def test_a_client_that_does_not_read_its_answer_is_given_up(monkeypatch: pytest.MonkeyPatch, app: ASGIApp) -> None:
     monkeypatch.setattr("app.http.connection.STALLED_S", 0.2)
+    monkeypatch.setattr("app.http.connection.PAUSED_S", 0.2)
 
     async def story() -> None:
-        async with listening() as (state, port):
+        async with listening(app=app) as (state, port):
             with small_window() as connection:
                 loop = asyncio.get_running_loop()
                 await loop.sock_connect(connection, ("127.0.0.1", port))
@@ -76,12 +91,14 @@ def test_a_client_that_does_not_read_its_answer_is_given_up(monkeypatch: pytest.
     asyncio.run(story())
 
 
-def test_a_client_that_reads_slowly_gets_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+@APPS
+def test_a_client_that_reads_slowly_gets_all_of_it(monkeypatch: pytest.MonkeyPatch, app: ASGIApp) -> None:
     stalled_s = 1.0
     monkeypatch.setattr("app.http.connection.STALLED_S", stalled_s)
+    monkeypatch.setattr("app.http.connection.PAUSED_S", stalled_s)
 
     async def story() -> None:
-        async with listening() as (state, port):
+        async with listening(app=app) as (state, port):
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(ASK + b"Connection: close\r\n\r\n")
             await reader.readuntil(b"\r\n\r\n")
@@ -115,6 +132,35 @@ def test_what_no_route_sees_is_refused_in_the_words_of_its_protocol_too(path: st
     body = asyncio.run(story())
     assert body["detail"] == "the path has control characters"
     assert {name for name in ("message", "ERROR") if body.get(name) == body["detail"]} == further
+
+
+@pytest.mark.parametrize(
+    ("lines", "detail"),
+    [
+        (b"GET /maps HTTP/1.1\r\nHost: a\r\nX-Api-Key : rv_secret\r\n", "illegal header line"),
+        (b"GET /maps HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer rv_secret\0\r\n", "illegal header line"),
+        (b"GET /views?near=rv_secret,2,3 4 HTTP/1.1\r\nHost: a\r\n", "illegal request line"),
+    ],
+)
+def test_a_line_that_cannot_be_read_is_repeated_nowhere(
+    lines: bytes, detail: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It may hold a key, or a position."""
+    caplog.set_level(logging.DEBUG)
+
+    async def story() -> bytes:
+        async with listening() as (_, port):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(lines + b"\r\n")
+            answer = await asyncio.wait_for(reader.read(), 20)
+            writer.close()
+        return answer
+
+    answer = asyncio.run(story())
+    assert json.loads(answer.partition(b"\r\n\r\n")[2])["detail"] == detail
+    logged = [record.getMessage() for record in caplog.records]
+    assert f"bad-request: {detail}" in logged
+    assert "rv_secret" not in f"{answer!r}{logged}"
 
 
 def test_far_beyond_the_bound_connections_are_closed_unread() -> None:

@@ -1,5 +1,6 @@
 """A shared encoder over HTTP: batches over all callers, bounds, the key, and every refusal in words."""
 
+import json
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -231,6 +232,38 @@ def test_what_cannot_be_encoded_is_refused(client: TestClient, images: Tensor, f
 
     assert answer.status_code == 400
     assert answer.json()["type"] == "urn:revisit:problem:malformed-body"
+
+
+TENSOR: dict[str, object] = {
+    "name": PIXELS,
+    "datatype": "UINT8",
+    "shape": [1, 32, 32, 3],
+    "parameters": {"binary_data_size": 3072},
+}
+LONG = 10**4000
+ODD: dict[str, dict[str, object]] = {
+    "a size with decimals": TENSOR | {"parameters": {"binary_data_size": 3072.0}},
+    "a shape whose product has too many digits to show": TENSOR | {"shape": [LONG, LONG, LONG, 3]},
+    "a shape of very many sides": TENSOR | {"shape": [1] * 30_000},
+    "a name that is no text": TENSOR | {"name": "\ud800"},
+    "a type that is long": TENSOR | {"datatype": ["UINT8"] * 5000},
+    "a length of very many digits": {"length": "9" * 5000},
+}
+
+
+@pytest.mark.parametrize("odd", ODD)
+def test_what_a_message_says_of_a_tensor_is_refused_in_few_words(client: TestClient, odd: str) -> None:
+    head = json.dumps({"inputs": [ODD[odd]]}).encode()
+    model = client.app.state.shared.service.model  # type: ignore[attr-defined]
+    headers = {JSON_LENGTH: str(ODD[odd].get("length", len(head)))}
+    answer = client.post(f"/v2/models/{model}/infer", content=head + bytes(3072), headers=headers)
+    assert (answer.status_code, answer.json()["type"]) == (400, "urn:revisit:problem:malformed-body"), answer.text
+    assert len(answer.content) < 2000
+
+
+def test_a_time_beyond_all_numbers_is_refused(client: TestClient) -> None:
+    refused = ask(client, pixels(1), parameters={"timeout": 10**400})
+    assert (refused.status_code, "parameters.timeout" in refused.json()["error"]) == (400, True)
 
 
 def test_one_output_can_be_wanted_alone(client: TestClient) -> None:

@@ -182,6 +182,24 @@ def test_a_request_is_a_query_whose_image_is_not_kept(client: CheckedClient, rec
     assert recogniser.given["filters"].geographic is True
 
 
+@pytest.mark.parametrize("many", [{"priorPoses": [0] * 150_000}, {"readings": {"geolocationReadings": [{}] * 90_000}}])
+def test_many_readings_are_refused_in_few_words(client: CheckedClient, many: dict[str, Any]) -> None:
+    answered = client.post("/localize/geopose", json=request(**many), headers=OSCP)
+
+    assert (answered.status_code, answered.json()["type"]) == (422, "urn:revisit:problem:invalid-parameter")
+    assert len(answered.content) < 1_000_000
+
+
+@pytest.mark.parametrize("path", ["/localize/geopose", "/compat/compreface/m/api/v1/recognition/recognize"])
+def test_a_body_of_very_many_values_is_refused_unread(client: CheckedClient, path: str) -> None:
+    """Each fills memory, and takes a while: of a body of one image there are few."""
+    body = b'{"priorPoses": [' + b"{}," * 200_000 + b"{}]}"
+    answered = client.post(path, content=body, headers={**OSCP, "content-type": "application/json"})
+
+    assert (answered.status_code, answered.json()["type"]) == (400, "urn:revisit:problem:malformed-body")
+    assert "200,000 values" in answered.json()["detail"]
+
+
 def test_another_version_is_a_bad_request(client: CheckedClient) -> None:
     for headers in ({"accept": "application/json"}, {"accept": "application/vnd.oscp+json;version=1.0"}):
         answered = client.post("/localize/geopose", json=request(), headers=headers)

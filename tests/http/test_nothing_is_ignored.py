@@ -90,3 +90,20 @@ def test_parameters_that_are_not_utf_8_are_named(client: CheckedClient) -> None:
             answer = client.request(method, f"{address(path)}?{query}")
             assert (answer.status_code, answer.json()["type"]) == (422, "urn:revisit:problem:invalid-parameter")
             assert [error["parameter"] for error in answer.json()["errors"]] == [name]
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "/views?" + "&".join(f"a{number}=" for number in range(9000)),
+        "/views?" + "&".join(f"a{number}=&a{number}=" for number in range(4500)),
+        "/maps?" + "&".join(f"a{number}=" for number in range(9000)),
+    ],
+)
+def test_thousands_of_mistakes_are_told_by_the_first_hundred(client: CheckedClient, address: str) -> None:
+    """All of them were megabytes, whose writing held up everybody else for a second."""
+    answer = client.get(address)
+    assert answer.status_code == 422
+    assert len(answer.json()["errors"]) == 100
+    assert answer.json()["detail"].endswith("; and more")
+    assert len(answer.content) < 100_000

@@ -3,6 +3,7 @@
 import pytest
 
 from app.http.scopes import OPEN_PATHS
+from schemas import wire
 from schemas.settings import Settings
 from tests.http.fakes import FakeRuntime
 from tests.keys_in_memory import KeyMaker
@@ -96,6 +97,18 @@ def test_signs_of_life_answer_to_any_name(client: CheckedClient) -> None:
     for path in ("/livez", "/readyz", "/version"):
         assert path in OPEN_PATHS
         assert client.get(path, headers={"host": "shop.example"}).status_code == 200
+
+
+def test_readiness_names_no_map_to_a_name_that_anybody_may_point_here(
+    runtime: FakeRuntime, client: CheckedClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def readiness() -> wire.Readiness:
+        maps = {"belfry": wire.MapReadiness(state="ok", revision=3, indexed=3)}
+        return wire.Readiness(ready=True, checks={"database": "ok"}, maps=maps)
+
+    monkeypatch.setattr(runtime.recogniser, "readiness", readiness)
+    assert client.get("/readyz", headers={"host": "rebound.shop.example"}).json()["maps"] == {}
+    assert set(client.get("/readyz").json()["maps"]) == {"belfry"}
 
 
 def test_a_service_that_is_open_has_any_name_but_takes_no_writes_of_other_pages() -> None:

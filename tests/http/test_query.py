@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from schemas.errors import Busy, EncoderAway, NothingStatic
+from app.http.parameters import MOST_METADATA
+from schemas.errors import Busy, EncoderAway, NothingStatic, SetupError
 from schemas.records import Filters
 from tests.http.fakes import FakeRecogniser, FakeRuntime
 from tests.openapi import CheckedClient
@@ -183,13 +184,30 @@ def test_a_query_takes_one_image(client: CheckedClient) -> None:
     assert answer.json()["errors"] == [{"parameter": "image", "detail": "2 images; a query takes one"}]
 
 
+def test_metadata_is_filtered_by_so_many_keys(client: CheckedClient, recogniser: FakeRecogniser) -> None:
+    """Databases read expressions to a depth, and answer an error of ours beyond."""
+    filters = [f"metadata.k{number}=v" for number in range(MOST_METADATA + 1)]
+    for method, path in (("POST", "/query?"), ("GET", "/views?"), ("DELETE", "/views?map=default&")):
+        image = {"content": photo(), "headers": JPEG} if method == "POST" else {}
+        refused = client.request(method, path + "&".join(filters), **image)
+        assert (refused.status_code, refused.json()["errors"]) == (
+            422,
+            [{"parameter": "metadata.KEY", "detail": "65 keys; at most 64 are taken"}],
+        )
+    assert client.get("/views?" + "&".join(filters[:-1])).status_code == 200
+    assert len(recogniser.given["filters"].metadata) == MOST_METADATA
+
+
 def test_an_unknown_map_is_not_found(client: CheckedClient) -> None:
     answer = client.post("/query?map=nowhere", content=photo(), headers=JPEG)
     assert answer.status_code == 404
     assert "nowhere" in answer.json()["detail"]
 
 
-@pytest.mark.parametrize(("error", "status"), [(NothingStatic("only cars"), 422), (Busy("32 wait", 3), 429)])
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [(NothingStatic("only cars"), 422), (Busy("32 wait", 3), 429), (SetupError("needs the encoder lseg"), 409)],
+)
 def test_an_error_of_the_use_case_becomes_its_problem(
     client: CheckedClient, recogniser: FakeRecogniser, error: Exception, status: int
 ) -> None:

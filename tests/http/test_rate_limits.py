@@ -83,6 +83,7 @@ def test_buckets_are_bounded_and_the_quietest_is_forgotten() -> None:
         ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
         ("2001:db8:1:2::ffff", "2001:db8:1:2::/64"),
         ("testclient", "testclient"),
+        ("::ffff:192.0.2.1", "192.0.2.1"),  # as a socket on :: sees it
     ],
 )
 def test_an_ipv6_network_is_one_client(host: str, client: str) -> None:

@@ -330,3 +330,13 @@ def test_a_subject_is_renamed_though_an_example_of_it_is_deleted_or_moved_meanwh
 
     assert (renamed.status_code, renamed.json()) == (200, {"updated": True})
     assert {kept.id: kept.attributes.place for kept in recogniser.kept.values()} == {view: "foyer", moved: "yard"}
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE"])
+def test_an_encoded_slash_at_the_end_belongs_to_the_name(
+    client: CheckedClient, recogniser: FakeRecogniser, view: str, method: str
+) -> None:
+    """The place `hall/` is not `hall`, which must neither be renamed nor deleted in its stead."""
+    sent = {"json": {"subject": "foyer"}} if method == "PUT" else {}
+    assert client.request(method, f"{COMPREFACE}/subjects/hall%2F", **sent).status_code == 200
+    assert recogniser.given["filters"].place == "hall/"

@@ -78,8 +78,20 @@ def test_images_that_were_kept_are_removed_when_the_map_is_changed(client: httpx
     for name in ROOMS[:2]:
         client.post(f"/enroll?map=flat&place={name}", content=photo(scene(name).seen_from()), headers=JPEG)
     assert len(kept(data)) == 2
+    one, other = (view["id"] for view in client.get("/views?map=flat").json()["views"])
+    shown = {
+        path: client.get(path).headers["etag"]
+        for path in (
+            *(f"/views/{one}/{name}" for name in ("image", "thumbnail", "segmentation.png", "graph.png")),
+            f"/views/{one}/changes.png?since={other}",
+        )
+    }
+    for path, etag in shown.items():
+        assert client.get(path, headers={"if-none-match": etag}).status_code == 304
     assert client.patch("/maps/flat", json={"keep_images": False}).status_code == 200
     assert kept(data) == []
+    for path, etag in shown.items():  # a cache that asks is not told that its copy is current
+        assert client.get(path, headers={"if-none-match": etag}).status_code == 404, path
 
 
 def test_a_kill_between_description_and_removal_leaves_nothing_after_the_next_start(tmp_path: Path) -> None:

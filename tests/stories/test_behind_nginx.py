@@ -183,6 +183,16 @@ def test_too_many_requests_are_refused_by_the_proxy_as_the_service_would(tmp_pat
         assert int(answers[-1].headers["retry-after"]) > 0
 
 
+def test_callers_do_not_choose_the_address_by_which_they_are_counted(tmp_path: Path) -> None:
+    with (
+        RunningService(tmp_path / "data", REVISIT_LIMIT_REQUESTS="5") as service,
+        proxy(tmp_path / "nginx", service.url) as client,
+    ):
+        said = [{"x-forwarded-for": f"192.0.2.{number}"} for number in range(7)]
+        statuses = [client.get("/maps", headers=headers).status_code for headers in said]
+        assert statuses == [200] * 5 + [429] * 2
+
+
 @pytest.mark.slow
 def test_connections_are_kept_on_both_sides_and_never_used_after_the_service_closed_them(tmp_path: Path) -> None:
     """The service ends a connection that is silent for 5 s; an enrolment on such a one would be lost as a 502."""

@@ -78,7 +78,12 @@ def test_two_tenants_of_one_service_see_nothing_of_one_another(tmp_path: Path) -
             files = {"image": ("a.jpg", encoded(drawn(320, 240, seed), "jpeg"))}
             views[name] = call(name, "POST", f"/enroll?map={name}&place=gate", files=files).json()["view"]["id"]
             queries[name] = call(name, "POST", f"/query?map={name}&explain=true", files=files).json()["query"]["id"]
+        made["operator"] = runtime.services.keys.create("operator", "read", datetime.now(UTC))[1]
+        both = call("operator", "POST", "/query?maps=campus,depot&explain=true", files=files).json()["query"]["id"]
+        assert call("operator", "GET", f"/queries/{both}/explanation.png").status_code == 200
         for name, other in (("campus", "depot"), ("depot", "campus")):
+            for path in ("explanation.png", "changes", "changes.png"):  # it shows the photos of either
+                assert call(name, "GET", f"/queries/{both}/{path}").status_code == 404
             for path in ("/maps", "/views", "/places", "/jobs"):
                 answer = call(name, "GET", path)
                 assert name in answer.text

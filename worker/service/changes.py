@@ -23,6 +23,7 @@ from worker.method.changes import Change, Changes
 from worker.method.lost_cells import Doubles, PhotoCells
 from worker.service.explanations import Explanations
 from worker.service.ports import Maps, Views
+from worker.service.renderings import refuse_forgotten
 from worker.service.sheets import name_of
 
 KEYPOINTS = 300
@@ -154,9 +155,11 @@ class ChangeService:
         return self._drawn(self._maps.get(first.map), first, self._photo(first), self._query_photo(query_id))
 
     def version(self, view_id: str, since: str) -> str:
-        """A version of the drawing of two views, for an ETag; raises NotFound."""
+        """A version of the drawing of two views, for an ETag; raises NotFound, ImageNotKept."""
         one, other = self._views.get(view_id), self._views.get(since)
-        return f"{one.id}-{other.id}-{self._maps.get(one.map).description.id}-changes"
+        owner = self._maps.get(one.map)
+        refuse_forgotten(one, owner)
+        return f"{one.id}-{other.id}-{owner.description.id}-changes"
 
     def _query_photo(self, query_id: str) -> _Photo:
         return _Photo(query_id, self._explanations.get(query_id).image, "now: query")

@@ -31,6 +31,8 @@ class Explained:
         The verdict in words.
     rival : ScoredView or None
         The view that the first match is compared with; it need not be among the results.
+    maps : tuple of str
+        Names of all maps that were searched for it; any of them may be shown. Needed of one that is kept.
     """
 
     image: Image
@@ -38,6 +40,7 @@ class Explained:
     results: RankedResults
     headline: Headline
     rival: ScoredView | None = None
+    maps: tuple[str, ...] = ()
 
     def view(self, view_id: str | None) -> ScoredView:
         """The result for a view, or the first result when `view_id` is None; raises NotFound."""

@@ -294,7 +294,8 @@ class QueryService:
         """Keep the query, so that it can be drawn; returns where the first match and its rival differ."""
         shown = replace(result.results, views=result.results.views[: result.top])
         rival = None if result.rival is None else result.rival[0]
-        explained = Explained(self._shrink(result.image), result.results.query, shown, headline(result.decision), rival)
+        small, query = self._shrink(result.image), result.results.query
+        explained = Explained(small, query, shown, headline(result.decision), rival, result.names)
         self._explanations.keep(result.id, explained)
         return self._differs(explained) if result.decision.reason.code == "look-alike" else ()
 

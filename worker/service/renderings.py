@@ -9,7 +9,7 @@ import numpy as np
 from schemas.description import PixelField
 from schemas.errors import BadImage, ImageNotKept, NotFound
 from schemas.image import Image
-from schemas.records import MapRecord
+from schemas.records import MapRecord, ViewRecord
 from worker.description.describer import Describer
 from worker.description.describers import Describers
 from worker.description.scheduler import Scheduler
@@ -139,9 +139,9 @@ class RenderingService:
         """The network whose labels a segmentation shows. A context graph is always that of the encoder."""
         return "segmenter" if self._scheduler.segments else "encoder"
 
-    def map_of_query(self, query_id: str) -> str:
-        """The map of an explained query; raises NotFound."""
-        return self._explanations.get(query_id).view(None).view.map
+    def maps_of_query(self, query_id: str) -> tuple[str, ...]:
+        """The maps that an explained query was asked of: what is drawn may be of any; raises NotFound."""
+        return self._explanations.get(query_id).maps
 
     def explanation(self, query_id: str, view_id: str | None) -> bytes:
         """What decided about a match, and why a rival lost, as PNG; raises NotFound."""
@@ -166,11 +166,19 @@ class RenderingService:
         return None
 
     def version(self, view_id: str, kind: str) -> str:
-        """A version of an image made from a view, for an ETag; `kind` names the image and its options."""
+        """A version of an image made from a view, for an ETag; `kind` names the image and its options.
+
+        Raises
+        ------
+        NotFound
+        ImageNotKept
+            A cache must not be told that its copy of an image which was removed is current.
+        """
         record = self._views.get(view_id)
+        owner = self._maps.get(record.map)
+        refuse_forgotten(record, owner)
         if kind.startswith(("image", "thumbnail")):
             return f"{record.image.sha256[:24]}-{kind}"
-        owner = self._maps.get(record.map)
         ranked = f"-{owner.ranking.id}" if kind.startswith("graph") else ""  # the ranking limits the length of edges
         return f"{record.id}-{owner.description.id}{ranked}-{kind}"
 
@@ -185,6 +193,12 @@ class RenderingService:
             return draw(image, field, describer, owner)
 
         return self._scheduler.submit(image, finish, urgent=True, segment=segment).result().value
+
+
+def refuse_forgotten(view: ViewRecord, owner: MapRecord) -> None:
+    """Raise ImageNotKept for a view whose map keeps no images of described views."""
+    if view.state == "ready" and not owner.keep_images:
+        raise ImageNotKept(view.id)
 
 
 def _segmentation(image: Image, field: PixelField, describer: Describer, owner: MapRecord) -> bytes:

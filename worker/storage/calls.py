@@ -45,6 +45,7 @@ class Calls(Part):
         """
         if key in self._late:
             self.finish_late()
+        own = key.partition(" ")[0]  # behind it stands whose it is
         mine = CALLS.c.key == key, CALLS.c.begun_at == now
         with self._late_unless_done(key, lambda: self._delete(*mine)), self._database.writing() as connection:
             given_up = CALLS.c.finished_at.is_(None) & (CALLS.c.begun_at <= now - GIVEN_UP)
@@ -54,11 +55,11 @@ class Calls(Part):
                 connection.execute(sa.insert(CALLS).values(key=key, fingerprint=fingerprint, begun_at=now))
                 return None
         if row.fingerprint != fingerprint:
-            raise KeyReused(f"the Idempotency-Key {key!r} came before with another request; take a new key")
+            raise KeyReused(f"the Idempotency-Key {own!r} came before with another request; take a new key")
         if row.finished_at is None:
-            raise Conflict(f"the first call with the Idempotency-Key {key!r} still runs; try again when it has ended")
+            raise Conflict(f"the first call with the Idempotency-Key {own!r} still runs; try again when it has ended")
         if not checksums.is_whole(CALLS, row, row.checksum):
-            raise Damaged(f"the stored answer to the call with the Idempotency-Key {key!r} is damaged; take a new key")
+            raise Damaged(f"the stored answer to the call with the Idempotency-Key {own!r} is damaged; take a new key")
         return Replay(row.status, json.loads(row.headers), row.body)
 
     def end(self, key: str, replay: Replay, now: datetime) -> None:

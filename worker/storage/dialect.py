@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy.pool import NullPool, QueuePool
 
 from schemas.errors import SetupError
+from schemas.settings import without_password
 
 BUSY_S = 60
 """Seconds that a writer waits for its turn."""
@@ -89,8 +90,8 @@ def make_engine(url: str) -> sa.Engine:
     """
     try:
         parsed = sa.make_url(url)
-    except sa.exc.ArgumentError:
-        raise SetupError(f"REVISIT_DATABASE: {url!r} is not a database URL") from None
+    except (sa.exc.ArgumentError, ValueError):  # ValueError: of a port that is no number
+        raise SetupError(f"REVISIT_DATABASE: {without_password(url)!r} is not a database URL") from None
     if parsed.get_backend_name() == "postgresql":
         return _postgresql(parsed)
     if parsed.get_backend_name() == "sqlite" and parsed.database not in (None, "", ":memory:"):

@@ -15,7 +15,7 @@ from schemas.wire import Changes
 router = APIRouter(tags=["images"], dependencies=checked)
 
 _DRAWN = "The earlier photo beside the later one, with what is gone, new and moved outlined. 1280 pixels wide."
-_REFUSED = refusals("not-found", "image-not-kept", "too-many-requests")
+_REFUSED = refusals("not-found", "image-not-kept", "conflict", "too-many-requests")
 
 
 @router.get("/views/{view_id}/changes", response_model=Changes, responses=_REFUSED)

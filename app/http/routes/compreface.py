@@ -59,6 +59,7 @@ _QUERIED = (
     "no-picture",
     "malformed-body",
     "not-found",
+    "conflict",
     *OF_IMAGES,
     "too-many-requests",
 )

@@ -78,13 +78,11 @@ async def enroll(
         )
         return _answer(sent, outcomes)
 
-    key = key_of(request)
+    key = key_of(request, access)
     if key is None:
         return await work()
     print_ = await asyncio.to_thread(fingerprint, [data for _, data in sent.images], sent.parameters)
-    # Of each caller by itself: nobody can be answered, or refused, for another's Idempotency-Key.
-    own = key if access.key_id is None else f"{key} of {access.key_id}"
-    return await once(curator, request, own, print_, work)
+    return await once(curator, request, key, print_, work)
 
 
 def _answer(sent: Sent, outcomes: list[Enrolled | RevisitError]) -> Response:

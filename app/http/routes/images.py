@@ -18,7 +18,7 @@ from app.http.parameters import (
 router = APIRouter(tags=["images"], dependencies=checked)
 
 TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/tiff")
-_DRAWN = ("too-many-requests",)
+_DRAWN = ("conflict", "too-many-requests")
 
 
 def _responses(*types: str, description: str, drawn: bool = False) -> dict[int | str, dict[str, Any]]:

@@ -16,7 +16,7 @@ from app.http.keys import Accesses, check_map
 from app.http.openapi import OF_IMAGES, refusals, takes_json
 from app.http.query_parameters import LocalizeParameters
 from app.http.rate_limits import charge_images
-from app.http.validation import in_words
+from app.http.validation import problems_of
 from schemas.errors import BadBody, InvalidParameters, NoPose
 from schemas.records import Filters
 
@@ -44,6 +44,7 @@ ANSWER = {
 }
 _REFUSALS = refusals(
     "not-found",
+    "conflict",
     "malformed-body",
     "bad-request",
     *OF_IMAGES,
@@ -104,7 +105,7 @@ def _read(body: dict[str, object]) -> GeoPoseRequest:
     try:
         return GeoPoseRequest.model_validate(body)
     except ValidationError as error:
-        raise InvalidParameters([in_words(one, one["loc"]) for one in error.errors()]) from None
+        raise InvalidParameters(problems_of(error, GeoPoseRequest)) from None
 
 
 def _answer(content: dict[str, object], status: int) -> Response:

@@ -35,6 +35,7 @@ _KEY = header("An image of a drive that is sent again with its key, since its an
             "no-picture",
             "malformed-body",
             "not-found",
+            "conflict",
             "no-pose",
             *OF_IMAGES,
             "too-many-requests",
@@ -56,7 +57,7 @@ async def query(
     params = read(QueryParameters, sent.parameters, errors)
     for name in params.searched():
         check_map(access, name)
-    call = key_of(request)
+    call = key_of(request, access)
     answer = await recogniser.query(
         sent.images[0][1],
         *params.searched(),
