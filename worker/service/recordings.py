@@ -134,6 +134,10 @@ def open_archive(path: Path, limits: Limits) -> Recording:
                 _add_walked(recording, archive, entry, walked, limits)
             else:
                 _add(recording, archive, entry, manifest, limits)
+        if manifest is not None and manifest.rows and len(manifest.unused()) == len(manifest.rows):
+            row, image = manifest.rows[0], archive.images[0].name
+            names = f"no row names the end of an image's path: line {row.line} has {row.file!r}, an image is {image!r}"
+            raise BadBody("malformed-body", f"the manifest cannot be used: {manifest.name}: {names}")
     except BaseException:
         archive.close()
         raise
