@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from hypothesis import given, strategies as st
@@ -38,7 +39,9 @@ def opened(path: Path, data: bytes) -> Recording:
 
 
 @pytest.mark.parametrize("form", ["NFC", "NFD"])
-def test_names_in_utf_8_are_read_whether_the_archive_says_so_or_not(tmp_path: Path, form: str) -> None:
+def test_names_in_utf_8_are_read_whether_the_archive_says_so_or_not(
+    tmp_path: Path, form: Literal["NFC", "NFD"]
+) -> None:
     name = unicodedata.normalize(form, "Höfe/Straße é.jpg")
     data = without_flag({name: photo(1), "manifest.csv": "file,x,y\nStraße é.jpg,1,2\n"})
     assert zipfile.ZipFile(io.BytesIO(data)).namelist()[0] != name
