@@ -12,12 +12,14 @@ import pytest
 from hypothesis import given, strategies as st
 
 from schemas.errors import BadBody
+from schemas.imports import ImportOptions
 from schemas.values import in_order
 from tests.sample_images import photo
 from tests.stories.importing import zipped
 from worker.images import codec
 from worker.service.archives import Archive
 from worker.service.recordings import Limits, Recording, open_archive
+from worker.service.thinning import thin
 
 LIMITS = Limits(codec.Limits(), 10_000_000, 20)
 
@@ -80,6 +82,23 @@ def test_poses_in_order_go_to_frames_in_the_order_of_their_numbers(tmp_path: Pat
             assert {item.file: item.attributes.position.x for item in recording.items} == {
                 written.format(number): number for number in range(1, 13)
             }
+
+
+def test_the_depth_images_of_a_benchmark_are_no_views(tmp_path: Path) -> None:
+    """As TUM's RGB-D benchmark is downloaded, their times some milliseconds beside those of the photos."""
+    files: dict[str, bytes | str] = {f"desk/rgb/{n}.50.png": photo(n, "png") for n in range(4)}
+    files |= {f"desk/depth/{n}.51.png": photo(n + 4, "png") for n in range(3)}
+    files["desk/rgb.txt"] = "# timestamp filename\n" + "".join(f"{n}.50 rgb/{n}.50.png\n" for n in range(4))
+    files["desk/depth.txt"] = "# timestamp filename\n" + "".join(f"{n}.51 depth/{n}.51.png\n" for n in range(3))
+    files["desk/groundtruth.txt"] = "".join(f"{n}.50 {n} 0 0 0 0 0 1\n" for n in range(4))
+
+    with opened(tmp_path / "a.zip", zipped(files)) as recording:
+        assert [(item.file, item.attributes.position.x) for item in recording.items] == [
+            (f"desk/rgb/{n}.50.png", n) for n in range(4)
+        ]
+        assert (recording.left_out, recording.notes) == (3, [])
+        thin(recording, ImportOptions(every_m=2))
+        assert (len(recording.items), recording.left_out) == (2, 5)
 
 
 def test_a_manifest_that_names_none_of_the_images_is_refused(tmp_path: Path) -> None:

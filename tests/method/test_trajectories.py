@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given, strategies as st
 from revisit_client import recordings
 
-from worker.service.trajectories import LISTS, NAMES, Pose, is_list, is_trajectory, poses_of, read_list, read_poses
+from worker.service.trajectories import (
+    DEPTHS,
+    LISTS,
+    NAMES,
+    Pose,
+    is_list,
+    is_trajectory,
+    poses_of,
+    read_list,
+    read_poses,
+)
 
 LEVEL = "-0.7071068 0 0 0.7071068"
 """The camera's z turned from up to +y: looking north, upright."""
@@ -128,7 +138,7 @@ def test_lists_of_images() -> None:
 
 
 def test_what_the_client_sends_of_a_folder_is_what_is_read() -> None:
-    assert recordings.TRAJECTORIES == NAMES | LISTS
+    assert recordings.TRAJECTORIES == NAMES | LISTS | DEPTHS
 
 
 def test_they_are_known_by_their_names() -> None:

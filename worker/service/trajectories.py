@@ -23,6 +23,9 @@ NAMES = frozenset(
 LISTS = frozenset({"rgb.txt", "images.txt"})
 """Names of lists of images: ``time file``."""
 
+DEPTHS = frozenset({"depth.txt"})
+"""Names of lists of depth images, in the same form: TUM's benchmark has one for each image, and they show no place."""
+
 TOLERANCE_S = 0.05
 """Seconds between an image and the pose that it gets."""
 
@@ -72,6 +75,18 @@ def is_trajectory(name: str) -> bool:
 def is_list(name: str) -> bool:
     """Whether a file lists images by their times."""
     return PurePosixPath(name.lower()).name in LISTS
+
+
+def is_list_of_depths(name: str) -> bool:
+    """Whether a file lists depth images by their times."""
+    return PurePosixPath(name.lower()).name in DEPTHS
+
+
+def listed(file: str, times: Mapping[str, float]) -> float | None:
+    """The time of a file by a list of `read_list`, which has the end of its path; None where it has none."""
+    parts = PurePosixPath(composed(file)).parts
+    found = (times.get("/".join(parts[start:])) for start in range(len(parts)))
+    return next((time for time in found if time is not None), None)
 
 
 def read_poses(name: str, data: bytes) -> list[Pose]:
@@ -132,7 +147,7 @@ def poses_of(files: Sequence[str], poses: Sequence[Pose], times: Mapping[str, fl
         return _by_number(files, poses)
     ordered = sorted(poses, key=_time)
     moments = {file: _time_of(file, times) for file in files}
-    _check_seconds([file for file in files if _listed(file, times) is None], moments, ordered)
+    _check_seconds([file for file in files if listed(file, times) is None], moments, ordered)
     found = {}
     for file, moment in moments.items():
         if moment is not None:
@@ -170,16 +185,10 @@ def _check_seconds(named: Sequence[str], moments: Mapping[str, float | None], or
         )
 
 
-def _listed(file: str, times: Mapping[str, float]) -> float | None:
-    parts = PurePosixPath(composed(file)).parts
-    found = (times.get("/".join(parts[start:])) for start in range(len(parts)))
-    return next((time for time in found if time is not None), None)
-
-
 def _time_of(file: str, times: Mapping[str, float]) -> float | None:
-    listed = _listed(file, times)
+    time = listed(file, times)
     try:
-        return float(PurePosixPath(file).stem) if listed is None else listed
+        return float(PurePosixPath(file).stem) if time is None else time
     except ValueError:
         return None
 
