@@ -105,6 +105,17 @@ def test_columns_that_a_spreadsheet_left_empty_are_none() -> None:
         read_manifest("manifest.csv", b"file,x,y,,\na.jpg,1,2,,5\n")
 
 
+def test_a_comma_that_may_be_either_is_not_guessed_at() -> None:
+    """Spreadsheets in English put commas before thousands, and then quotes around numbers."""
+    with pytest.raises(ValueError, match="line 2: y is '1,234', which may have a comma for thousands or for decimals"):
+        read_manifest("manifest.csv", b'file,x,y\na.jpg,1,"1,234"\n')
+    for text in (b"file;x;y\na.jpg;0,5;1,234\n", b'file,x,y\na.jpg,"0,500","1,2340"\n'):
+        (row,) = read_manifest("manifest.csv", text).rows
+        assert attributes(row, "manifest.csv").position == Position(x=0.5, y=1.234)
+    (row,) = read_manifest("manifest.csv", b'file,lat,lon\na.jpg,"50,123","14,456"\n').rows
+    assert attributes(row, "manifest.csv").position == Position(lat=50.123, lon=14.456)
+
+
 def test_a_heading_of_next_to_nothing_below_0_is_0() -> None:
     (row,) = read_manifest("manifest.csv", b"file,heading\na.jpg,-1e-17\n").rows
     assert attributes(row, "manifest.csv").position.heading == 0

@@ -34,6 +34,8 @@ LONGEST_PLACE = 200
 _MEANT = {other: ours for ours, others in NAMES.items() for other in (ours, *others)}
 _UNIX = re.compile(r"\d{9,19}(\.\d+)?", re.ASCII)
 _COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
+_METRES = frozenset(("x", "y", "z", "alt"))
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)  # in a table with commas between its columns
 _RANGES = {"lat": 90.0, "lon": 180.0, "heading": 360.0} | dict.fromkeys(("x", "y", "z", "alt"), values.FARTHEST_M)
 
 
@@ -248,6 +250,10 @@ def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
             filled = {named[c]: cell.strip() for c, cell in zip(columns, cells, strict=False) if cell.strip()}
             if "file" not in filled:
                 raise ValueError(f"{name}, line {reader.line_num}: names no file")
+            for column in _METRES & filled.keys() if delimiter == "," else ():
+                if _THOUSANDS.fullmatch(filled[column]):
+                    either = f"is {filled[column]!r}, which may have a comma for thousands or for decimals"
+                    raise ValueError(f"{name}, line {reader.line_num}: {column} {either}; write it without")
             rows.append(_row(reader.line_num, filled))
             _count(name, rows)
         _check_quotes(text, delimiter)
