@@ -30,6 +30,7 @@ _BLANK = frozenset("\u115f\u1160\u2800\u3164\uffa0")  # letters and symbols that
 _DIRECTIONS = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 _RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)")
+_NUMBERS = re.compile(r"(\d+)(?:\.(\d+))?", re.ASCII)
 _LOST_PLUS = re.compile(r".*[\d.] \d\d:\d\d")
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 _LONGEST_S = 1_000_000_000
@@ -86,8 +87,19 @@ def file_name(text: str | None) -> str | None:
     return shown if shown.strip(".") else None
 
 
+def composed(name: str) -> str:
+    """A file name with its accents in one character each (NFC), however the system that wrote it keeps them."""
+    return unicodedata.normalize("NFC", name)
+
+
+def in_order(name: str) -> tuple[object, ...]:
+    """A key that sorts file names as people count: ``9.jpg`` before ``10.jpg``, and ``0.25.jpg`` before ``0.5.jpg``."""
+    parts = _NUMBERS.split(name)  # text, whole number, its decimals or None, text, ...
+    return tuple(int(part) if at % 3 == 1 else part or "" for at, part in enumerate(parts)), name
+
+
 def whole_turn(degrees: float) -> float:
-    """360 degrees as 0."""
+    """360 degrees as 0; what is left of next to nothing below 0 by ``% 360`` is 360 too."""
     return 0.0 if degrees == 360 else degrees
 
 

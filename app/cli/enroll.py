@@ -160,11 +160,13 @@ def _described(arguments: argparse.Namespace, skipped: list[images.Skipped]) -> 
         known = dict(of_all)
         if arguments.place_from_folder:
             known["place"] = path.resolve().parent.name
+        listed = None if positions is None else positions.of(path)
         if arguments.exif:
             seen = taken(path)
+            if "x" in (listed or {}) or ("x" in known and "lat" not in seen):  # beside metres north may lie anywhere
+                seen.pop("heading", None)
             known = {name: value for name, value in known.items() if name not in ("x", "y") or "lat" not in seen} | seen
         if positions is not None:
-            listed = positions.of(path)
             unlisted += listed is None
             if listed:
                 frame = {"lat", "lon", "alt"} if "x" in listed else {"x", "y", "z"} if "lat" in listed else set()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from app.cli.console import wrong_use
+from schemas.values import in_order
 
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
 
@@ -23,7 +24,7 @@ class Skipped:
 
 
 def found(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Path]:
-    """Images that files, folders (with all inside) and globs name, each once; sorted within each argument.
+    """Images that files, folders (with all inside) and globs name, each once; within each argument by their names.
 
     What a folder has besides is added to `skipped`.
 
@@ -36,7 +37,7 @@ def found(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Pa
     for text in paths:
         path = Path(text)
         if path.is_dir():
-            files = sorted(p for p in path.rglob("*") if p.is_file() or p.is_symlink())
+            files = sorted((p for p in path.rglob("*") if p.is_file() or p.is_symlink()), key=_in_order)
             reasons = {p: _not_taken(p) for p in files}
             inside = [p for p in files if reasons[p] is None]
             if skipped is not None:
@@ -44,13 +45,17 @@ def found(paths: Sequence[str], skipped: list[Skipped] | None = None) -> list[Pa
         elif path.exists():
             inside = [path]  # a named file: the service judges it by content
         else:
-            inside = sorted(Path(p) for p in glob.glob(text, recursive=True) if Path(p).is_file())
+            inside = sorted((Path(p) for p in glob.glob(text, recursive=True) if Path(p).is_file()), key=_in_order)
             if not inside and not glob.has_magic(text):
                 wrong_use(f"{text}: there is no such file or folder")
         if not inside:
             wrong_use(f"{text}: no images there ({', '.join(sorted(SUFFIXES))})")
         images |= dict.fromkeys(inside)
     return list(images)
+
+
+def _in_order(path: Path) -> list[tuple[object, ...]]:
+    return [in_order(part) for part in path.parts]
 
 
 def _not_taken(path: Path) -> str | None:

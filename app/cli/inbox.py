@@ -118,6 +118,8 @@ def _minute(at: datetime) -> str:
 
 
 def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Proposals") -> int:
+    from revisit_client import RevisitProblem
+
     chosen = [one for one in proposals.proposals if arguments.accept in ("confirmed", one.id)]
     if arguments.accept == "confirmed":
         chosen = [one for one in chosen if one.confirmed]
@@ -125,9 +127,15 @@ def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Propo
         raise Failure(f"there is no proposal {arguments.accept}; `revisit inbox {arguments.map}` lists them")
     done = []
     for one in chosen:
-        accepted = revisit.accept_proposal(
-            arguments.map, one.id, views=arguments.views, unconfirmed=arguments.unconfirmed
-        )
+        try:
+            accepted = revisit.accept_proposal(
+                arguments.map, one.id, views=arguments.views, unconfirmed=arguments.unconfirmed
+            )
+        except RevisitProblem as problem:  # a place that has as many as are taken does not keep the others from theirs
+            if problem.code != "conflict" or arguments.accept != "confirmed":
+                raise
+            say(f"{one.place or f'view {one.view}'}: {problem.detail}")
+            continue
         done.append(accepted)
         if not arguments.json:
             show(f"{one.place or f'view {one.view}'}: {', '.join(view.id for view in accepted.views)}")
@@ -135,7 +143,7 @@ def _accept(revisit: "Revisit", arguments: argparse.Namespace, proposals: "Propo
         show_json([accepted.model_dump(mode="json") for accepted in done])
         return DONE
     taken = sum(len(accepted.views) for accepted in done)
-    say(f"{arguments.map}: {taken} views added to {len(chosen)} places; they are described in the background")
+    say(f"{arguments.map}: {taken} views added to {len(done)} places; they are described in the background")
     return DONE
 
 

@@ -12,6 +12,21 @@ if TYPE_CHECKING:
     from revisit_client.loops import Keyframe, LoopCloser
 
 
+OF_ONE_IMAGE = frozenset(
+    (
+        "conflict",
+        "poor-picture",
+        "nothing-static",
+        "not-a-picture",
+        "undecodable-picture",
+        "picture-too-large",
+        "picture-too-small",
+        "body-too-large",
+    )
+)
+"""Problems for which an image is left out of a walk; any other ends it."""
+
+
 def add(verbs: Verbs) -> None:
     """Declare the command."""
     parser = verbs.add_parser(
@@ -68,27 +83,40 @@ def run(arguments: argparse.Namespace) -> int:
         except ValueError as error:
             wrong_use(str(error))
         try:
-            _follow(walk, closer, quiet=arguments.json)
+            left_out = _follow(walk, closer, quiet=arguments.json)
         finally:
             _write(arguments, closer)
     if arguments.json:
         names = [path.name for path, _ in walk]
         listed = [vars(loop) | {"files": [names[loop.keyframe], names[loop.earlier]]} for loop in closer.loops]
-        show_json({"keyframes": len(walk), "loops": listed})
+        show_json({"keyframes": len(closer.keyframes), "loops": listed, "left_out": left_out})
     else:
-        show(f"{len(closer.loops)} loops among {len(walk)} images")
+        show(f"{len(closer.loops)} loops among {len(closer.keyframes)} images")
+        for one in left_out:
+            say(f"  left out {one['file']}: {one['reason']}")
     return DONE
 
 
-def _follow(walk: "Sequence[tuple[Path, Keyframe]]", closer: "LoopCloser", *, quiet: bool) -> None:
-    """Go through a walk, and tell each loop as soon as it is certain."""
+def _follow(walk: "Sequence[tuple[Path, Keyframe]]", closer: "LoopCloser", *, quiet: bool) -> list[dict[str, str]]:
+    """Go through a walk, and tell each loop as soon as it is certain; returns which images were left out, and why."""
+    from revisit_client import RevisitProblem
+
+    left_out = []
     with progress_bar(len(walk), "images", quiet=quiet) as step:
         for path, keyframe in walk:
-            for loop in closer.add(path, keyframe):
+            try:
+                loops = closer.add(path, keyframe)
+            except RevisitProblem as problem:  # such as a frame that was saved twice, or a black one
+                if problem.code not in OF_ONE_IMAGE or not closer.keyframes:
+                    raise
+                left_out.append({"file": str(path), "reason": str(problem)})
+                loops = []
+            for loop in loops:
                 if not quiet:
                     where = f"{walk[loop.keyframe][0].name} is where {walk[loop.earlier][0].name} was"
                     show(f"{where} (confidence {loop.confidence:.2f}, within {loop.radius_m:.1f} m)")
             step(path.name)
+    return left_out
 
 
 def _write(arguments: argparse.Namespace, closer: "LoopCloser") -> None:

@@ -82,7 +82,7 @@ def _show(job: "Job") -> None:
     report = job.result or {}
     show(f"{report['enrolled']} enrolled, {report['already_there']} already there, {report['failed']} failed")
     if report.get("left_out"):
-        say(f"{report['left_out']} left out by --every")
+        say(f"{report['left_out']} left out, by --every or as depth images")
     if report.get("poor"):
         say(f"{report['poor']} of them are dark, overexposed, covered or blurred")
     for error in report["errors"][:MOST_SHOWN]:

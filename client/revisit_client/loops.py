@@ -153,6 +153,7 @@ class LoopCloser:
         self._numbers: dict[str, int] = {}
         self.keyframes: list[Keyframe] = []
         self.seen: list[Loop | None] = []
+        self._counted: list[Loop | None] = []
         self.loops: list[Loop] = []
 
     def add(self, image: Image, keyframe: Keyframe) -> list[Loop]:
@@ -176,6 +177,7 @@ class LoopCloser:
         elif keyframe.number <= self.keyframes[-1].number:
             raise ValueError(f"keyframe {keyframe.number} comes after {self.keyframes[-1].number}; numbers grow")
         seen, agreeing = self._seen(image, keyframe)
+        self._counted.append(None)  # by the service, whether it is enrolled or not
         enrolled = self._revisit.enroll(
             image,
             map=self._map,
@@ -187,8 +189,9 @@ class LoopCloser:
         self._numbers.setdefault(enrolled.view.id, keyframe.number)
         self.keyframes.append(keyframe)
         self.seen.append(seen)
+        self._counted[-1] = seen
         at_once = self._consistent if agreeing == self._consistent else 1
-        fresh = [one for one in self.seen[-at_once:] if one is not None] if agreeing >= self._consistent else []
+        fresh = [one for one in self._counted[-at_once:] if one is not None] if agreeing >= self._consistent else []
         self.loops += fresh
         return fresh
 

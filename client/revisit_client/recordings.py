@@ -22,9 +22,10 @@ TRAJECTORIES = frozenset(
         "keyframetrajectory.txt",
         "rgb.txt",
         "images.txt",
+        "depth.txt",
     ]
 )
-"""Names of files of poses, besides those that end with ``.tum``, and of lists of images with their times."""
+"""Names of files of poses, besides those that end with ``.tum``, and of lists of images, or depth, with their times."""
 
 PIECE = 1 << 20
 """Bytes sent at a time."""

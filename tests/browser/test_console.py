@@ -230,19 +230,6 @@ def test_a_photo_is_placed_by_a_click_on_the_plan(opened: Open, service: Running
     assert heading == 45
 
 
-def test_a_table_that_cannot_be_used_says_why(opened: Open, tmp_path: Path) -> None:
-    tab = opened("enrol")
-    for text, reason in (
-        ("name,x\na.jpg,1\n", "the first line needs to name columns"),
-        ("file,x,why\na.jpg,1,2\n", "unknown columns why"),
-        ("file,x,y\na.jpg,one,2\n", "row 1: x is one, which is no number"),
-    ):
-        table = tmp_path / "positions.csv"
-        table.write_text(text)
-        tab.page.get_by_label("Positions (CSV)").set_input_files(table)
-        tab.page.get_by_role("alert").filter(has_text=reason).wait_for()
-
-
 # maps
 
 

@@ -1,4 +1,7 @@
-"""What the console shows of photos: what a map blurs and keeps, what a deletion leaves, and what changed at a place."""
+"""What the console shows of photos: what a map blurs and keeps, what a deletion leaves, and what changed at a place.
+
+And which tables of positions it refuses.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -204,3 +207,23 @@ def test_a_busy_service_is_tried_again_by_hand(opened: Open, house: str) -> None
     tab.page.unroute("**/changes?since=*")
     tab.page.get_by_role("button", name="What changed?").click()
     tab.page.locator("dialog .changes h3").wait_for()
+
+
+def test_a_table_that_cannot_be_used_says_why(opened: Open, tmp_path: Path) -> None:
+    tab = opened("enrol")
+    for text, reason in (
+        ("name,x\na.jpg,1\n", "the first line needs to name columns"),
+        ("file,x,why\na.jpg,1,2\n", "unknown columns why"),
+        ("file,x,y\na.jpg,one,2\n", "row 1: x is one, which is no number"),
+        ("file,x,y\na.jpg,1,5,2,5\n", "row 1: 5 values, and the first line names 3 columns"),
+        ("file,x,y,heading\na.jpg,1,,90\n", "row 1: x or y is missing"),
+        ("file,x,x\na.jpg,1,2\n", "names a column twice"),
+        ("file,x,y\n,1,2\n", "row 1: names no file"),
+        ('file,place\na.jpg,"hall\nb.jpg,roof\n', "a quoted value is not closed"),
+        ("file,x,y\na.jpg,1,2\n./a.jpg,3,4\n", "row 2: an earlier one is about a.jpg too"),
+        ("file,x,y,lat,lon\na.jpg,1,2,,\nb.jpg,,,3,4\n", "some rows have x and y, others lat and lon"),
+    ):
+        table = tmp_path / "positions.csv"
+        table.write_text(text)
+        tab.page.get_by_label("Positions (CSV)").set_input_files(table)
+        tab.page.get_by_role("alert").filter(has_text=reason).wait_for()

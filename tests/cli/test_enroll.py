@@ -250,6 +250,30 @@ def test_exif_gives_position_heading_and_time(tmp_path: Path) -> None:
     assert known["captured_at"].isoformat() == "2026-03-01T09:30:00+00:00"
 
 
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ("1,2,,,", {"x": 1.0, "y": 2.0}),
+        ("1,2,,,45", {"x": 1.0, "y": 2.0, "heading": 45.0}),
+        (",,50,14,", {"lat": 50.0, "lon": 14.0, "heading": 270.0}),
+        (",,,,", {"lat": -33.0, "lon": 151.0, "heading": 270.0}),
+    ],
+)
+def test_north_is_no_direction_of_a_frame_in_metres(
+    tmp_path: Path, capsys: Out, row: str, told: dict[str, float]
+) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update({1: "S", 2: (33.0, 0.0, 0.0), 3: "E", 4: (151.0, 0.0, 0.0), 16: "T", 17: 270.0})
+    PilImage.new("RGB", (40, 40)).save(tmp_path / "a.jpg", exif=exif)
+    (tmp_path / "p.csv").write_text(f"file,x,y,lat,lon,heading\na.jpg,{row}\n")
+
+    table = ["--exif", "--positions", str(tmp_path / "p.csv")]
+    assert main(["enroll", str(tmp_path / "a.jpg"), *table, "--dry-run", "--json"]) == 0
+
+    (one,) = json.loads(capsys.readouterr().out)["would_enroll"]
+    assert {name: one[name] for name in ("x", "y", "lat", "lon", "heading") if name in one} == told
+
+
 def test_images_without_exif_and_files_that_are_none_say_nothing(folder: Path) -> None:
     assert taken(folder / "b.png") == {}
     assert taken(folder / "notes.txt") == {}

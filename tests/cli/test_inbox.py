@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from app.cli.__main__ import main
+from tests import answers
 from tests.cli.fake_service import FakeService
 
 Out = pytest.CaptureFixture[str]
@@ -87,6 +88,20 @@ def test_machines_are_told_in_json_what_became_of_it(kept: FakeService, capsys: 
     ):
         assert main(["inbox", "campus", *given, "--json"]) == 0
         assert json.loads(capsys.readouterr().out) == told
+
+
+def test_a_place_that_takes_no_more_does_not_keep_the_others_from_theirs(kept: FakeService, capsys: Out) -> None:
+    full = answers.problem("conflict", 409) | {"detail": "the place has 10 views from proposals"}
+    kept.replies["GET /maps/campus/proposals"][1]["proposals"][1]["confirmed"] = 2  # type: ignore[index]
+    kept.replies["POST /maps/campus/proposals/p1"] = 409, full
+
+    assert main(["inbox", "campus", "--accept", "confirmed"]) == 0
+
+    assert [call for call, _ in changes(kept)] == [f"POST /maps/campus/proposals/{one}" for one in ("p1", "p2")]
+    told = capsys.readouterr().err
+    assert "gate: the place has 10 views from proposals" in told
+    assert "views added to 1 places" in told
+    assert main(["inbox", "campus", "--accept", "p1"]) == 1
 
 
 def test_how_much_is_kept(kept: FakeService) -> None:

@@ -79,6 +79,30 @@ def test_what_was_found_before_an_early_end_is_written(
     assert "(2 keyframes)" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("call", "code", "status"), [("POST /enroll", "conflict", 409), ("POST /query", "nothing-static", 422)]
+)
+def test_an_image_that_is_of_no_use_is_left_out_and_the_walk_goes_on(
+    walk: list[str], service: FakeService, tmp_path: Path, capsys: Out, call: str, code: str, status: int
+) -> None:
+    """A frame that was saved twice, or a black one."""
+    table, calls, usual = tmp_path / "loops.csv", itertools.count(), service.replies[call]
+
+    def refusing(body: bytes) -> tuple[int, object]:
+        if next(calls) == 1:
+            return status, answers.problem(code, status)
+        return usual(body) if callable(usual) else usual
+
+    service.replies[call] = refusing
+
+    assert main([*walk, "--csv", str(table)]) == 0
+
+    told = capsys.readouterr()
+    assert told.out.splitlines()[-1] == "1 loops among 2 images"
+    assert f"left out {tmp_path / '1.jpg'}: " in told.err
+    assert [line.split(",")[:2] for line in table.read_text().splitlines()[1:]] == [["2", "0"]]
+
+
 @pytest.mark.parametrize("option", ["--g2o", "--csv"])
 def test_a_file_that_cannot_be_written_is_named_before_the_walk(
     walk: list[str], service: FakeService, tmp_path: Path, capsys: Out, option: str

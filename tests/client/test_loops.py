@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import httpx
@@ -34,10 +35,13 @@ class Service:
         self.queries: list[bytes] = []
         self.enrolled: list[bytes] = []
         self.row = Row()
+        self.refuses = False
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
         if request.url.path == "/views":
             return httpx.Response(200, json={"views": self.kept, "next": None})
+        if request.url.path == "/enroll" and self.refuses:
+            return httpx.Response(409, json=answers.problem("conflict", 409))
         if request.url.path == "/enroll":
             self.enrolled.append(request.url.query + request.content)
             return httpx.Response(201, json=answers.enrolled(view_id=str(len(self.enrolled) - 1)))
@@ -150,6 +154,18 @@ def test_the_service_counts_keyframes_in_a_row_of_a_drive_of_this_walk() -> None
     assert len(names[0]) == 1
     assert names[0].isdisjoint(names[1])
     assert all(b'name="consistent"\r\n\r\n2\r\n' in sent for sent in one.queries)
+
+
+def test_a_keyframe_that_was_counted_and_not_enrolled_draws_no_earlier_one_in() -> None:
+    """3 stands alone; 40, 41, 42 agree, and 41 is refused after the service has counted it."""
+    service = Service([3, 40, 41, 42])
+    closer = service.closer(consistent=3)
+    for number in range(len(service.seen)):
+        service.refuses = number == FIRST + 2
+        with pytest.raises(RevisitProblem) if service.refuses else nullcontext():
+            closer.add(IMAGE, Keyframe(number, number, 0))
+
+    assert [(loop.keyframe - FIRST, loop.earlier) for loop in closer.loops] == [(1, 40), (3, 42)]
 
 
 def test_as_a_drive_each_keyframe_counts_by_itself() -> None:

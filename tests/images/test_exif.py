@@ -1,6 +1,7 @@
 """What the EXIF of a photo says of its place, and what it does not say."""
 
 import io
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -45,3 +46,32 @@ def test_a_height_beyond_what_a_position_may_be_is_none() -> None:
     unknown = IFDRational(2**32 - 1, 1)
     known = taken(photo({1: "S", 2: SOUTH, 3: "E", 4: EAST, 5: b"\0", 6: unknown}))
     assert known == pytest.approx({"lat": -33.86, "lon": 151.21})
+
+
+@pytest.mark.parametrize(
+    "gps",
+    [
+        {29: "2026-05-04", 7: (9.0, 30.0, 0.0)},
+        {29: "2026:05:04", 7: (9.0, 30.0, 60.0)},
+        {29: "2026:05:04", 7: IFDRational(0, 0)},
+        {29: "0000:00:00", 7: (0.0, 0.0, 0.0)},
+    ],
+)
+def test_a_time_of_gps_that_is_none_leaves_that_of_the_camera(gps: dict[int, Any]) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8825).update(gps)
+    exif.get_ifd(0x8769).update({0x9003: "2026:05:04 11:30:00", 0x9011: "+02:00"})
+    known = taken(io.BytesIO(encoded(drawn(64, 48, 1), "jpeg", exif=exif)))
+    assert known == {"captured_at": datetime(2026, 5, 4, 9, 30, tzinfo=UTC)}
+
+
+@pytest.mark.parametrize(("reference", "sign"), [(b"\0", 1), (b"\1", -1), (b"\2", 1), (b"\3", -1)])
+def test_heights_below_are_below_by_any_reference(reference: bytes, sign: int) -> None:
+    known = taken(photo({1: "N", 2: SOUTH, 3: "E", 4: EAST, 5: reference, 6: 12.5}))
+    assert known["alt"] == sign * 12.5
+
+
+@pytest.mark.parametrize("magnetic", ["M", "m", b"M", "M "])
+def test_a_magnetic_direction_is_no_heading_however_it_is_written(magnetic: str | bytes) -> None:
+    assert taken(photo({16: magnetic, 17: 90.0})) == {}
+    assert taken(photo({16: "T", 17: 90.0})) == {"heading": 90}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing
+from itertools import cycle
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from schemas.errors import BadBody, BodyTooLarge
-from tests.drawn_videos import frames, video
+from tests.drawn_videos import cut, frames, uneven, video
+from worker.images.apart.edit_list import shown_s
 from worker.images.apart.stream import Repeated
 from worker.images.apart.video import Video, is_video
 from worker.images.apart.video_child import chosen
@@ -103,6 +105,40 @@ def test_a_whole_video_breaks_off_nowhere(tmp_path: Path, ending: str, count: in
     video(path := tmp_path / f"a.{ending}", frames(3) * (count // 3), per_second, "mp4v")
     with closing(opened(path)) as one:
         assert one.broken is None
+
+
+@pytest.mark.parametrize("shares", [(1.0,), (0.9, 1.23, 0.87, 1.01)], ids=["even", "uneven"])
+@pytest.mark.parametrize(("start_s", "length_s"), [(3.4, 8.6), (0, 5), (3.4, 5)])
+def test_of_a_video_that_was_cut_the_frames_are_those_that_are_shown(
+    tmp_path: Path, shares: Sequence[float], start_s: float, length_s: float
+) -> None:
+    """What decoders need before the cut is still in the file; as many frames were told of, and missed."""
+    images = frames(120)
+    whole = uneven(video(tmp_path / "a.mp4", images, 10, "mp4v"), shares)
+    times = np.cumsum([0, *(0.1 * share for share, _ in zip(cycle(shares), range(119), strict=False))])
+    (path := tmp_path / "upload").write_bytes(cut(whole, start_s, length_s))
+
+    with closing(opened(path)) as one:
+        assert one.times_s == pytest.approx(np.arange(np.ceil(length_s)), abs=0.13)
+        for number, second in enumerate(np.arange(np.ceil(length_s))):
+            shown = int(np.argmin([unlike(one.read(number), image) for image in images]))
+            assert 0 <= times[shown] - start_s - second + 0.0005 < 0.25
+        assert one.broken is None
+
+
+def test_where_an_edit_list_is_damaged_all_frames_are_told_of(tmp_path: Path) -> None:
+    whole = cut(video(tmp_path / "a.mp4", frames(20), 10, "mp4v"), 0.4, 1)
+    assert shown_s(tmp_path / "a.mp4") == pytest.approx(2)
+    at = whole.index(b"moov")
+    random = np.random.default_rng(1)
+    for _ in range(300):
+        damaged = bytearray(whole)
+        damaged[int(random.integers(at - 4, at + 600))] ^= 1 << int(random.integers(8))
+        (path := tmp_path / "upload").write_bytes(damaged[: int(random.integers(at, len(whole)))])
+        assert shown_s(path) is None or shown_s(path) >= 0  # type: ignore[operator]
+    for other in (b"", b"\0" * 7, b"\0\0\0\1moov", bytes(100), PLAYLIST):
+        path.write_bytes(other)
+        assert shown_s(path) is None
 
 
 def test_a_frame_that_is_damaged_is_left_out(tmp_path: Path) -> None:

@@ -1,7 +1,12 @@
 """Manifests as people and programs write them."""
 
+import time
+import unicodedata
+from datetime import UTC, datetime
+
 import pytest
 
+from schemas.records import Position
 from worker.service.manifests import attributes, read_manifest
 
 
@@ -54,3 +59,71 @@ def test_a_position_lies_where_distances_can_be_told(column: str) -> None:
     (row,) = read_manifest("manifest.csv", text.encode()).rows
     with pytest.raises(ValueError, match=f"line 2: {column} is 1e[+]10; it needs to be between .* metres"):
         attributes(row, "manifest.csv")
+
+
+def test_what_is_metadata_says_nothing_of_the_view() -> None:
+    """Of another program's record of an image, its own x and place among others."""
+    line = b'{"file": "a.jpg", "lat": 1, "lon": 2, "metadata": {"x": 3, "y": 4, "place": "crate", "time": "noon"}}'
+    (row,) = read_manifest("manifest.ndjson", line).rows
+
+    known = attributes(row, "manifest.ndjson")
+
+    assert (known.position, known.place, known.captured_at) == (Position(lat=1, lon=2), None, None)
+    assert known.metadata == {"x": 3, "y": 4, "place": "crate", "time": "noon"}
+
+
+@pytest.mark.parametrize("written", ["20260301093000", "20260301093000123", "99999999999"])
+def test_a_date_without_signs_is_no_unix_time(written: str) -> None:
+    """It would be the year 2612."""
+    (row,) = read_manifest("manifest.csv", f"file,time\na.jpg,{written}\n".encode()).rows
+    with pytest.raises(ValueError, match=f"captured_at is {written}, which is no Unix time of today"):
+        attributes(row, "manifest.csv")
+
+
+@pytest.mark.parametrize("digits", [0, 3, 6, 9])
+def test_unix_time_is_read_by_its_digits(digits: int) -> None:
+    (row,) = read_manifest("manifest.csv", f"file,time\na.jpg,{1_767_225_600 * 10**digits}\n".encode()).rows
+    assert attributes(row, "manifest.csv").captured_at == datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def test_accents_are_the_same_however_a_system_writes_them() -> None:
+    """macOS writes a letter and its accent, most others one character."""
+    one, two = "Höfe/Straße é.jpg", unicodedata.normalize("NFD", "Höfe/Straße é.jpg")
+    assert one != two
+    for listed, stored in ((one, two), (two, one)):
+        manifest = read_manifest("manifest.csv", f"file,x,y\n{listed},1,2\n".encode())
+        assert manifest.of(f"walk/{stored}") is not None
+        assert manifest.unused() == []
+
+
+def test_columns_that_a_spreadsheet_left_empty_are_none() -> None:
+    manifest = read_manifest("manifest.csv", b"file,x,y,,\na.jpg,1,2,,\nb.jpg,3,4\nc.jpg,5,6,,,\n")
+    assert [dict(row.given) for row in manifest.rows] == [{"x": f"{n}", "y": f"{n + 1}"} for n in (1, 3, 5)]
+    assert [dict(row.further) for row in manifest.rows] == [{}] * 3
+    assert manifest.columns == ["file", "x", "y"]
+    with pytest.raises(ValueError, match="line 2: 5 values, and the first line names 4 columns"):
+        read_manifest("manifest.csv", b"file,x,y,,\na.jpg,1,2,,5\n")
+
+
+def test_a_comma_that_may_be_either_is_not_guessed_at() -> None:
+    """Spreadsheets in English put commas before thousands, and then quotes around numbers."""
+    with pytest.raises(ValueError, match="line 2: y is '1,234', which may have a comma for thousands or for decimals"):
+        read_manifest("manifest.csv", b'file,x,y\na.jpg,1,"1,234"\n')
+    for text in (b"file;x;y\na.jpg;0,5;1,234\n", b'file,x,y\na.jpg,"0,500","1,2340"\n'):
+        (row,) = read_manifest("manifest.csv", text).rows
+        assert attributes(row, "manifest.csv").position == Position(x=0.5, y=1.234)
+    (row,) = read_manifest("manifest.csv", b'file,lat,lon\na.jpg,"50,123","14,456"\n').rows
+    assert attributes(row, "manifest.csv").position == Position(lat=50.123, lon=14.456)
+
+
+def test_a_heading_of_next_to_nothing_below_0_is_0() -> None:
+    (row,) = read_manifest("manifest.csv", b"file,heading\na.jpg,-1e-17\n").rows
+    assert attributes(row, "manifest.csv").position.heading == 0
+
+
+@pytest.mark.parametrize("separator", [",", ",c"])
+def test_a_line_of_very_many_columns_takes_no_longer_than_its_length(separator: str) -> None:
+    header = "file" + "".join(f"{separator}{n}" if separator != "," else separator for n in range(300_000))
+    began = time.process_time()
+    assert len(read_manifest("manifest.csv", f"{header}\na.jpg\n".encode()).rows) == 1
+    assert time.process_time() - began < 10

@@ -1,12 +1,23 @@
 """Poses of TUM and KITTI as attributes of images: which way is up, which way the camera looks, which image is meant."""
 
 import math
+import unicodedata
 
 import pytest
 from hypothesis import given, strategies as st
 from revisit_client import recordings
 
-from worker.service.trajectories import LISTS, NAMES, Pose, is_list, is_trajectory, poses_of, read_list, read_poses
+from worker.service.trajectories import (
+    DEPTHS,
+    LISTS,
+    NAMES,
+    Pose,
+    is_list,
+    is_trajectory,
+    poses_of,
+    read_list,
+    read_poses,
+)
 
 LEVEL = "-0.7071068 0 0 0.7071068"
 """The camera's z turned from up to +y: looking north, upright."""
@@ -77,6 +88,22 @@ def test_poses_without_times_go_by_number_or_in_order() -> None:
         poses_of(["000007.png"], poses, {})
 
 
+def test_numbers_of_frames_are_no_seconds() -> None:
+    """Ten frames a second: as seconds, the frames 0 to 4 would lie where 0, 10, 20, 30 and 40 were taken."""
+    poses = [Pose(number, 0, 0, None, number / 10) for number in range(50)]
+    files = [f"{number:06}.png" for number in range(50)]
+
+    with pytest.raises(ValueError, match=r"such as 000049.png, are no seconds of it \(0 to 4.9 s\); list the time"):
+        poses_of(files, poses, {})
+
+    listed = poses_of(files, poses, {file: number / 10 for number, file in enumerate(files)})
+    assert [pose.x for pose in listed.values()] == list(range(50))
+    seconds = poses_of(files[:5], poses, {})
+    assert [pose.x for pose in seconds.values()] == [0, 10, 20, 30, 40]
+    counted = [Pose(number, 0, 0, None, float(number)) for number in range(50)]
+    assert [pose.x for pose in poses_of(files, counted, {}).values()] == list(range(50))
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -102,6 +129,8 @@ def test_lists_of_images() -> None:
         "rgb/1.5.png": 1.5,
         "rgb/2.png": 2,
     }
+    apart = unicodedata.normalize("NFD", "rgb/höhe.png")  # as macOS writes it
+    assert poses_of([apart], tum(f"7 4 0 0 {LEVEL}"), read_list("rgb.txt", "7 rgb/höhe.png".encode()))[apart].x == 4
     with pytest.raises(ValueError, match="line 1"):
         read_list("rgb.txt", b"soon rgb/1.png")
     with pytest.raises(ValueError, match="no text"):
@@ -109,7 +138,7 @@ def test_lists_of_images() -> None:
 
 
 def test_what_the_client_sends_of_a_folder_is_what_is_read() -> None:
-    assert recordings.TRAJECTORIES == NAMES | LISTS
+    assert recordings.TRAJECTORIES == NAMES | LISTS | DEPTHS
 
 
 def test_they_are_known_by_their_names() -> None:

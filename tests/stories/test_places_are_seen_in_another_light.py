@@ -139,6 +139,21 @@ def test_one_photo_alone_is_taken_where_somebody_says_so_or_dismissed(town: Town
         assert town.accept(garden, **wrong).status_code == 422
 
 
+def test_a_photo_that_was_queried_twice_is_taken_once(town: Town) -> None:
+    town.set(keep_matches=10)
+    for _ in range(2):
+        town.at_night("rose garden", 0.7)
+    [garden] = town.proposals()["proposals"]
+
+    taken = town.accept(garden, unconfirmed=True)
+
+    assert taken.status_code == 200, taken.text
+    assert (len(taken.json()["views"]), taken.json()["queries"]) == (1, 2)
+    assert town.proposals()["kept"] == 0
+    town.settle()
+    assert town.client.delete(f"/views/{taken.json()['views'][0]['id']}").status_code == 200
+
+
 def test_a_proposal_goes_with_the_view_that_it_matched(town: Town) -> None:
     town.set(keep_matches=10)
     answer = town.at_night("old harbour", 0.8)

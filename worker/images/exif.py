@@ -11,6 +11,9 @@ from PIL import ExifTags, Image as PilImage
 import worker.images.heic  # noqa: F401 (Pillow reads HEIC then)
 from schemas.values import FARTHEST_M, whole_turn
 
+_BELOW = (1, 3, b"\x01", b"\x03")
+"""References of heights below the ellipsoid, or below sea level (Exif 3.0)."""
+
 Known = dict[str, Any]
 """What is known, by the names of `ViewAttributes` and `Position`."""
 
@@ -41,8 +44,8 @@ def taken(source: Path | BinaryIO) -> Known:
         known |= {"lat": point[0], "lon": point[1]}
         height = _number(gps.get(6))
         if height is not None and abs(height) <= FARTHEST_M:
-            known["alt"] = -height if gps.get(5) in (1, b"\x01") else height
-    direction, kind = _number(gps.get(17)), gps.get(16)
+            known["alt"] = -height if gps.get(5) in _BELOW else height
+    direction, kind = _number(gps.get(17)), _side(gps.get(16))
     if direction is not None and kind != "M":  # M: magnetic, which is not north
         known["heading"] = whole_turn(direction % 360)  # of next to nothing below 0 the rest is 360.0
     if (moment := _taken(camera, gps)) is not None:
@@ -73,27 +76,41 @@ def _degrees(value: Any, reference: Any, sides: str) -> float | None:
 
     EXIF has no default for the side: without one a photo of Sydney would lie in the sea east of Japan.
     """
-    named = reference.decode("latin-1") if isinstance(reference, bytes) else reference
-    if not isinstance(value, Iterable) or not isinstance(named, str):
+    side = _side(reference)
+    if not isinstance(value, Iterable):
         return None
     parts = [_number(part) for part in value]
-    side = named.strip("\0 ").upper()[:1]
     if len(parts) != 3 or any(part is None for part in parts) or not side or side not in sides:
         return None
     degrees: float = sum(part / 60.0**i for i, part in enumerate(parts) if part is not None)
     return -degrees if side == sides[1] else degrees
 
 
+def _side(reference: Any) -> str:
+    """The letter of a reference, such as N, however it is written; empty where there is none."""
+    named = reference.decode("latin-1") if isinstance(reference, bytes) else reference
+    return named.strip("\0 ").upper()[:1] if isinstance(named, str) else ""
+
+
 def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
-    """Time of capture: the GPS time (UTC), or the camera's clock when EXIF has its zone."""
-    clock, zone = exif.get(0x9003), exif.get(0x9011)
+    """Time of capture: the GPS time (UTC), or else the camera's clock when EXIF has its zone."""
+    return _time_of_gps(gps) or _time_of_clock(exif)
+
+
+def _time_of_gps(gps: Mapping[int, Any]) -> datetime | None:
     try:
-        if gps.get(29) and gps.get(7):
-            hours, minutes, seconds = (float(part) for part in gps[7])
-            day = datetime.strptime(str(gps[29]), "%Y:%m:%d")
-            return day.replace(hour=int(hours), minute=int(minutes), second=int(seconds), tzinfo=UTC)
-        if clock and zone:
-            return datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
-    except (TypeError, ValueError, OverflowError):  # OverflowError: the year 1 or 9999, and a zone that leads out of it
+        hours, minutes, seconds = (int(float(part)) for part in gps[7])
+        day = datetime.strptime(str(gps[29]), "%Y:%m:%d")
+        return day.replace(hour=hours, minute=minutes, second=seconds, tzinfo=UTC)
+    except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError):
         return None
-    return None
+
+
+def _time_of_clock(exif: Mapping[int, Any]) -> datetime | None:
+    clock, zone = exif.get(0x9003), exif.get(0x9011)
+    if not clock or not zone:
+        return None
+    try:
+        return datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
+    except (ValueError, OverflowError):  # OverflowError: the year 1 or 9999, and a zone that leads out of it
+        return None

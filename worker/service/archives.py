@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
+from schemas import values
 from schemas.errors import BadBody, BodyTooLarge
 
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif"))
@@ -26,6 +27,7 @@ LONGEST_NAME = 1024
 
 _END = struct.Struct("<4s4H2LH")
 _END_64 = struct.Struct("<4sQ2H2L4Q")
+_UTF_8 = 0x800  # flag: the name is in UTF-8 (APPNOTE.TXT, 4.4.4)
 _LOCATOR = struct.Struct("<4sLQL")
 
 
@@ -83,7 +85,7 @@ class Archive:
         if entry.size > most:
             raise ValueError(f"has {entry.size:,} bytes; at most {most:,} are taken")
         try:
-            return self._zip.read(entry.name)
+            return self._zip.read(self._infos[entry.name])
         except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, struct.error) as error:
             raise ValueError(f"is damaged in the archive ({error})") from None
 
@@ -93,18 +95,20 @@ class Archive:
         if len(infos) > MOST_FILES:
             raise BodyTooLarge(f"the archive has {len(infos):,} files; at most {MOST_FILES:,} are taken")
         seen: set[str] = set()
+        self._infos: dict[str, zipfile.ZipInfo] = {}
         self.images: list[Entry] = []
         self.others: list[Entry] = []
         manifests: list[Entry] = []
         for info in infos:
             name = _checked_name(info)
-            if info.is_dir():
+            if name.endswith("/"):
                 continue
             if name in seen:
                 raise _refused(f"two of its files have the name {name!r}")
             seen.add(name)
             _check_entry(info, name)
-            entry = Entry(info.filename, info.file_size)
+            entry = Entry(_name(info), info.file_size)
+            self._infos[entry.name] = info
             path = PurePosixPath(name)
             if any(part.startswith(".") or part == "__MACOSX" for part in path.parts):
                 continue  # what systems leave in folders
@@ -116,7 +120,7 @@ class Archive:
                 self.others.append(entry)
         _check_unpacked(sum(info.file_size for info in infos), packed, most_bytes)
         self.manifest = _only(manifests)
-        self.images.sort(key=lambda entry: entry.name)
+        self.images.sort(key=lambda entry: values.in_order(entry.name))
         if not self.images:
             raise _refused(f"it holds no image ({', '.join(sorted(SUFFIXES))})")
 
@@ -125,9 +129,19 @@ def _refused(why: str) -> BadBody:
     return BadBody("malformed-body", f"the archive is refused: {why}")
 
 
+def _name(info: zipfile.ZipInfo) -> str:
+    """The name as it was meant: `zip` and macOS write UTF-8 without the flag that says so, read here as CP437."""
+    if info.flag_bits & _UTF_8:
+        return info.filename
+    try:
+        return info.filename.encode("cp437").decode()
+    except UnicodeError:
+        return info.filename
+
+
 def _checked_name(info: zipfile.ZipInfo) -> str:
     """The name with slashes; raises BadBody when it leads out of the archive."""
-    name = info.filename
+    name = _name(info)
     if len(name) > LONGEST_NAME:
         raise _refused(f"a name in it has {len(name):,} letters; at most {LONGEST_NAME:,} are taken")
     if "\0" in info.orig_filename or any(ord(letter) < 32 or 0xD800 <= ord(letter) <= 0xDFFF for letter in name):

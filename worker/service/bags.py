@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from functools import partial
 
 from schemas.records import Position, ViewAttributes
-from worker.images.apart.bag import Bag, PoseRow
+from worker.images.apart.bag import READ, Bag, PoseRow
 from worker.images.apart.bag_child import LEAST_UNIX_S
 from worker.service.recordings import Item, Note, Recording
 
@@ -29,6 +29,9 @@ def recording_of(bag: Bag) -> Recording:
             recording.notes.append(Note(file, "no-row", detail))
         attributes = ViewAttributes(position=position or Position(), captured_at=_moment(time))
         recording.items.append(Item(file, attributes, partial(bag.read, number)))
+    if bag.unread:
+        detail = f"holds images of encodings that are not read: {bag.unread}; {READ} are"
+        recording.notes.append(Note(bag.topic, "undecodable-picture", detail))
     if bag.broken is not None:
         detail = f"breaks off after {len(bag.times_s):,} images ({bag.broken})"
         recording.notes.append(Note("the file", "malformed-body", detail))

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from schemas.records import Position, ViewAttributes
+from worker.method.estimate import is_known
 from worker.service.recordings import Item
 
 PLACE = ("lat", "lon", "alt", "heading")
@@ -18,7 +19,7 @@ def wanted_of_exif(items: Sequence[Item]) -> frozenset[str]:
 
 
 def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttributes:
-    """Attributes with what is known besides: a position where none of it was given, and the time.
+    """Attributes with what is known besides: a position where none was given, and the time.
 
     Parameters
     ----------
@@ -28,7 +29,10 @@ def completed(attributes: ViewAttributes, known: Mapping[str, Any]) -> ViewAttri
         Of the image's EXIF.
     """
     place = {name: known[name] for name in PLACE if name in known}
-    position = Position(**place) if attributes.position == Position() else attributes.position
+    given = attributes.position
+    if given.heading is not None:  # by itself it says nothing of the point
+        place["heading"] = given.heading
+    position = given if is_known(given) else Position(**place)
     return replace(attributes, position=position, captured_at=attributes.captured_at or known.get("captured_at"))
 
 

@@ -34,6 +34,8 @@ LONGEST_PLACE = 200
 _MEANT = {other: ours for ours, others in NAMES.items() for other in (ours, *others)}
 _UNIX = re.compile(r"\d{9,19}(\.\d+)?", re.ASCII)
 _COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
+_METRES = frozenset(("x", "y", "z", "alt"))
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)  # in a table with commas between its columns
 _RANGES = {"lat": 90.0, "lon": 180.0, "heading": 360.0} | dict.fromkeys(("x", "y", "z", "alt"), values.FARTHEST_M)
 
 
@@ -92,7 +94,7 @@ class Manifest:
 
     def of(self, path: str) -> Row | None:
         """The row of an image, or None; the row that names most of the image's folders comes first."""
-        parts = path.split("/")
+        parts = values.composed(path).split("/")
         for begin in range(len(parts)):
             name = "/".join(parts[begin:])
             if name in self._by_file:
@@ -181,7 +183,7 @@ def _number(column: str, value: object) -> float:
     if limit is not None and abs(number) > limit:
         unit = "metres" if limit == values.FARTHEST_M else "degrees"
         raise ValueError(f"is {number:g}; it needs to be between -{limit:g} and {limit:g} {unit}")
-    return number % 360 if column == "heading" else number
+    return values.whole_turn(number % 360) if column == "heading" else number
 
 
 def _moment(value: object) -> datetime:
@@ -193,6 +195,8 @@ def _moment(value: object) -> datetime:
         except ValueError as error:
             raise ValueError(f"{error}, or Unix time; it is {text[:40]!r}") from None
     whole = text.partition(".")[0]
+    if len(whole) in (11, 14, 17):  # as Unix time of after 2286: 20260301093000 is a date and a time without a zone
+        raise ValueError(f"is {text}, which is no Unix time of today; write dates as 2026-03-01T09:30:00Z")
     unit = 10 ** (3 * max(0, min(3, (len(whole) - 9) // 3)))  # digits today: 10 s, 13 ms, 16 us, 19 ns
     try:
         return datetime.fromtimestamp(float(text) / unit, UTC)
@@ -202,20 +206,21 @@ def _moment(value: object) -> datetime:
 
 def _named(name: str, columns: Iterable[str]) -> dict[str, str]:
     """Each column to our name for it, or to itself; raises ValueError when two mean the same."""
-    meant: dict[str, str] = {}
+    first: dict[str, str] = {}
     for column in columns:
         ours = _MEANT.get(column.strip().lower().replace(" ", "_"), column.strip())
-        for other, of in meant.items():
-            if of == ours:
-                raise ValueError(f"{name}: the columns {other!r} and {column!r} both mean {ours}")
-        meant[column] = ours
-    return meant
+        if ours in first:
+            raise ValueError(f"{name}: the columns {first[ours]!r} and {column!r} both mean {ours}")
+        first[ours] = column
+    return {column: ours for ours, column in first.items()}
 
 
-def _row(line: int, named: Mapping[str, Any]) -> Row:
-    file = str(named["file"]).strip().replace("\\", "/").removeprefix("./")
+def _row(line: int, named: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> Row:
+    """A row of named values and metadata: a name of ours within metadata says nothing of the view."""
+    file = values.composed(str(named["file"]).strip().replace("\\", "/").removeprefix("./"))
     given = {key: value for key, value in named.items() if key in NAMES and key != "file"}
-    return Row(line, file, given, {key: value for key, value in named.items() if key not in NAMES})
+    further = {key: value for key, value in named.items() if key not in NAMES}
+    return Row(line, file, given, {**(metadata or {}), **further})
 
 
 def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
@@ -231,16 +236,24 @@ def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
                 continue
             if not columns:
                 columns = [cell.strip().lstrip("#").strip() for cell in cells]
+                while len(columns) > 1 and not columns[-2] and not columns[-1]:  # spreadsheets keep emptied columns
+                    columns.pop()
                 named = _named(name, columns)
                 if "file" not in named.values():
                     raise ValueError(f"{name}: the first line needs to name a column file, beside {', '.join(NAMES)}")
                 continue
+            while len(cells) > len(columns) and not cells[-1].strip():
+                cells.pop()
             if len(cells) > len(columns):
                 many = f"{len(cells)} values, and the first line names {len(columns)} columns"
                 raise ValueError(f"{name}, line {reader.line_num}: {many}")
             filled = {named[c]: cell.strip() for c, cell in zip(columns, cells, strict=False) if cell.strip()}
             if "file" not in filled:
                 raise ValueError(f"{name}, line {reader.line_num}: names no file")
+            for column in _METRES & filled.keys() if delimiter == "," else ():
+                if _THOUSANDS.fullmatch(filled[column]):
+                    either = f"is {filled[column]!r}, which may have a comma for thousands or for decimals"
+                    raise ValueError(f"{name}, line {reader.line_num}: {column} {either}; write it without")
             rows.append(_row(reader.line_num, filled))
             _count(name, rows)
         _check_quotes(text, delimiter)
@@ -248,7 +261,7 @@ def _table_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
         raise ValueError(f"{name}, line {reader.line_num}: {error}") from None
     if not columns:
         raise ValueError(f"{name}: is empty; the first line needs to name columns")
-    return [*named.values()], rows
+    return [column for column in named.values() if column or any("" in row.further for row in rows)], rows
 
 
 def _lines(text: str) -> io.StringIO:
@@ -284,7 +297,7 @@ def _json_rows(name: str, text: str) -> tuple[list[str], list[Row]]:
         if not isinstance(filled.get("file"), str):
             raise ValueError(f"{name}, line {number}: names no file")
         inner = filled.pop("metadata", {})
-        rows.append(_row(number, {**(inner if isinstance(inner, dict) else {"metadata": inner}), **filled}))
+        rows.append(_row(number, filled, inner if isinstance(inner, dict) else {"metadata": inner}))
         _count(name, rows)
     return [*columns], rows
 

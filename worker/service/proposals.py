@@ -5,16 +5,19 @@ query matched is no proof, so that it is confirmed only once another image match
 without somebody saying so.
 """
 
+import logging
 from collections.abc import Sequence
 
 import numpy as np
 
-from schemas.errors import Conflict, NotFound
+from schemas.errors import BlurChanged, Conflict, NotFound
 from schemas.inbox import KeptQuery, Proposal, Proposals
 from schemas.records import Filters, ViewAttributes, ViewRecord
 from worker.service.enroll import Enrolled, EnrollService
 from worker.service.inbox import EXAMINED, KeptQueries, spread
 from worker.service.ports import Maps, Views
+
+log = logging.getLogger("revisit")
 
 ADDED_FROM = "proposed_by"
 """Key in the metadata of a view that was a proposal: the id of its query."""
@@ -92,7 +95,12 @@ class ProposalService:
         for query_id in chosen:
             attributes = self._views.get(proposal.matched[query_id]).attributes
             given = ViewAttributes(attributes.place, attributes.position, metadata={ADDED_FROM: query_id})
-            enrolled.append(self._enroll.take(self._kept.image(name, query_id), name, given))
+            try:
+                enrolled.append(self._enroll.take(self._kept.image(name, query_id), name, given))
+            except BlurChanged:
+                raise
+            except Conflict:  # one photo that was queried twice: the map has it since the first
+                log.info("the image of query %s is a view of the map %s already", query_id, name)
             self._kept.delete(name, [query_id])
         return enrolled, len(chosen) + self._kept.delete(name, [one for one in proposal.queries if one not in chosen])
 

@@ -1,6 +1,6 @@
 """Recordings: the images of an upload with what is known of them, in the order in which they are enrolled."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -128,12 +128,18 @@ def open_archive(path: Path, limits: Limits) -> Recording:
     recording = Recording(archive.close)
     try:
         manifest = _manifest(archive)
-        used, walked = (set[str](), None) if manifest is not None else _trajectory(archive)
+        used, walked, depths = (set[str](), None, set[str]()) if manifest is not None else _trajectory(archive)
         for entry in archive.images:
-            if walked is not None:
+            if entry.name in depths:
+                recording.left_out += 1
+            elif walked is not None:
                 _add_walked(recording, archive, entry, walked, limits)
             else:
                 _add(recording, archive, entry, manifest, limits)
+        if manifest is not None and manifest.rows and len(manifest.unused()) == len(manifest.rows):
+            row, image = manifest.rows[0], archive.images[0].name
+            names = f"no row names the end of an image's path: line {row.line} has {row.file!r}, an image is {image!r}"
+            raise BadBody("malformed-body", f"the manifest cannot be used: {manifest.name}: {names}")
     except BaseException:
         archive.close()
         raise
@@ -158,8 +164,8 @@ def _manifest(archive: Archive) -> Manifest | None:
         raise BadBody("malformed-body", f"the manifest cannot be used: {error}") from None
 
 
-def _trajectory(archive: Archive) -> tuple[set[str], dict[str, Pose] | None]:
-    """Files that were read for poses, and poses by image; None where there is no trajectory.
+def _trajectory(archive: Archive) -> tuple[set[str], dict[str, Pose] | None, set[str]]:
+    """Files that were read for poses, and poses by image, None where there is no trajectory; and depth images.
 
     Raises
     ------
@@ -168,20 +174,30 @@ def _trajectory(archive: Archive) -> tuple[set[str], dict[str, Pose] | None]:
     """
     named = [entry for entry in archive.others if trajectories.is_trajectory(entry.name)]
     if not named:
-        return set(), None
+        return set(), None, set()
     if len(named) > 1:
         several = f"it has {len(named)} trajectories, such as {named[0].name} and {named[1].name}"
         raise BadBody("malformed-body", f"the archive is refused: {several}; keep one, or send a manifest")
     lists = [entry for entry in archive.others if trajectories.is_list(entry.name)]
+    others = [entry for entry in archive.others if trajectories.is_list_of_depths(entry.name)]
     try:
         poses = trajectories.read_poses(named[0].name, archive.read(named[0], MOST_MANIFEST_BYTES))
-        times: dict[str, float] = {}
-        for entry in lists:
-            times |= trajectories.read_list(entry.name, archive.read(entry, MOST_MANIFEST_BYTES))
-        files = [entry.name.replace("\\", "/") for entry in archive.images]
-        return {entry.name for entry in (*named, *lists)}, trajectories.poses_of(files, poses, times)
+        times, deep = _listed(archive, lists), _listed(archive, others)
+        names = {entry.name: entry.name.replace("\\", "/") for entry in archive.images}
+        depths = {entry for entry, file in names.items() if trajectories.listed(file, deep) is not None}
+        files = [file for entry, file in names.items() if entry not in depths]
+        used = {entry.name for entry in (*named, *lists, *others)}
+        return used, trajectories.poses_of(files, poses, times), depths
     except ValueError as error:
         raise BadBody("malformed-body", f"the trajectory cannot be used: {error}") from None
+
+
+def _listed(archive: Archive, lists: Sequence[Entry]) -> dict[str, float]:
+    """Times of all files that some lists have; raises ValueError."""
+    times: dict[str, float] = {}
+    for entry in lists:
+        times |= trajectories.read_list(entry.name, archive.read(entry, MOST_MANIFEST_BYTES))
+    return times
 
 
 def _add_walked(

@@ -30,7 +30,7 @@ def thin(recording: Recording, options: ImportOptions) -> list[int]:
         kept = _apart(recording, "time", _timed, _seconds, options.every_s)
     elif options.every_m is not None:
         kept = _apart(recording, "position", _placed, _metres, options.every_m)
-    recording.left_out = len(recording.items) - len(kept)
+    recording.left_out += len(recording.items) - len(kept)
     recording.items = [recording.items[at] for at in kept]
     return kept
 

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import PurePosixPath
 
 from schemas.records import Position, ViewAttributes
-from schemas.values import FARTHEST_M
+from schemas.values import FARTHEST_M, composed, whole_turn
 
 NAMES = frozenset(
     {"groundtruth.txt", "trajectory.txt", "poses.txt", "pose.txt", "cameratrajectory.txt", "keyframetrajectory.txt"}
@@ -22,6 +22,9 @@ NAMES = frozenset(
 
 LISTS = frozenset({"rgb.txt", "images.txt"})
 """Names of lists of images: ``time file``."""
+
+DEPTHS = frozenset({"depth.txt"})
+"""Names of lists of depth images, in the same form: TUM's benchmark has one for each image, and they show no place."""
 
 TOLERANCE_S = 0.05
 """Seconds between an image and the pose that it gets."""
@@ -74,6 +77,18 @@ def is_list(name: str) -> bool:
     return PurePosixPath(name.lower()).name in LISTS
 
 
+def is_list_of_depths(name: str) -> bool:
+    """Whether a file lists depth images by their times."""
+    return PurePosixPath(name.lower()).name in DEPTHS
+
+
+def listed(file: str, times: Mapping[str, float]) -> float | None:
+    """The time of a file by a list of `read_list`, which has the end of its path; None where it has none."""
+    parts = PurePosixPath(composed(file)).parts
+    found = (times.get("/".join(parts[start:])) for start in range(len(parts)))
+    return next((time for time in found if time is not None), None)
+
+
 def read_poses(name: str, data: bytes) -> list[Pose]:
     """Poses of a trajectory, in its order; raises ValueError with the line that cannot be used."""
     poses: list[Pose] = []
@@ -106,7 +121,7 @@ def read_list(name: str, data: bytes) -> dict[str, float]:
             time, file = float(words[0]), words[1]
         except (IndexError, ValueError):
             raise ValueError(f"{name}, line {number}: needs a time and a file") from None
-        times[file.replace("\\", "/").removeprefix("./")] = time
+        times[composed(file.replace("\\", "/").removeprefix("./"))] = time
     return times
 
 
@@ -126,14 +141,15 @@ def poses_of(files: Sequence[str], poses: Sequence[Pose], times: Mapping[str, fl
     Raises
     ------
     ValueError
-        Without times, and there are not as many poses as files.
+        Without times, and there are not as many poses as files; or the names of the files count frames, not seconds.
     """
     if poses[0].time is None:
         return _by_number(files, poses)
     ordered = sorted(poses, key=_time)
+    moments = {file: _time_of(file, times) for file in files}
+    _check_seconds([file for file in files if listed(file, times) is None], moments, ordered)
     found = {}
-    for file in files:
-        moment = _time_of(file, times)
+    for file, moment in moments.items():
         if moment is not None:
             at = bisect_left(ordered, moment, key=_time)
             near = min(ordered[max(at - 1, 0) : at + 1], key=lambda pose: abs(_time(pose) - moment))
@@ -157,14 +173,22 @@ def _time(pose: Pose) -> float:
     return 0.0 if pose.time is None else pose.time
 
 
+def _check_seconds(named: Sequence[str], moments: Mapping[str, float | None], ordered: Sequence[Pose]) -> None:
+    """Raise where the names of files count frames: taken for seconds, some images would lie where others were taken."""
+    counted = [moments[file] or 0.0 for file in named if PurePosixPath(file).stem.isdecimal()]
+    first, last = _time(ordered[0]), _time(ordered[-1])
+    inside = sum(first - TOLERANCE_S <= second <= last + TOLERANCE_S for second in counted)
+    if len(counted) == len(named) and max(counted, default=math.inf) < LEAST_UNIX_S and 4 * inside < 3 * len(counted):
+        raise ValueError(
+            f"the names of images, such as {named[-1]}, are no seconds of it ({first:g} to {last:g} s); list the time "
+            "of each image in rgb.txt (time file)"
+        )
+
+
 def _time_of(file: str, times: Mapping[str, float]) -> float | None:
-    path = PurePosixPath(file)
-    for start in range(len(path.parts)):
-        listed = times.get("/".join(path.parts[start:]))
-        if listed is not None:
-            return listed
+    time = listed(file, times)
     try:
-        return float(path.stem)
+        return float(PurePosixPath(file).stem) if time is None else time
     except ValueError:
         return None
 
@@ -192,7 +216,7 @@ def _of_kitti(values: Sequence[float]) -> Pose:
 
 
 def _heading(east: float, north: float) -> float | None:
-    return math.degrees(math.atan2(east, north)) % 360 if math.hypot(east, north) > 0.1 else None
+    return whole_turn(math.degrees(math.atan2(east, north)) % 360) if math.hypot(east, north) > 0.1 else None
 
 
 def _lines(name: str, data: bytes) -> "list[tuple[int, list[str]]]":

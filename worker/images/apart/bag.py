@@ -4,11 +4,14 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from schemas.errors import BadBody
-from worker.images.apart.bag_child import POSES
+from worker.images.apart.bag_child import CODES, POSES
 from worker.images.apart.stream import Ended, ImageStream
 from worker.images.codec import Limits
 
 MAGIC = b"\x89MCAP0\r\n"
+
+READ = ", ".join(CODES)
+"""Encodings of images without compression."""
 
 PoseRow = list[float | None]
 """Time in seconds, then x, y, z and heading, or latitude, longitude, altitude and None."""
@@ -35,6 +38,8 @@ class Bag(ImageStream):
     poses : list of PoseRow
     geographic : bool
         Whether the poses are latitudes and longitudes.
+    unread : str
+        How many images have which encoding that is not read; empty where all are read.
     broken : str or None
         Why the file cannot be read to its end.
 
@@ -70,6 +75,10 @@ class Bag(ImageStream):
                 f"it holds no images of ROS 2 (sensor_msgs/msg/CompressedImage, Image){broken}; topics: {there}"
             )
         self.topic = _chosen("image_topic", image_topic, list(images))
+        unread: dict[str, int] = known.get("unread", {}).get(self.topic, {})  # a listing of before has none
+        self.unread = ", ".join(f"{count:,} {encoding}" for encoding, count in unread.items())
+        if sum(unread.values()) == len(images[self.topic]):
+            raise _refused(f"no image of {self.topic} has an encoding that is read, {READ}; it has {self.unread}")
         super().__init__(child, path, self.topic, limits.max_bytes, limits.max_pixels)
         self.times_s: list[float] = images[self.topic]
         self.broken: str | None = known["broken"]

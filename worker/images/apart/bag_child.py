@@ -7,11 +7,13 @@ them. The file is read from its beginning, without its index: of one whose recor
 import json
 import signal
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from math import atan2, degrees, inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from schemas.values import FARTHEST_M, whole_turn
 from worker.images.apart.restraints import answering, restrict
 from worker.images.apart.stream import HEADER
 
@@ -28,6 +30,9 @@ LIST_S, SEND_S = 300, 120
 
 MOST_LISTED, MOST_TOPICS = 1_000_000, 1_000
 """Images and poses, and topics, that are told of."""
+
+MOST_ENCODINGS = 10
+"""That are told of by name."""
 
 CLOSEST_S = 0.02
 """Seconds between poses that are listed."""
@@ -104,11 +109,14 @@ def _message(decoders: Any, schema: Any, channel: Any, message: Any) -> Any:
 
 
 def _listed(path: Path, decoders: Any) -> dict[str, Any]:
-    """Types by topic, times of images and poses by topic, and why the file ends, if it breaks off."""
+    """By topic types, times of images, how many of them have which encoding that is not read, and poses; and why the
+    file ends, if it breaks off."""
     types: dict[str, str] = {}
+    walked: dict[str, str] = {}  # types of topics with poses
     images: dict[str, list[float]] = {}
     poses: dict[str, list[list[float | None]]] = {}
     latest: dict[str, float] = {}  # time of the last pose of each topic
+    unread: dict[str, Counter[str]] = {}  # encodings of images that are not read, by topic
     broken: list[str] = []
     listed = 0
     for schema, channel, message in _messages(path, broken):
@@ -126,12 +134,22 @@ def _listed(path: Path, decoders: Any) -> dict[str, Any]:
         time, pose = _told(name, decoded, message)
         if name in IMAGES:
             images.setdefault(channel.topic, []).append(time)
-        elif decoded is not None:
+            encoding = str(getattr(decoded, "encoding", next(iter(CODES))))[:40]
+            others = unread.setdefault(channel.topic, Counter())
+            if encoding not in CODES:
+                others[encoding if encoding in others or len(others) < MOST_ENCODINGS else "others"] += 1
+        elif decoded is not None and walked.setdefault(channel.topic, name) == name:
             rows = poses.setdefault(channel.topic, [])
             if pose is not None and abs(time - latest.get(channel.topic, -inf)) >= CLOSEST_S:
                 rows.append([time, *pose])
                 latest[channel.topic] = time
-    return {"types": types, "images": images, "poses": poses, "broken": broken[0] if broken else None}
+    return {
+        "types": types | walked,
+        "images": images,
+        "unread": unread,
+        "poses": poses,
+        "broken": broken[0] if broken else None,
+    }
 
 
 def _told(name: str, decoded: Any, message: Any) -> tuple[float, list[float | None] | None]:
@@ -155,15 +173,18 @@ def _pose(name: str, decoded: Any) -> list[float | None] | None:
     The heading is that of the body's x axis, in degrees clockwise from +y (REP 103: x ahead, z up).
     """
     if name == "sensor_msgs/msg/NavSatFix":
-        place = (decoded.latitude, decoded.longitude, decoded.altitude)
-        known = decoded.status.status >= 0 and all(map(isfinite, place[:2]))
-        return [place[0], place[1], place[2] if isfinite(place[2]) else None, None] if known else None
+        lat, lon, alt = decoded.latitude, decoded.longitude, decoded.altitude
+        known = decoded.status.status >= 0 and abs(lat) <= 90 and abs(lon) <= 180
+        return [lat, lon, alt if abs(alt) <= FARTHEST_M else None, None] if known else None
     pose = decoded.pose if name == "geometry_msgs/msg/PoseStamped" else decoded.pose.pose
     point, turn = pose.position, pose.orientation
-    if not all(map(isfinite, (point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w))):
+    if not all(abs(metres) <= FARTHEST_M for metres in (point.x, point.y, point.z)):  # a filter that has diverged
         return None
-    ahead = (1 - 2 * (turn.y**2 + turn.z**2), 2 * (turn.x * turn.y + turn.w * turn.z))
-    heading = degrees(atan2(ahead[0], ahead[1])) % 360 if max(map(abs, ahead)) > 1e-6 else None
+    if not all(map(isfinite, (turn.x, turn.y, turn.z, turn.w))):
+        return None
+    # Of a quaternion of any length; of none, as of a node that leaves it out, there is no heading.
+    ahead = (turn.w**2 + turn.x**2 - turn.y**2 - turn.z**2, 2 * (turn.x * turn.y + turn.w * turn.z))
+    heading = whole_turn(degrees(atan2(ahead[0], ahead[1])) % 360) if max(map(abs, ahead)) > 1e-6 else None
     return [point.x, point.y, point.z, heading]
 
 

@@ -98,7 +98,7 @@ class ImageStream:
             while number not in self._kept and self._ended is None and number > self._last:
                 self._receive()
             if number not in self._kept:
-                raise ValueError(self._ended or "is damaged")
+                raise ValueError(self._ended or "is damaged, or not of a kind that is read")
             image = self._kept[number]
             if self._first.setdefault(hashlib.sha256(image).digest(), number) != number:
                 raise Repeated

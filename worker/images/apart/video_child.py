@@ -9,9 +9,12 @@ import math
 import os
 import signal
 import sys
+from bisect import bisect_left
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+from worker.images.apart.edit_list import shown_s
 from worker.images.apart.restraints import answering, restrict
 from worker.images.apart.stream import HEADER
 
@@ -21,6 +24,9 @@ QUALITY = 95
 MILLI = 1e-3
 TOLERANCE_MS = 0.5
 """By which the times of two readings of a frame may differ."""
+
+SLACK_MS = 200
+"""By which they may differ where a video was cut: packets are counted from the one that decoding begins at."""
 
 MOST_FRAMES = 10_000_000
 
@@ -37,6 +43,11 @@ CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi"
 """Names of the formats that FFmpeg may use; none of them names other files."""
 
 
+def _step(times_ms: list[float], time: float, every_s: float) -> int:
+    """Which multiple of `every_s` after the first frame a time is at or after."""
+    return math.floor((time + TOLERANCE_MS - times_ms[0]) / (every_s / MILLI))
+
+
 def chosen(times_ms: list[float], every_s: float) -> list[float]:
     """Of frames at sorted times, the first at or after each multiple of `every_s` from the first frame on."""
     frames: list[float] = []
@@ -44,7 +55,7 @@ def chosen(times_ms: list[float], every_s: float) -> list[float]:
     for time in times_ms:
         if time >= due - TOLERANCE_MS:
             frames.append(time)
-            steps = int((time + TOLERANCE_MS - times_ms[0]) / (every_s / MILLI)) + 1
+            steps = _step(times_ms, time, every_s) + 1
             due = times_ms[0] + steps * every_s / MILLI
     return frames
 
@@ -80,12 +91,18 @@ def _opened(cv2: Any, path: str, options: list[int]) -> Any:
 
 
 def _times(cv2: Any, path: str) -> list[float]:
-    """Times of all frames in ms, sorted, from their packets, without decoding."""
+    """Times of all frames in ms, sorted, from their packets, without decoding.
+
+    Of a video that was cut those behind its end are left out: as many are decoded before its begin, and not shown.
+    """
     video = _opened(cv2, path, [cv2.CAP_PROP_FORMAT, -1])
     times: list[float] = []
     while len(times) < MOST_FRAMES and video.grab():
         times.append(video.get(cv2.CAP_PROP_POS_MSEC))
-    return sorted(times)
+    times.sort()
+    shown = shown_s(Path(path))
+    inside = len(times) if shown is None else bisect_left(times, shown / MILLI - TOLERANCE_MS)
+    return times[:inside] if inside < len(times) - 1 else times  # the last frame of some files lasts no time
 
 
 def _described(cv2: Any, path: str, times: list[float], every_s: float, max_pixels: int) -> dict[str, Any]:
@@ -95,10 +112,11 @@ def _described(cv2: Any, path: str, times: list[float], every_s: float, max_pixe
     width, height = (int(video.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     code = int(video.get(cv2.CAP_PROP_FOURCC))
     count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
+    stated_s = shown_s(Path(path)) or (count / rate if count > 0 and rate > 0 else 0.0)
     return {
         "times_s": [time * MILLI for time in chosen(times, every_s)[:MOST_CHOSEN]],
         "seen_s": (times[-1] - times[0]) * MILLI + 1 / rate if times and rate > 0 else 0.0,
-        "stated_s": count / rate if count > 0 and rate > 0 else 0.0,
+        "stated_s": stated_s,
         "width": width,
         "height": height,
         "codec": "".join(chr(code >> 8 * i & 0xFF) for i in range(4)) if code > 0 else "unknown",
@@ -118,9 +136,10 @@ def _frames(cv2: Any, path: str, times: list[float], every_s: float, seconds: in
         if not video.grab():
             continue
         time = video.get(cv2.CAP_PROP_POS_MSEC)
-        while number < len(wanted) and wanted[number] < time - TOLERANCE_MS:
+        step = _step(times, time, every_s)
+        while number + 1 < len(wanted) and _step(times, wanted[number + 1], every_s) <= step:
             number += 1
-        if number < len(wanted) and wanted[number] <= time + TOLERANCE_MS:
+        if wanted[number] >= time - SLACK_MS and _step(times, wanted[number], every_s) <= step:
             good, frame = video.retrieve()
             if good:
                 yield number, frame
