@@ -107,6 +107,8 @@ def test_the_healthcheck_tells_by_its_exit_code(
         (["maps", ""], "'' is neither a name nor an id"),
         (["maps", "--key", "a b"], "the key has letters that no key has"),
         (["maps", "--url", "http://[::1"], "'http://[::1' is no address of a service"),
+        (["maps", "--url", "localhost:8000"], "'localhost:8000' is no address of a service"),
+        (["maps", "caf\udce9"], "'caf\\udce9' is neither a name nor an id"),
     ],
 )
 def test_what_no_call_can_be_made_with_is_told_without_a_traceback(
