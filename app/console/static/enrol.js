@@ -25,8 +25,9 @@ export function enrolScreen() {
   let running = false;
   let current = null; // the photo whose fields were used last
 
-  const maps = mapSelect();
+  const maps = mapSelect(() => onPlan.draw());
   const other = h("input", {
+    onchange: () => onPlan.draw(),
     placeholder: "a new one",
     pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}",
     spellcheck: "false",
@@ -71,7 +72,7 @@ export function enrolScreen() {
 
   const wanted = () => other.value.trim() || maps.select.value;
   const archives = recording(wanted, () => maps.refresh().catch(() => {}));
-  const onPlan = placing(() => maps.select.value, nextToPlace);
+  const onPlan = placing(wanted, nextToPlace);
 
   /** The photo that a click on the plan places: the one in use, else the first without a position. */
   function nextToPlace() {
