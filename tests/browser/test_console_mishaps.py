@@ -179,3 +179,31 @@ def test_another_order_keeps_the_place_that_is_shown(opened: Open) -> None:
     tab.page.get_by_label("Order").select_option("newest first")
     tab.page.get_by_role("heading", name="rose garden").wait_for()
     tab.awaits(".grid .cell", 2)
+
+
+def test_a_long_name_makes_no_screen_wider_than_a_small_phone(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    name, place = "m" * 64, "Verwaltungsgebäudehintereingang" * 6
+    enrolled(service, name, range(540, 542), place=place, x="1", y="2")
+    (tmp_path / f"{'a' * 90}.jpg").write_bytes(drawn_photo(540))
+    tab = opened("ask", size={"width": 320, "height": 640})
+    tab.page.get_by_label("Map", exact=True).select_option(name)
+    tab.page.get_by_label("Choose a photo").set_input_files(tmp_path / f"{'a' * 90}.jpg")
+    tab.page.wait_for_selector(".verdict")
+    assert not tab.is_wider_than_the_window()
+    for screen in (
+        "enrol",
+        "maps",
+        "service",
+        "snapshots",
+        *(f"maps/{name}{part}" for part in ("/health", "/recipe", "")),
+    ):
+        tab.show(screen)
+        assert not tab.is_wider_than_the_window(), screen
+    tab.page.locator(".grid .cell button").first.click()
+    wide = "dialog => dialog.scrollWidth > dialog.clientWidth"
+    assert not tab.page.get_by_role("dialog").evaluate(wide)
+    tab.page.get_by_role("button", name="Close").click()
+    tab.page.get_by_role("button", name="Delete this map …").click()
+    assert not tab.page.get_by_role("dialog").evaluate(wide)
