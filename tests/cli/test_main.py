@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -116,3 +117,21 @@ def test_what_no_call_can_be_made_with_is_told_without_a_traceback(
 ) -> None:
     assert main([argv[0], "--url", "http://127.0.0.1:1", *argv[1:]]) == 1
     assert capsys.readouterr().err.startswith(f"revisit: {told}")
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("enrol", "enroll"), ("health-check", "healthcheck"), ("quer", "query")])
+def test_a_command_that_is_mistyped_is_told_with_the_nearest(
+    typed: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([typed, "photos"])
+    assert caught.value.code == 2
+    assert f"there is no command {typed!r}; did you mean {meant!r}?" in capsys.readouterr().err
+
+
+def test_a_full_disk_behind_the_output_is_told_without_a_traceback(service: FakeService) -> None:
+    service.replies["GET /maps"] = 200, {"maps": []}
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "app.cli", "maps", "--url", service.url]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (1, "revisit: the output cannot be written: No space left on device\n")
