@@ -65,7 +65,7 @@ def test_a_key_that_can_be_none_is_told_from_a_service_that_is_away(opened: Open
     assert "the key has letters that no key has" in tab.page.get_by_role("dialog").get_by_role("alert").inner_text()
 
 
-def test_a_page_of_views_that_did_not_come_is_told_and_asked_for_again(opened: Open) -> None:
+def test_a_page_of_views_that_did_not_come_is_told_and_fetched_again(opened: Open) -> None:
     total, refuse = 1000, [True]
 
     def answered(route: "Route") -> None:

@@ -94,7 +94,7 @@ def test_errors_come_out_of_pools_of_processes_as_they_were(error: ClientError) 
 
 
 @pytest.mark.parametrize("proxy", ["http://127.0.0.1:9", "socks5://127.0.0.1:9"])
-def test_a_proxy_is_not_asked_for_what_this_machine_serves(
+def test_no_proxy_gets_what_this_machine_serves(
     callers: tuple[str, list[int]], proxy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("HTTP_PROXY", "ALL_PROXY"):
