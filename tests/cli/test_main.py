@@ -51,6 +51,15 @@ def test_a_refusal_is_1_and_says_what_the_service_said(
     assert "there is no map 'x'" in capsys.readouterr().err
 
 
+def test_where_a_key_is_needed_the_command_line_says_how_it_is_given(
+    service: FakeService, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service.replies["GET /maps"] = 401, answers.problem("unauthorized", 401)
+
+    assert main(["maps"]) == 1
+    assert "takes the key from REVISIT_KEY, or from --key" in capsys.readouterr().err
+
+
 def test_tests_need_a_checkout(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["test"]) == 2
     assert "checkout" in capsys.readouterr().err
