@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             show_json([_facts(result) for result in results])
         else:
-            _tell(results, [*calls, *answers], output)
+            _tell(results, [*calls, *answers], output, keep=arguments.keep)
             unsure = sum(bool(result.is_right) and result.answer.status == "ambiguous" for result in results)
             show(f"\n{sum(map(bool, right))} of {len(right)} known places were recognised: {_confidence_line(unsure)}.")
             if not passed:
@@ -176,7 +176,7 @@ def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[li
     return results, [call]
 
 
-def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None:
+def _tell(results: Sequence[Result], calls: Sequence[str], output: Path, *, keep: bool) -> None:
     rows = []
     for result in results:
         first = result.answer.matches[0] if result.answer.matches else None
@@ -194,7 +194,7 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
         )
     heads = ("query", "what is different", "best match", "score", "confidence", "verdict", "right")
     show("\n" + table(heads, rows))
-    show("\nthe calls it made:")
+    show(f"\nthe calls it made{'' if keep else ' (the service ends now; with --keep it stays for them)'}:")
     for call in calls:
         show(f"  {call}")
     show(f"\nimages: {output}")

@@ -83,3 +83,4 @@ def test_a_photo_of_ones_own_that_cannot_be_read_is_named_and_left_out(
     for name in ("broken.jpg", "notes.heic"):
         assert f"left out: {photos / name}: " in err
     assert "of 4 known places were recognised" in out
+    assert "the service ends now; with --keep it stays" in out
