@@ -171,6 +171,14 @@ def test_the_keyboard_stays_where_the_work_is(opened: Open, service: RunningServ
     tab.page.wait_for_function("document.activeElement.matches('.grid')")
 
 
+def test_a_map_that_was_deleted_elsewhere_leads_back_to_the_others(opened: Open) -> None:
+    tab = opened("maps/gone", refusals=True)
+    tab.page.get_by_role("alert").filter(has_text="there is no map 'gone'").wait_for()
+    assert "Loading" not in tab.page.locator("main").inner_text()
+    tab.page.get_by_role("link", name="All maps").press("Enter")
+    tab.page.get_by_role("heading", name="Maps", exact=True).wait_for()
+
+
 def test_another_order_keeps_the_place_that_is_shown(opened: Open) -> None:
     tab = opened("maps/town")
     tab.awaits(".grid .cell", 2 * len(PLACES))

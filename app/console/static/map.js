@@ -303,7 +303,11 @@ export function mapScreen(name) {
 
   return {
     element,
-    enter: load,
+    enter: () =>
+      load().catch((error) => {
+        if (error.status === 401) throw error; // the dialog is open
+        element.replaceChildren(...mapHead(name), problemBox(error));
+      }),
     leave: () => {
       left = true;
       jobs?.stop();
