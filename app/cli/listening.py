@@ -44,7 +44,7 @@ def listen(settings: "Settings") -> socket.socket:
     return listening
 
 
-def address(host: str, port: int) -> str:
+def address(host: str, port: int | str) -> str:
     """The URL at which this machine reaches what listens there."""
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"

@@ -111,6 +111,25 @@ def test_the_healthcheck_tells_by_its_exit_code(
 
 
 @pytest.mark.parametrize(
+    ("host", "url"),
+    [
+        ("127.0.0.2", "http://127.0.0.2:9"),
+        ("0.0.0.0", "http://127.0.0.1:9"),
+        ("::1", "http://[::1]:9"),
+        ("", "http://127.0.0.1:9"),
+    ],
+)
+def test_the_healthcheck_looks_where_the_service_listens(
+    host: str, url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("REVISIT_URL", raising=False)
+    monkeypatch.setenv("REVISIT_HOST", host)
+    monkeypatch.setenv("REVISIT_PORT", "9")
+    assert main(["healthcheck"]) == 1
+    assert f"no service answers at {url} (" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("argv", "told"),
     [
         (["views", ".."], "'..' is neither a name nor an id"),
