@@ -1,10 +1,9 @@
 """``revisit healthcheck | version | openapi``: readiness, versions and API of a service."""
 
 import argparse
-import os
 
 from app.cli.console import DONE, FAILED, Verbs, say, show, show_json, speaks, table
-from app.cli.listening import address
+from app.cli.listening import of_this_environment
 
 
 def add(verbs: Verbs) -> None:
@@ -26,8 +25,7 @@ def run_healthcheck(arguments: argparse.Namespace) -> int:
     and a unit of systemd need."""
     from revisit_client import Revisit
 
-    here = address(os.environ.get("REVISIT_HOST") or "127.0.0.1", os.environ.get("REVISIT_PORT") or "8000")
-    url = arguments.url or os.environ.get("REVISIT_URL") or here
+    url = arguments.url or of_this_environment()
     with Revisit(url, key=arguments.key, timeout=5, patience=0) as revisit:
         readiness = revisit.readyz()
     if arguments.json:

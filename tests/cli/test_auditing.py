@@ -1,8 +1,12 @@
 """Whether enrolled images find themselves, as `revisit doctor` asks."""
 
+import json
+from pathlib import Path
+
 import pytest
 from revisit_client import Revisit
 
+from app.cli.__main__ import main
 from app.cli.auditing import audit
 from tests import answers
 from tests.cli.fake_service import FakeService
@@ -20,3 +24,14 @@ def test_a_view_whose_image_is_not_kept_or_that_went_meanwhile_is_no_finding(ser
     with Revisit() as revisit:
         found = audit(revisit, "campus", every=True, quiet=True)
     assert (found["queried"], found["found"], len(found["findings"])) == (1, 0, 1)
+
+
+def test_doctor_examines_the_service_that_its_own_variables_are_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a container or a unit with another port there is no REVISIT_URL."""
+    monkeypatch.delenv("REVISIT_URL", raising=False)
+    monkeypatch.setenv("REVISIT_HOST", "0.0.0.0")
+    monkeypatch.setenv("REVISIT_PORT", "9")
+    main(["doctor", "--data", str(tmp_path), "--json"])
+    assert json.loads(capsys.readouterr().out)["service"]["url"] == "http://127.0.0.1:9"
