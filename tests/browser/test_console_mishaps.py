@@ -58,6 +58,35 @@ def test_photos_and_what_was_typed_outlive_a_key_that_ends(opened: Open, locked:
     assert sorted(str(one["place"]) for one in listed) == ["None", "None", "wine"]
 
 
+def test_a_service_that_starts_again_is_waited_for_and_a_file_that_is_gone_is_named(
+    opened: Open, service: RunningService, tmp_path: Path
+) -> None:
+    photos = [tmp_path / f"{number}.jpg" for number in range(3)]
+    for number, path in enumerate(photos):
+        path.write_bytes(drawn_photo(550 + number))
+    tab = opened("enrol")
+    tab.page.evaluate(
+        """() => {
+            const real = window.fetch;
+            let left = 2;
+            const fails = (address) => address.includes("/enroll") && left-- > 0;
+            window.fetch = (address, options) =>
+                fails(address) ? Promise.reject(new TypeError("reset")) : real(address, options);
+        }"""
+    )
+    tab.page.get_by_label("or a new map").fill("again")
+    tab.page.get_by_label("Choose photos").set_input_files(photos)
+    tab.page.get_by_label("Place of 2.jpg").wait_for()
+    photos[2].unlink()
+    tab.page.get_by_role("button", name="Enrol 3 photos").click()
+    tab.page.get_by_text("the service does not answer; again in 2 s").first.wait_for()
+    tab.page.locator("main").get_by_text("3 of 3 photos done, 1 refused.").wait_for()
+    [refused] = tab.page.locator(".files .refused").all_inner_texts()
+    assert refused == "The file cannot be sent. Was it changed or removed? Choose it again"
+    assert len(views(service, "again")) == 2
+    tab.complaints.clear()  # of the file
+
+
 def test_a_key_that_can_be_none_is_told_from_a_service_that_is_away(opened: Open, locked: Locked) -> None:
     service, _ = locked
     tab = opened("maps", url=service.url, refusals=True)

@@ -10,6 +10,7 @@ import { RECORDINGS, recording } from "./recording.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
+const PASSING = { 0: "does not answer", 429: "is busy", 503: "is busy" }; // it may be starting again
 const IMAGES = /\.(jpe?g|png|webp|bmp|tiff?|heic|heif)$/i;
 
 /** What was wrong with one photo, in a line. */
@@ -17,6 +18,12 @@ function refusal({ title = "Error", detail, message, errors = [] }) {
   const parameters = errors.map((wrong) => `; ${wrong.parameter}: ${wrong.detail}`).join("");
   return `${title}: ${detail ?? message}${parameters}`;
 }
+
+const isThere = () =>
+  call("GET", "/version", { quiet: true }).then(
+    () => true,
+    () => false,
+  );
 
 export function enrolScreen() {
   let entries = [];
@@ -227,13 +234,17 @@ export function enrolScreen() {
         one.place.value ||= view.place ?? "";
         return;
       } catch (error) {
-        if ([429, 503].includes(error.status) && tried < TRIES) {
-          const seconds = error.retryAfter ?? 2;
-          mark(one, "waiting", `the service is busy; again in ${seconds} s`);
+        if (error.status === 0 && tried > 1 && (await isThere())) {
+          mark(one, "refused", "The file cannot be sent. Was it changed or removed? Choose it again");
+          return;
+        }
+        if (Object.hasOwn(PASSING, error.status) && tried < TRIES) {
+          const seconds = error.retryAfter ?? 2 ** tried;
+          mark(one, "waiting", `the service ${PASSING[error.status]}; again in ${seconds} s`);
           await new Promise((resolve) => setTimeout(resolve, seconds * 1000));
         } else {
           mark(one, "refused", refusal(error));
-          if (error.status === 401) throw error;
+          if ([0, 401].includes(error.status)) throw error; // the others would get the same
           return;
         }
       }
