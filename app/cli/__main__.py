@@ -1,6 +1,8 @@
 """``python -m app.cli``: the command line; the launcher ``./revisit`` runs it."""
 
 import argparse
+import difflib
+import errno
 import importlib
 import sys
 from collections.abc import Sequence
@@ -67,7 +69,10 @@ def _test(arguments: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     whole = parser()
-    arguments, rest = whole.parse_known_args(points_joined(sys.argv[1:] if argv is None else argv))
+    given = points_joined(sys.argv[1:] if argv is None else argv)
+    if (near := _meant(whole, given)) is not None:
+        whole.error(f"there is no command {given[0]!r}; did you mean {near!r}? `revisit --help` lists all")
+    arguments, rest = whole.parse_known_args(given)
     if rest and not hasattr(arguments, "rest"):
         whole.error(f"unrecognized arguments: {' '.join(rest)}")
     arguments.rest = rest
@@ -90,20 +95,32 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
 
 
+def _meant(whole: argparse.ArgumentParser, given: Sequence[str]) -> str | None:
+    """The command that is nearest to one that does not exist, `enroll` to `enrol`; None where none is."""
+    verbs = [name for action in whole._actions if action.nargs == argparse.PARSER for name in action.choices or ()]
+    if not given or given[0].startswith("-") or given[0] in verbs:
+        return None
+    return next(iter(difflib.get_close_matches(given[0], verbs, n=1)), None)
+
+
 def _foreseen(error: Exception) -> str | None:
     """The message for an expected error; None for one that needs a traceback."""
     if isinstance(error, ModuleNotFoundError) and error.name is not None:
         if error.name.partition(".")[0] in ("lab", "scenes", "training"):
             return "this installation holds the service alone; run this command in a checkout of the repository"
         return f"the package {error.name} is not installed; `./revisit set-up` installs what is needed"
-    from revisit_client import ClientError
+    from revisit_client import ClientError, RevisitProblem
 
     from schemas.errors import RevisitError
 
+    if isinstance(error, RevisitProblem) and error.code == "unauthorized":
+        return f"{error}\nThe command line takes the key from REVISIT_KEY, or from --key"
     if isinstance(error, ClientError | RevisitError | TimeoutError):
         return str(error)
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+        return f"the output cannot be written: {error.strerror}"
     return None
 
 

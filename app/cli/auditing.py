@@ -15,6 +15,9 @@ SAMPLE = 20
 TIE = 1e-6
 """Scores at most this far apart are equal."""
 
+NO_IMAGE = ("image-not-kept", "not-found")
+"""Problems of a view that nothing can be asked with: its map keeps no images, or it was deleted meanwhile."""
+
 SIDE, ALIKE = 32, 4.0
 """Two images are one photo when, scaled to this many pixels a side, they differ by at most this many grey levels."""
 
@@ -35,13 +38,13 @@ def audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[st
     Returns
     -------
     dict
-        ``queried``, ``found``, and ``findings``, a line each.
+        ``queried`` (those with an image), ``found``, and ``findings``, a line each.
     """
-    from revisit_client import ClientError
+    from revisit_client import ClientError, RevisitProblem
 
     views = list(revisit.views(name, state="ready"))
     chosen = views if every or len(views) <= SAMPLE else random.Random(0).sample(views, SAMPLE)
-    findings = []
+    findings, gone = [], 0
     with progress_bar(len(chosen), f"images of map {name} queried for themselves", quiet=quiet) as step:
         for view in chosen:
             try:
@@ -51,9 +54,13 @@ def audit(revisit: "Revisit", name: str, *, every: bool, quiet: bool) -> dict[st
                 if view.id not in best and not (best and _same_photo(image, revisit.image(best[0]))):
                     findings.append(f"view {view.id} does not find itself; enrol its image again")
             except (ClientError, OSError) as error:
-                findings.append(f"view {view.id}: {error}")
+                if isinstance(error, RevisitProblem) and error.code in NO_IMAGE:
+                    gone += 1
+                else:
+                    findings.append(f"view {view.id}: {error}")
             step(view.id)
-    return {"queried": len(chosen), "found": len(chosen) - len(findings), "findings": findings}
+    queried = len(chosen) - gone
+    return {"queried": queried, "found": queried - len(findings), "findings": findings}
 
 
 def _same_photo(one: bytes, other: bytes) -> bool:

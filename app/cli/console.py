@@ -1,12 +1,13 @@
 """Output of the command line: tables, progress, failures with a next step, exit codes."""
 
 import argparse
+import codecs
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import count
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeAlias
 
 if TYPE_CHECKING:
     from revisit_client.wire import Job
@@ -30,22 +31,29 @@ def wrong_use(text: str) -> NoReturn:
 
 def say(text: str) -> None:
     """Print a message on stderr, so that a pipe gets results only."""
-    print(_printable(text), file=sys.stderr, flush=True)
+    print(_printable(text, sys.stderr), file=sys.stderr, flush=True)
 
 
 def show(text: str) -> None:
     """Print a result on stdout, in one write: lines of a log that share the terminal do not come between."""
-    print(f"{_printable(text)}\n", end="", flush=True)
+    print(f"{_printable(text, sys.stdout)}\n", end="", flush=True)
 
 
 def show_json(value: Any) -> None:
     """Print a result on stdout as JSON."""
-    print(_printable(json.dumps(value, indent=2, ensure_ascii=False, default=str)), flush=True)
+    escaped = _encoding(sys.stdout) != "utf-8"  # a letter that the terminal does not have is \u00e9 in JSON alone
+    print(_printable(json.dumps(value, indent=2, ensure_ascii=escaped, default=str), sys.stdout), flush=True)
 
 
-def _printable(text: str) -> str:
-    r"""Bytes of a file's name that are no UTF-8, which Python keeps as lone surrogates, as \udcff: in JSON too."""
-    return text.encode("utf-8", "backslashreplace").decode()
+def _printable(text: str, stream: TextIO) -> str:
+    r"""What an output cannot carry, escaped: letters that a locale such as ISO-8859-1 lacks, and bytes of a file's name
+    that are no UTF-8, which Python keeps as lone surrogates, as \udcff: in JSON too."""
+    encoding = _encoding(stream)
+    return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def _encoding(stream: TextIO) -> str:
+    return codecs.lookup(getattr(stream, "encoding", None) or "utf-8").name
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

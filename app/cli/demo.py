@@ -4,13 +4,14 @@ import argparse
 import shlex
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli import demo_images, images
-from app.cli.console import DONE, FAILED, Verbs, progress_bar, say, show, show_json, table, wrong_use
+from app.cli.console import DONE, FAILED, Failure, Verbs, progress_bar, say, show, show_json, table, wrong_use
 from app.cli.service import started
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 MOST = 0.75
 """Share of known places that must be recognised for the exit code 0."""
+
+REFUSED = (413, 415, 422)
+"""Statuses that say something of the image alone."""
 
 
 def add(verbs: Verbs) -> None:
@@ -77,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             show_json([_facts(result) for result in results])
         else:
-            _tell(results, [*calls, *answers], output)
+            _tell(results, [*calls, *answers], output, keep=arguments.keep)
             unsure = sum(bool(result.is_right) and result.answer.status == "ambiguous" for result in results)
             show(f"\n{sum(map(bool, right))} of {len(right)} known places were recognised: {_confidence_line(unsure)}.")
             if not passed:
@@ -118,18 +122,35 @@ def _own(photos: Sequence[Path], output: Path) -> "Material":
 
 def _enrolled(revisit: "Revisit", material: "Material") -> list[str]:
     """Enrol all images; returns the curl call of the first."""
-    begun = time.monotonic()
+    begun, enrolled = time.monotonic(), []
     with progress_bar(len(material.enrolments), "images enrolled") as step:
         for enrolment in material.enrolments:
-            revisit.enroll(enrolment.path, place=enrolment.place)
+            with _left_out(enrolment.path):
+                revisit.enroll(enrolment.path, place=enrolment.place)
+                enrolled.append(enrolment)
             step(enrolment.place)
-    count, seconds = len(material.enrolments), time.monotonic() - begun
-    say(f"enrolled {count} images of {len(list(demo_images.names(material)))} places in {seconds:.1f} s")
-    first = material.enrolments[0]
+    if not enrolled:
+        raise Failure("no photo could be enrolled")
+    count, seconds = len(enrolled), time.monotonic() - begun
+    say(f"enrolled {count} images of {len({one.place for one in enrolled})} places in {seconds:.1f} s")
+    first = enrolled[0]
     return [
         f"curl -F image=@{shlex.quote(str(first.path))} -F place={shlex.quote(first.place)} {revisit.url}/enroll"
         f"   # and {count - 1} more"
     ]
+
+
+@contextmanager
+def _left_out(photo: Path) -> Iterator[None]:
+    """Say which photo the service refuses, and why, and go on: a folder of one's own has a bad one sooner or later."""
+    from revisit_client import RevisitProblem
+
+    try:
+        yield
+    except RevisitProblem as problem:
+        if problem.status not in REFUSED:
+            raise
+        say(f"left out: {photo}: {problem.detail}")
 
 
 def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[list[Result], list[str]]:
@@ -139,9 +160,11 @@ def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[li
     results = []
     with progress_bar(len(material.queries), "queries answered") as step:
         for number, query in enumerate(material.queries, start=1):
-            answer = revisit.query(query.path, top=3, explain=True)
-            results.append(Result(query, answer))
-            if answer.matches:
+            answer = None
+            with _left_out(query.path):
+                answer = revisit.query(query.path, top=3, explain=True)
+                results.append(Result(query, answer))
+            if answer is not None and answer.matches:
                 view = answer.matches[0].view.id
                 name = f"{number:02d}-{query.path.stem}"
                 (folder / f"{name}-why.png").write_bytes(revisit.explanation(answer.query.id))
@@ -153,7 +176,7 @@ def _queried(revisit: "Revisit", material: "Material", output: Path) -> tuple[li
     return results, [call]
 
 
-def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None:
+def _tell(results: Sequence[Result], calls: Sequence[str], output: Path, *, keep: bool) -> None:
     rows = []
     for result in results:
         first = result.answer.matches[0] if result.answer.matches else None
@@ -171,7 +194,7 @@ def _tell(results: Sequence[Result], calls: Sequence[str], output: Path) -> None
         )
     heads = ("query", "what is different", "best match", "score", "confidence", "verdict", "right")
     show("\n" + table(heads, rows))
-    show("\nthe calls it made:")
+    show(f"\nthe calls it made{'' if keep else ' (the service ends now; with --keep it stays for them)'}:")
     for call in calls:
         show(f"  {call}")
     show(f"\nimages: {output}")

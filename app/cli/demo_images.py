@@ -1,6 +1,6 @@
 """Images for the demo: drawn places, or the user's own photos, and queries whose answers are known."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -108,8 +108,10 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
     """The user's photos: nearly all are enrolled, each as a place of its own.
 
     Queries are altered copies (cropped, turned, darker) of some of them, whose answers are known, and photos that are
-    not enrolled, whose answers only the user can judge.
+    not enrolled, whose answers only the user can judge. A photo that cannot be read has no copy.
     """
+    from schemas.errors import RevisitError
+
     held_back = photos[4::8][:4] if len(photos) >= 6 else []
     enrolments = [Enrolment(path, path.stem) for path in photos if path not in held_back]
     queries = []
@@ -118,7 +120,11 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
         change, how = _ALTERATIONS[i % len(_ALTERATIONS)]
         target = folder / "queries" / f"{i:02d}-{enrolment.path.stem}.jpg"
         target.parent.mkdir(parents=True, exist_ok=True)
-        how(_opened(enrolment.path)).save(target, quality=88)
+        try:
+            upright = _opened(enrolment.path)
+        except RevisitError:  # the service says why, when it is enrolled
+            continue
+        how(upright).save(target, quality=88)
         queries.append(QueryRecord(target, enrolment.place, change))
         step(enrolment.place)
     queries += [QueryRecord(path, None, "held back: judge yourself", known=False) for path in held_back]
@@ -126,10 +132,12 @@ def of_folder(photos: Sequence[Path], folder: Path, step: Step) -> Material:
 
 
 def _opened(path: Path) -> "PilImage.Image":
-    from PIL import Image as PilImage, ImageOps
+    """A photo as the service reads it; raises RevisitError for one that it would refuse."""
+    from PIL import Image as PilImage
 
-    with PilImage.open(path) as pil_image:
-        upright = ImageOps.exif_transpose(pil_image).convert("RGB")
+    from worker.images import codec
+
+    upright = PilImage.fromarray(codec.decode(path.read_bytes(), codec.Limits()).pixels)
     upright.thumbnail((1280, 1280))
     return upright
 
@@ -160,8 +168,3 @@ _ALTERATIONS: "Sequence[tuple[str, Callable[[PilImage.Image], PilImage.Image]]]"
     ("turned 4 degrees", lambda i: _turned(i, 4)),
     ("half as bright", lambda i: _darker(i, 0.5)),
 )
-
-
-def names(material: Material) -> Iterator[str]:
-    """Names of the enrolled places, each once."""
-    yield from dict.fromkeys(enrolment.place for enrolment in material.enrolments)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.cli.auditing import SAMPLE, audit
 from app.cli.console import DONE, FAILED, Failure, Verbs, show, show_json, size, speaks
+from app.cli.listening import of_this_environment
 from app.cli.serve import settings_of
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def _service(arguments: argparse.Namespace, findings: list[str]) -> dict[str, An
     """Check the running service: readiness, and whether enrolled images find themselves; appends to `findings`."""
     from revisit_client import ClientError, Revisit, Unreachable
 
-    with Revisit(arguments.url, key=arguments.key, patience=10) as revisit:
+    with Revisit(arguments.url or of_this_environment(), key=arguments.key, patience=10) as revisit:
         try:
             readiness = revisit.readyz()
         except Unreachable:

@@ -1,9 +1,9 @@
 """``revisit healthcheck | version | openapi``: readiness, versions and API of a service."""
 
 import argparse
-import os
 
 from app.cli.console import DONE, FAILED, Verbs, say, show, show_json, speaks, table
+from app.cli.listening import of_this_environment
 
 
 def add(verbs: Verbs) -> None:
@@ -21,10 +21,11 @@ def add(verbs: Verbs) -> None:
 
 
 def run_healthcheck(arguments: argparse.Namespace) -> int:
-    """Call `/readyz`, by default on this machine at REVISIT_PORT, as a container's health check needs."""
+    """Call `/readyz`, by default where `serve` listens by REVISIT_HOST and REVISIT_PORT, as a container's health check
+    and a unit of systemd need."""
     from revisit_client import Revisit
 
-    url = arguments.url or os.environ.get("REVISIT_URL") or f"http://127.0.0.1:{os.environ.get('REVISIT_PORT', '8000')}"
+    url = arguments.url or of_this_environment()
     with Revisit(url, key=arguments.key, timeout=5, patience=0) as revisit:
         readiness = revisit.readyz()
     if arguments.json:

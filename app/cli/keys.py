@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.cli.console import DONE, Failure, Verbs, say, show, show_json, table, wrong_use
-from app.cli.serve import settings_of
+from app.cli.serve import place_of, settings_of
 
 if TYPE_CHECKING:
     from schemas.keys import KeyRecord
@@ -107,7 +107,9 @@ def run_create(arguments: argparse.Namespace) -> int:
             raise
     if not arguments.json:
         maps = "all maps" if record.maps is None else f"the maps {', '.join(record.maps)}"
-        say(f"{record.name}: {record.scope}, {maps}. The key is shown this once; only its hash is kept.")
+        where = place_of(settings_of(arguments, "data"))
+        what = f"{record.name}: {record.scope}, {maps}, kept in {where}"
+        say(f"{what}. The key is shown this once; only its hash is kept.")
     return DONE
 
 

@@ -2,6 +2,7 @@
 
 import ipaddress
 import logging
+import os
 import signal
 import socket
 from collections.abc import Callable
@@ -45,10 +46,16 @@ def listen(settings: "Settings") -> socket.socket:
     return listening
 
 
-def address(host: str, port: int) -> str:
+def address(host: str, port: int | str) -> str:
     """The URL at which this machine reaches what listens there."""
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"
+
+
+def of_this_environment() -> str:
+    """The URL of the service that runs by the same variables: REVISIT_URL, or REVISIT_HOST and REVISIT_PORT."""
+    here = address(os.environ.get("REVISIT_HOST") or "127.0.0.1", os.environ.get("REVISIT_PORT") or "8000")
+    return os.environ.get("REVISIT_URL") or here
 
 
 def serve_until_stopped(

@@ -71,6 +71,11 @@ def settings_of(arguments: argparse.Namespace, *names: str) -> "Settings":
         raise Failure(str(error), 2) from None
 
 
+def place_of(settings: "Settings") -> str:
+    """Where a command keeps what it makes: `data` is another folder when the command runs elsewhere."""
+    return str(settings.data.resolve()) if settings.database is None else "the database of REVISIT_DATABASE"
+
+
 def run_serve(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
     check_processor()

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.console import DONE, Failure, Verbs, job_progress, say, show, show_json, size, speaks, table, wrong_use
-from app.cli.serve import settings_of
+from app.cli.serve import place_of, settings_of
 
 if TYPE_CHECKING:
     from revisit_client import Revisit
@@ -130,7 +130,8 @@ def run_restore(arguments: argparse.Namespace) -> int:
         show_json(made)
     else:
         ids = "with new ids, since some were in use" if made["new_ids"] else "with the ids they had"
-        show(f"restored the map {made['map']}: {made['views']} views, {ids}")
+        where = f"at {arguments.url}" if arguments.url else f"in {place_of(settings_of(arguments, 'data'))}"
+        show(f"restored the map {made['map']} {where}: {made['views']} views, {ids}")
         if made["pending"]:
             say(f"{made['pending']} of them have no description yet; the service describes them")
     return DONE

@@ -17,7 +17,18 @@ from revisit_client.health import HealthCalls
 from revisit_client.images import ImageCalls
 from revisit_client.jobs import JobCalls
 from revisit_client.maps import MapCalls
-from revisit_client.parameters import Image, Time, address, filters, listed, named, readable, texts, utc
+from revisit_client.parameters import (
+    Image,
+    Time,
+    address,
+    filters,
+    header_text,
+    listed,
+    named,
+    readable,
+    texts,
+    utc,
+)
 from revisit_client.shadows import ShadowCalls
 from revisit_client.snapshots import SnapshotCalls
 
@@ -49,6 +60,10 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         From every call: the service refused it.
     Unreachable
         From every call: no service answers.
+    Unsendable
+        `url` or `key` is none.
+    ClientError
+        A proxy or certificates that the environment names cannot be used.
     """
 
     def __init__(
@@ -139,13 +154,14 @@ class Revisit(MapCalls, ImageCalls, JobCalls, HealthCalls, ShadowCalls, Snapshot
         wait : bool
             True: the view is searchable when this returns. False: it is stored durably, and `job` describes it later.
         idempotency_key : str or None
-            Calls with the same key are done once. None makes a key for this call and its repetitions.
+            Calls with the same key are done once; 1 to 255 visible ASCII characters. None makes a key for this call and
+            its repetitions.
         """
         attributes = {"x": x, "y": y, "z": z, "lat": lat, "lon": lon, "alt": alt, "heading": heading, "place": place}
         fields = texts({**attributes, "map": map, "captured_at": captured_at, "metadata": metadata, "wait": wait})
         fields |= texts({"refuse_poor": refuse_poor, "exif": exif or None})
         # One key for all repetitions of this call: the service does the work once even when an answer is lost.
-        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
+        headers = {"Idempotency-Key": header_text(idempotency_key or uuid.uuid4().hex, "the Idempotency-Key")}
         name, data = named(image)
         name = readable(filename) if filename else name
         return self._connection.receive(

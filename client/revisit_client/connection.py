@@ -1,5 +1,7 @@
 """HTTP requests to a service, repeated while it is busy, starting or its answer got lost."""
 
+import ipaddress
+import os
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
@@ -21,6 +23,8 @@ USER_AGENT = "revisit-client"
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 8.0
 """Seconds between repetitions without Retry-After: each pause is twice the previous one."""
+
+PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "http_proxy", "https_proxy", "all_proxy")
 
 Answer = TypeVar("Answer", bound=BaseModel)
 Page = TypeVar("Page", wire.Views, wire.Places, wire.Jobs)
@@ -58,12 +62,20 @@ class Connection:
     ) -> None:
         self.url = url
         self._patience, self._sleep, self._clock = patience, sleep, clock
-        self._http = httpx.Client(
-            base_url=_address(url),
-            timeout=httpx.Timeout(timeout, connect=min(5.0, timeout)),
-            transport=transport,
-            headers={"user-agent": USER_AGENT} | _bearing(key),
-        )
+        self._made: dict[str, Any] = {
+            "base_url": _address(url),
+            "timeout": httpx.Timeout(timeout, connect=min(5.0, timeout)),
+            "transport": transport,
+            "headers": {"user-agent": USER_AGENT} | _bearing(key),
+        }
+        self._process, self._client = os.getpid(), _client(**self._made)
+
+    @property
+    def _http(self) -> httpx.Client:
+        """The connections of this process: two that shared one after a fork would read each other's answers."""
+        if self._process != os.getpid() and not self._client.is_closed:
+            self._process, self._client = os.getpid(), _client(**self._made)
+        return self._client
 
     def close(self) -> None:
         """Close the connections."""
@@ -86,20 +98,19 @@ class Connection:
             raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
 
     def stream(self, path: str, chunk_size: int) -> Iterator[bytes]:
-        """The body of an answer to GET, a chunk at a time; not repeated.
+        """The body of an answer to GET, a chunk at a time; asked for as `send` does, not repeated once it has begun.
 
         Raises
         ------
         RevisitProblem, Unreachable
         """
+        answer = self.send("GET", path, stream=True)
         try:
-            with self._http.stream("GET", path) as answer:
-                if answer.status_code >= 300:
-                    answer.read()
-                    raise RevisitProblem(problem_of(answer), retry_after(answer))
-                yield from answer.iter_raw(chunk_size)
+            yield from answer.iter_raw(chunk_size)
         except httpx.TransportError as error:
             raise Unreachable(self.url, reason(error)) from error
+        finally:
+            answer.close()
 
     def events(self, model: type[Answer], path: str, silence: float) -> Iterator[Answer | None]:
         """The data of server-sent events, each validated as `model`, and None for each sign of life between them.
@@ -147,6 +158,7 @@ class Connection:
         repeat: bool = True,
         accept: int | None = None,
         once: bool = False,
+        stream: bool = False,
         **request: Any,
     ) -> httpx.Response:
         """Send a request; repeat it within `patience` seconds while that may help.
@@ -159,8 +171,10 @@ class Connection:
             A status of 400 or more that is returned instead of raised.
         once : bool
             Whether its body can be read once alone, so that it is never repeated.
+        stream : bool
+            Whether the body of the answer is left to be read, and the answer to be closed, by the caller.
         **request
-            Further arguments of `httpx.Client.request`.
+            Further arguments of `httpx.Client.build_request`.
 
         Raises
         ------
@@ -170,7 +184,9 @@ class Connection:
         while True:
             trouble: ClientError
             try:
-                answer = self._http.request(method, path, **request)
+                answer = self._http.send(self._http.build_request(method, path, **request), stream=stream)
+                if stream and answer.status_code >= 300:
+                    answer.read()
             except httpx.TransportError as error:
                 trouble = Unreachable(self.url, reason(error))
                 # A refused connection is reported at once, unless a service has just broken one off: it may be starting
@@ -205,12 +221,34 @@ def _still_runs(answer: httpx.Response) -> bool:
     return keyed and answer.status_code == 409 and "idempotent-replayed" not in answer.headers
 
 
+def _client(*, base_url: httpx.URL, transport: httpx.BaseTransport | None, **options: Any) -> httpx.Client:
+    """Connections to an address; raises ClientError for a proxy or certificates that cannot be used."""
+    try:
+        # A proxy that HTTP_PROXY names is for other machines: this one's own addresses would be the proxy's there.
+        if transport is None and _is_of_this_machine(base_url.host):
+            transport = httpx.HTTPTransport()
+        return httpx.Client(base_url=base_url, transport=transport, **options)
+    except (ImportError, OSError, ValueError) as error:
+        named = [name for name in (*PROXIES, "SSL_CERT_FILE", "SSL_CERT_DIR") if os.environ.get(name)]
+        raise ClientError(f"{', '.join(named) or 'the proxy of this system'} cannot be used: {error}") from error
+
+
+def _is_of_this_machine(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 def _address(url: str) -> httpx.URL:
     """The address of a service; raises Unsendable for what is none."""
     try:
-        return httpx.URL(url)
+        address = httpx.URL(url)
+        if address.scheme not in ("http", "https") or not address.host:
+            raise httpx.InvalidURL("it needs http:// or https:// and a host")
     except httpx.InvalidURL as error:
         raise Unsendable(f"{url!r} is no address of a service, as http://127.0.0.1:8000 is ({error})") from None
+    return address
 
 
 def _bearing(key: str | None) -> dict[str, str]:

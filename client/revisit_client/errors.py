@@ -2,6 +2,7 @@
 
 import email.utils
 from datetime import UTC, datetime
+from typing import Any
 
 import httpx
 from pydantic import ValidationError
@@ -10,7 +11,7 @@ from revisit_client import wire
 
 
 class ClientError(Exception):
-    """A call failed; base of the exceptions below."""
+    """A call failed; base of the exceptions below. All of them can be pickled: pools of processes pass them on."""
 
 
 class Unsendable(ClientError, ValueError):
@@ -26,6 +27,10 @@ class Unreachable(ClientError):
             "or set REVISIT_URL to where it runs"
         )
         self.url = url
+        self._reason = reason
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.url, self._reason), self.__dict__
 
 
 class RevisitProblem(ClientError):
@@ -60,6 +65,10 @@ class RevisitProblem(ClientError):
         self.errors = problem.errors
         self.request_id = problem.request_id
         self.retry_after_s = retry_after_s
+        self._problem = problem
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._problem, self.retry_after_s), self.__dict__
 
 
 class JobFailed(ClientError):
@@ -69,6 +78,9 @@ class JobFailed(ClientError):
         reason = f"{job.failure.code}: {job.failure.detail}" if job.failure else "no reason given"
         super().__init__(f"job {job.id} {job.state}: {reason}")
         self.job = job
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.job,), self.__dict__
 
 
 def reason(error: httpx.TransportError) -> str:

@@ -42,9 +42,16 @@ def address(*parts: str) -> str:
     Names and ids come from anywhere: one with slashes or dots must not lead to another address.
     """
     for part in parts:
-        if str(part) in ("", ".", ".."):
+        if str(part) in ("", ".", "..") or any("\ud800" <= letter <= "\udfff" for letter in str(part)):
             raise Unsendable(f"{str(part)!r} is neither a name nor an id")
     return "".join(f"/{quote(str(part), safe='')}" for part in parts)
+
+
+def header_text(value: str, what: str) -> str:
+    """The value of a header; raises Unsendable for one that no header carries."""
+    if not 1 <= len(value) <= 255 or not all("!" <= letter <= "~" for letter in value):
+        raise Unsendable(f"{what} is {value[:100]!r}; it needs 1 to 255 visible ASCII characters")
+    return value
 
 
 def listed(values: Sequence[object] | str | None) -> str | None:

@@ -48,8 +48,11 @@ def runtime_for_measuring(
         The encoder cannot be loaded.
     """
     with tempfile.TemporaryDirectory(prefix="revisit-evaluation-") as folder:
-        apart = {"data": Path(folder), "database": None, "inline_worker": True, "compare": False, "device": device}
-        runtime = build(settings.model_copy(update=apart), make_encoder=make_encoder, make_scheduler=make_scheduler)
+        apart = {"data": Path(folder), "database": None, "images": None, "index": "faiss", "device": device}
+        alone = {"inline_worker": True, "compare": False}
+        runtime = build(
+            settings.model_copy(update={**apart, **alone}), make_encoder=make_encoder, make_scheduler=make_scheduler
+        )
         runtime.start()
         try:
             yield runtime

@@ -86,3 +86,15 @@ def test_json_lines_carry_the_fields_of_an_event() -> None:
 
     assert (line["message"], line["job"], line["ms"], line["level"]) == ("done", "j1", 5, "info")
     assert logs.TextLines().format(record).endswith("done 5 ms")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "iso-8859-1", "utf-8"])
+def test_results_come_through_whatever_letters_a_terminal_has(monkeypatch: pytest.MonkeyPatch, encoding: str) -> None:
+    names = ["caf\u00e9", "\u6771\u4eac", "\U0001f6aa", "caf\udce9"]
+    out = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out, encoding))
+    console.show_json(names)
+    assert json.loads(out.getvalue().decode(encoding)) == names
+    console.show(names[1])
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(io.BytesIO(), encoding, errors="strict"))
+    console.say(names[2])

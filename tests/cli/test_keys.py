@@ -33,7 +33,7 @@ def test_a_key_is_printed_once_alone_and_listed_without_its_secret(tmp_path: Pat
     assert keys(tmp_path, "create", "robot", *options, "--requests-per-minute", "60") == 0
     out = capsys.readouterr()
     assert re.fullmatch(r"rv_[0-9a-f]{12}_[0-9A-Za-z]{49}\n", out.out)
-    assert "campus, depot" in out.err
+    assert f"campus, depot, kept in {tmp_path}. " in out.err
     secret = out.out.strip()[16:]
 
     assert keys(tmp_path, "list") == 0

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -48,6 +49,15 @@ def test_a_refusal_is_1_and_says_what_the_service_said(
 
     assert main(["maps", "x"]) == 1
     assert "there is no map 'x'" in capsys.readouterr().err
+
+
+def test_where_a_key_is_needed_the_command_line_says_how_it_is_given(
+    service: FakeService, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service.replies["GET /maps"] = 401, answers.problem("unauthorized", 401)
+
+    assert main(["maps"]) == 1
+    assert "takes the key from REVISIT_KEY, or from --key" in capsys.readouterr().err
 
 
 def test_tests_need_a_checkout(capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,12 +111,33 @@ def test_the_healthcheck_tells_by_its_exit_code(
 
 
 @pytest.mark.parametrize(
+    ("host", "url"),
+    [
+        ("127.0.0.2", "http://127.0.0.2:9"),
+        ("0.0.0.0", "http://127.0.0.1:9"),
+        ("::1", "http://[::1]:9"),
+        ("", "http://127.0.0.1:9"),
+    ],
+)
+def test_the_healthcheck_looks_where_the_service_listens(
+    host: str, url: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("REVISIT_URL", raising=False)
+    monkeypatch.setenv("REVISIT_HOST", host)
+    monkeypatch.setenv("REVISIT_PORT", "9")
+    assert main(["healthcheck"]) == 1
+    assert f"no service answers at {url} (" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("argv", "told"),
     [
         (["views", ".."], "'..' is neither a name nor an id"),
         (["maps", ""], "'' is neither a name nor an id"),
         (["maps", "--key", "a b"], "the key has letters that no key has"),
         (["maps", "--url", "http://[::1"], "'http://[::1' is no address of a service"),
+        (["maps", "--url", "localhost:8000"], "'localhost:8000' is no address of a service"),
+        (["maps", "caf\udce9"], "'caf\\udce9' is neither a name nor an id"),
     ],
 )
 def test_what_no_call_can_be_made_with_is_told_without_a_traceback(
@@ -114,3 +145,21 @@ def test_what_no_call_can_be_made_with_is_told_without_a_traceback(
 ) -> None:
     assert main([argv[0], "--url", "http://127.0.0.1:1", *argv[1:]]) == 1
     assert capsys.readouterr().err.startswith(f"revisit: {told}")
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("enrol", "enroll"), ("health-check", "healthcheck"), ("quer", "query")])
+def test_a_command_that_is_mistyped_is_told_with_the_nearest(
+    typed: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([typed, "photos"])
+    assert caught.value.code == 2
+    assert f"there is no command {typed!r}; did you mean {meant!r}?" in capsys.readouterr().err
+
+
+def test_a_full_disk_behind_the_output_is_told_without_a_traceback(service: FakeService) -> None:
+    service.replies["GET /maps"] = 200, {"maps": []}
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "app.cli", "maps", "--url", service.url]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (1, "revisit: the output cannot be written: No space left on device\n")

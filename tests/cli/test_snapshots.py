@@ -59,6 +59,8 @@ def test_maps_are_fetched_and_restored_on_both_ways(
     assert json.loads(capsys.readouterr().out)["map"] == "campus"
     assert main(["restore", str(files[0]), "--data", str(stopped)]) == 1
     assert "exists already" in capsys.readouterr().err
+    assert main(["restore", str(files[0]), "--data", str(stopped), "--as", "copy"]) == 0
+    assert f"restored the map copy in {stopped}: " in capsys.readouterr().out
     files[1].write_bytes(files[1].read_bytes()[:-700])
     assert main(["restore", str(files[1]), "--data", str(stopped)]) == 1
     assert "nothing was changed" in capsys.readouterr().err

@@ -48,7 +48,7 @@ def test_no_id_leads_to_another_address(name: str) -> None:
             assert (b"?" in url.raw_path, name in url.path) == (False, True)
 
 
-@pytest.mark.parametrize("name", ["", ".", ".."])
+@pytest.mark.parametrize("name", ["", ".", "..", "caf\udce9"])
 def test_what_is_no_id_is_not_sent(name: str) -> None:
     for call in CALLS:
         with pytest.raises(ValueError, match="neither a name nor an id"):

@@ -50,7 +50,9 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runtime]:
-    settings = Settings(data=tmp_path_factory.mktemp("never used"), encoder="color", threads=1)
+    settings = Settings(
+        data=tmp_path_factory.mktemp("never used"), images="s3://never/used", encoder="color", threads=1
+    )
     with runtime_for_measuring(settings) as started:
         yield started
 

@@ -106,9 +106,10 @@ def test_an_image_that_a_crash_left_without_a_row_is_swept(place: Place) -> None
 
 
 def test_the_start_begins_a_sweep(place: Place) -> None:
+    kept = enroll(place.store, "pond").view
     place.put(facts(image("gate")).sha256, image("gate"))
     place.store.recover()
-    until(lambda: not place.digests())
+    until(lambda: place.digests() == [kept.image.sha256])
 
 
 def test_a_damaged_a_lost_and_an_empty_image_are_named_and_healed_by_enrolling_again(place: Place) -> None:
@@ -265,3 +266,14 @@ def test_a_service_that_starts_beside_another_leaves_its_calls_alone(data: Path,
         third.recover()
         assert third.calls.begin("call", "print", NOW) is None
         third.close()
+
+
+def test_a_database_that_is_new_removes_no_images(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    """They are another database's, whose address was forgotten, or all that is left of one whose file was lost."""
+    digest = facts(image("gate")).sha256
+    place.put(digest, image("gate"))
+    place.store.recover()
+    assert "the database is new, and there are images already, which are kept" in caplog.text
+    place.store.close()
+    place.store = place.open()
+    assert place.digests() == [digest]

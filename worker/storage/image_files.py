@@ -178,6 +178,10 @@ class Images:
         """`sweep`: its locks keep it from what others write."""
         self.sweep()
 
+    def holds_any(self) -> bool:
+        """Whether there is an image, of a view or not."""
+        return any(self._folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*"))
+
     def problem(self) -> str | None:
         """Why images cannot be read or written now, or None."""
         if os.access(self._folder, os.R_OK | os.W_OK | os.X_OK):

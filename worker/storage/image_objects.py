@@ -193,6 +193,10 @@ class ImageObjects:
                 for found in page.get("Contents", ()):
                     yield str(found["Key"]).removeprefix(self._prefix)
 
+    def holds_any(self) -> bool:
+        """Whether there is an image, of a view or not; raises StorageFailed."""
+        return any(self._pages())
+
     def problem(self) -> str | None:
         """Why images cannot be read or written now, or None; within some 6 s."""
         try:

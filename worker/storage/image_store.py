@@ -50,6 +50,10 @@ class ImageStore(Protocol):
         """`sweep`, or begin it; `alone`: whether no other service uses the database."""
         ...
 
+    def holds_any(self) -> bool:
+        """Whether there is an image, of a view or not; raises StorageFailed."""
+        ...
+
     def problem(self) -> str | None:
         """Why images cannot be read or written now, or None."""
         ...

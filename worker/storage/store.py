@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from schemas.statistics import StoreStatistics
-from worker.storage import dialect, statistics, wal
+from worker.storage import clock, dialect, statistics, wal
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
@@ -33,7 +33,7 @@ from worker.storage.scratch import Scratch
 from worker.storage.snapshot_places import SNAPSHOTS, SnapshotFolder, SnapshotObjects
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
-from worker.storage.tables import CALLS, CLOCK
+from worker.storage.tables import CALLS, CLOCK, VIEWS
 from worker.storage.uploads import IMPORTS, SharedUploads, Uploads
 from worker.storage.vector_hnsw import VectorIndexing
 from worker.storage.vector_search import VectorSearch
@@ -46,6 +46,8 @@ log = logging.getLogger("revisit")
 PROBE = "can this be written?"
 """Key of a row that is written and removed at once; with spaces, so that no caller can have it."""
 
+
+WHOSE = "stop the service if REVISIT_DATABASE is not the one that they belong to, or if its file was lost"
 
 DOCTOR = "run `./revisit doctor --repair` with the service stopped"
 
@@ -146,10 +148,18 @@ class SqlStore:
             self.removals.clear_deleted_maps()
         self.snapshots.sweep()
         self.uploads.sweep(self.jobs.unfinished_imports())
-        if self._lost is None:
-            self._images.sweep_at_start(alone)
-        else:  # an image without a view may be all that is left of it
+        if self._lost is not None:  # an image without a view may be all that is left of it
             log.error("the log of the database was damaged: %s; images without a view are kept, %s", self._lost, DOCTOR)
+        elif self._is_new():  # and has left none: they are another database's, or all that is left of one
+            if self._images.holds_any():
+                log.error("the database is new, and there are images already, which are kept: %s", WHOSE)
+        else:
+            self._images.sweep_at_start(alone)
+
+    def _is_new(self) -> bool:
+        """Whether nothing was ever enrolled into this database."""
+        with self._database.reading() as connection:
+            return clock.read(connection) == 0 and not connection.scalar(sa.select(sa.exists(sa.select(VIEWS.c.id))))
 
     def check(self) -> str:
         """``ok``, or what is wrong with the database or the place of the images."""

@@ -84,14 +84,19 @@ export function upload(path, file, type, sent) {
   });
 }
 
-/** Each page of a list, one after the other. */
-export async function* pages(path, query, options = {}) {
+/** Pages of a list: `next()` gives {value}, after the last {done: true}. One that did not come is asked for again. */
+export function pages(path, query, options = {}) {
   let cursor = null;
-  do {
-    const page = await call("GET", path, { ...options, query: { ...query, cursor } });
-    yield page;
-    cursor = page.next;
-  } while (cursor);
+  let done = false;
+  return {
+    async next() {
+      if (done) return { done };
+      const value = await call("GET", path, { ...options, query: { ...query, cursor } });
+      cursor = value.next;
+      done = !cursor;
+      return { value };
+    },
+  };
 }
 
 function remembered(method, path, problem, quiet = false) {

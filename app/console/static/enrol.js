@@ -10,6 +10,7 @@ import { RECORDINGS, recording } from "./recording.js";
 
 const AT_ONCE = 2;
 const TRIES = 5;
+const PASSING = { 0: "does not answer", 429: "is busy", 503: "is busy" }; // it may be starting again
 const IMAGES = /\.(jpe?g|png|webp|bmp|tiff?|heic|heif)$/i;
 
 /** What was wrong with one photo, in a line. */
@@ -18,6 +19,12 @@ function refusal({ title = "Error", detail, message, errors = [] }) {
   return `${title}: ${detail ?? message}${parameters}`;
 }
 
+const isThere = () =>
+  call("GET", "/version", { quiet: true }).then(
+    () => true,
+    () => false,
+  );
+
 export function enrolScreen() {
   let entries = [];
   let positions = null;
@@ -25,8 +32,9 @@ export function enrolScreen() {
   let running = false;
   let current = null; // the photo whose fields were used last
 
-  const maps = mapSelect();
+  const maps = mapSelect(() => onPlan.draw());
   const other = h("input", {
+    onchange: () => onPlan.draw(),
     placeholder: "a new one",
     pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,63}",
     spellcheck: "false",
@@ -71,7 +79,7 @@ export function enrolScreen() {
 
   const wanted = () => other.value.trim() || maps.select.value;
   const archives = recording(wanted, () => maps.refresh().catch(() => {}));
-  const onPlan = placing(() => maps.select.value, nextToPlace);
+  const onPlan = placing(wanted, nextToPlace);
 
   /** The photo that a click on the plan places: the one in use, else the first without a position. */
   function nextToPlace() {
@@ -226,13 +234,17 @@ export function enrolScreen() {
         one.place.value ||= view.place ?? "";
         return;
       } catch (error) {
-        if ([429, 503].includes(error.status) && tried < TRIES) {
-          const seconds = error.retryAfter ?? 2;
-          mark(one, "waiting", `the service is busy; again in ${seconds} s`);
+        if (error.status === 0 && tried > 1 && (await isThere())) {
+          mark(one, "refused", "The file cannot be sent. Was it changed or removed? Choose it again");
+          return;
+        }
+        if (Object.hasOwn(PASSING, error.status) && tried < TRIES) {
+          const seconds = error.retryAfter ?? 2 ** tried;
+          mark(one, "waiting", `the service ${PASSING[error.status]}; again in ${seconds} s`);
           await new Promise((resolve) => setTimeout(resolve, seconds * 1000));
         } else {
           mark(one, "refused", refusal(error));
-          if (error.status === 401) throw error;
+          if ([0, 401].includes(error.status)) throw error; // the others would get the same
           return;
         }
       }

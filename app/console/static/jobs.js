@@ -4,6 +4,8 @@ import { call } from "./api.js";
 import { confirmed, h, moment, problemBox, table } from "./dom.js";
 
 const EVERY_MS = 1500;
+const AGAIN_MS = 5000; // after a refusal
+const PASSING = [0, 429, 503]; // a busy or restarting service goes on with its jobs
 const MOST = 20;
 const KINDS = {
   describe: "describing a view",
@@ -24,15 +26,18 @@ export async function followed(job, told, wanted = () => true) {
     try {
       latest = await call("GET", `/jobs/${encodeURIComponent(job.id)}`);
     } catch (error) {
-      if (![0, 429, 503].includes(error.status)) throw error; // a busy or restarted service goes on with its jobs
+      if (!PASSING.includes(error.status)) throw error;
     }
     told(latest);
   }
   return latest;
 }
 
-/** The jobs of a map, or of all. `finished` is called when one that ran has ended. `stop` ends the looking. */
-export function jobList(map, finished = () => {}) {
+/**
+ * The jobs of a map, or of all. `finished` is called when one that ran has ended, and of views that are described when
+ * all have. While none runs they are looked at every `idle` milliseconds, or no more. `stop` ends the looking.
+ */
+export function jobList(map, finished = () => {}, idle = null) {
   const list = h("div", { class: "table", tabindex: "0", role: "region", "aria-label": "Jobs" });
   const element = h("div", {}, h("h2", {}, "Jobs"), list);
   let timer = null;
@@ -40,19 +45,23 @@ export function jobList(map, finished = () => {}) {
   let ran = new Set();
 
   async function look() {
+    clearTimeout(timer);
     try {
       const latest = await call("GET", "/jobs", { query: { map, limit: 100 } });
       // Views that were described are not news: there is one such job for each.
       const jobs = latest.jobs.filter((job) => job.kind !== "describe" || job.state !== "done").slice(0, MOST);
       if (stopped) return;
-      const running = new Set(jobs.filter(runs).map((job) => job.id));
-      const ended = [...ran].some((id) => !running.has(id));
+      const running = new Set(latest.jobs.filter(runs).map((job) => job.id));
+      const news = latest.jobs.some((job) => ran.has(job.id) && !runs(job) && job.kind !== "describe");
+      const ended = news || (ran.size > 0 && running.size === 0);
       ran = running;
       draw(jobs);
+      if (running.size || idle) timer = setTimeout(look, running.size ? EVERY_MS : idle);
       if (ended) finished();
-      else if (running.size) timer = setTimeout(look, EVERY_MS);
     } catch (error) {
+      if (stopped) return;
       list.replaceChildren(problemBox(error));
+      if (PASSING.includes(error.status)) timer = setTimeout(look, AGAIN_MS);
     }
   }
 
@@ -61,14 +70,16 @@ export function jobList(map, finished = () => {}) {
       list.replaceChildren(h("p", { class: "quiet" }, "None, besides views that were described."));
       return;
     }
+    const focused = list.contains(document.activeElement) && document.activeElement.dataset.job;
     const rows = jobs.map((job) => [
       KINDS[job.kind] ?? job.kind,
       [job.state, job.failure && h("div", { class: "refused" }, job.failure.detail), job.progress && progress(job)],
       moment(job.created_at),
       runs(job) &&
-        h("button", { type: "button", onclick: () => cancel(job) }, "Cancel"),
+        h("button", { type: "button", "data-job": job.id, onclick: () => cancel(job) }, "Cancel"),
     ]);
     list.replaceChildren(table(["Job", "State", "Since", ""], rows));
+    if (focused) list.querySelector(`[data-job="${CSS.escape(focused)}"]`)?.focus();
   }
 
   function progress({ kind, state, progress: { done, total } }) {

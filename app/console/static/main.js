@@ -43,7 +43,9 @@ async function show() {
   const screen = kept.get(chosen) ?? make(...rest.map(decodeURIComponent));
   if (keep) kept.set(chosen, screen);
   leave = screen.leave ?? null;
+  const within = main.contains(document.activeElement);
   main.replaceChildren(screen.element);
+  if (within) main.focus({ preventScroll: true }); // instead of a link that is gone
   main.setAttribute("aria-busy", "true");
   try {
     await screen.enter?.();
@@ -101,7 +103,8 @@ function signIn(problem = null) {
               onclick: () => {
                 key.forget();
                 leave();
-                restart();
+                kept.clear();
+                shown();
               },
             },
             "Forget the key",
@@ -136,9 +139,9 @@ function signIn(problem = null) {
   dialog.showModal();
 }
 
-/** Begin anew, with what this key may see. */
+/** Begin anew, with what this key may see. Photos that were chosen to be enrolled, and what was typed, stay. */
 function restart() {
-  kept.clear();
+  for (const name of [...kept.keys()]) if (name !== "enrol") kept.delete(name);
   shown();
 }
 

@@ -39,7 +39,7 @@ export function mapScreen(name) {
     if (left) return;
     chooseMap(name);
     jobs?.stop();
-    jobs = jobList(name, load);
+    jobs = jobList(name, reload);
     const { ready = 0, pending = 0, failed = 0 } = map.views;
     const total = ready + pending + failed;
     element.replaceChildren(
@@ -78,26 +78,31 @@ export function mapScreen(name) {
     );
   }
 
+  const reload = () => load().catch((error) => element.prepend(problemBox(error)));
+
   function browser(map, total) {
     const shown = h("div");
     let filled = false; // the plan, by the first reading of all views
+    let chosen = null; // the place whose views are shown
     const heading = h("h2", {}, "All views");
     const newest = h(
       "select",
-      { onchange: () => filter(null) },
+      { onchange: () => filter(chosen) },
       h("option", { value: "enrolled_at" }, "oldest first"),
       h("option", { value: "-enrolled_at" }, "newest first"),
     );
     const picture = plan([], { picked: (point) => open(point.view) });
     const planned = h("section", { class: "panel", hidden: !map.extent }, h("h2", {}, "Plan"), picture.element);
     const open = (view) =>
-      openView(view, map, () => {
+      openView(view, map, async () => {
         announce("done");
-        load();
+        await reload();
+        element.querySelector(".grid")?.focus();
       });
     const names = placeNames(name, filter);
 
     function filter(place) {
+      chosen = place;
       heading.textContent = place === null ? "All views" : place;
       const all = place === null;
       const fills = all && map.extent && !filled;
@@ -107,7 +112,7 @@ export function mapScreen(name) {
       });
       const thumbnails = grid(views, map, all ? total : 0, open);
       shown.replaceChildren(thumbnails.element);
-      views.upTo(fills ? MOST_ON_PLAN : 1).then(thumbnails.draw, (error) => shown.replaceChildren(problemBox(error)));
+      thumbnails.read(fills ? MOST_ON_PLAN : 1);
       thumbnails.draw();
     }
     if (total) filter(null);
@@ -298,7 +303,11 @@ export function mapScreen(name) {
 
   return {
     element,
-    enter: load,
+    enter: () =>
+      load().catch((error) => {
+        if (error.status === 401) throw error; // the dialog is open
+        element.replaceChildren(...mapHead(name), problemBox(error));
+      }),
     leave: () => {
       left = true;
       jobs?.stop();

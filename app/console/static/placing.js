@@ -6,18 +6,24 @@ import { plan, surroundings } from "./plan.js";
 /**
  * Details with the plan of a map. `map()` names it, `next()` gives the photo that is placed now, {name, put(position)},
  * or null.
- * Gives {element, told}; `told` is to be called when another photo is next.
+ * Gives {element, told, draw}; `told` is to be called when another photo is next, `draw` when another map is chosen.
  */
 export function placing(map, next) {
   const body = h("div");
+  let drawn = 0;
   const name = h("strong", {});
   const said = h("p", {}, "Click where this was taken: ", name);
   const element = h("details", { ontoggle: draw }, h("summary", {}, "Set positions on the plan"), body);
 
   async function draw() {
+    const mine = ++drawn;
     if (!element.open) return;
     try {
-      const points = await surroundings(map());
+      const points = await surroundings(map()).catch((error) => {
+        if (error.status === 404) return []; // a map that is made by its first photo
+        throw error;
+      });
+      if (mine !== drawn) return; // another map was chosen meanwhile
       const { element: picture } = plan(points, { placed });
       body.replaceChildren(
         ...(points.length
@@ -39,5 +45,5 @@ export function placing(map, next) {
     told();
   }
 
-  return { element, told };
+  return { element, told, draw };
 }

@@ -107,7 +107,7 @@ export function plan(points, { circle = null, picked = null, placed = null } = {
       (a, b) => (b[2].kind === "first") - (a[2].kind === "first"),
     )) {
       const long = paint.measureText(name).width;
-      const begin = left + 10 + long < width ? left + 10 : left - 10 - long;
+      const begin = left + 10 + long < width ? left + 10 : Math.max(2, left - 10 - long);
       const box = { begin, end: begin + long, top: top - 6 };
       if (taken.some((one) => begin < one.end && box.end > one.begin && Math.abs(one.top - box.top) < 15)) continue;
       taken.push(box);

@@ -1,4 +1,4 @@
-// By client/typescript/generate.py, from d6d1f0c49dc9c3bbb773fdc86c219af958e80b26e77273bc905d16a48516f685
+// By client/typescript/generate.py, from 0b6dfa5330114b4b4249847447dc24e378568bbe6c694f52bef0ee9f5ace8d68
 // A client of revisit over HTTP. Its types are those of the service's OpenAPI document (openapi.d.ts, generated).
 //
 //   const revisit = new Revisit(address, { key });
@@ -19,7 +19,7 @@ export class Problem extends Error {
         super(body.detail);
         this.status = status;
         this.code = (body.type ?? "").split(":").pop() ?? "";
-        this.title = body.title ?? "";
+        this.title = body.title || `Status ${status}`; // a gateway's JSON has none
         this.detail = body.detail ?? "";
         this.errors = body.errors ?? [];
         this.requestId = body.request_id ?? null;
@@ -55,10 +55,14 @@ export class Revisit {
         this.#url = url;
         this.#settings = settings;
     }
-    /** Headers that carry the key, if there is one. */
+    /** Headers that carry the key, if there is one; throws a Problem for what can be none. */
     headers() {
         const { key } = this.#settings;
-        const given = typeof key === "function" ? key() : key;
+        const given = (typeof key === "function" ? key() : key)?.trim();
+        if (given && !/^[!-~]+$/.test(given)) {
+            const detail = "the key has letters that no key has; take it as `./revisit keys create` printed it";
+            throw new Problem(0, { title: "Nothing was sent", detail });
+        }
         return given ? { "X-Api-Key": given } : {};
     }
     /** Which views of a map, or of several, show the place of this image? */

@@ -8,7 +8,7 @@ const EVERY_MS = 5000;
 
 export function serviceScreen() {
   const parts = Object.fromEntries(["checks", "loaded", "figures", "problems"].map((name) => [name, h("div")]));
-  const jobs = jobList(null);
+  const jobs = jobList(null, undefined, EVERY_MS);
   let timer = null;
   let left = false;
 

@@ -88,9 +88,11 @@ export function openView(view, map, changed) {
     ),
   );
 
-  function done() {
+  async function done() {
     dialog.close();
-    changed();
+    await changed();
+    // What the dialog was opened from has been drawn anew.
+    if (document.activeElement === document.body) document.getElementById("main").focus({ preventScroll: true });
   }
   async function remove() {
     if (
@@ -154,17 +156,14 @@ function editor(view, map, told, done) {
         ]),
       );
       const kept = metadata.value.trim() ? JSON.parse(metadata.value) : {};
-      const removed = Object.fromEntries(
-        Object.keys(view.metadata)
-          .filter((name) => !(name in kept))
-          .map((name) => [name, null]),
-      );
+      if (!isObject(kept))
+        throw Object.assign(new Error(), { title: "Metadata", detail: 'not a JSON object, such as {"floor": 2}' });
       const empty = Object.values(numbers).every((value) => value === null);
       await call("PATCH", view.links.self, {
         json: {
           place: place.value.trim() || null,
           position: empty ? null : numbers,
-          metadata: { ...removed, ...kept },
+          metadata: mergePatch(view.metadata, kept),
         },
         type: "application/merge-patch+json",
       });
@@ -197,6 +196,17 @@ function editor(view, map, told, done) {
 }
 
 const isNumber = (value) => typeof value === "number";
+const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+
+/** What makes `after` of `before`, two objects, by RFC 7396: what is left out of an object would stay. */
+function mergePatch(before, after) {
+  const removed = Object.keys(before).filter((name) => !Object.hasOwn(after, name));
+  const made = Object.entries(after).map(([name, value]) => [
+    name,
+    isObject(value) && isObject(before[name]) ? mergePatch(before[name], value) : value,
+  ]);
+  return Object.fromEntries([...removed.map((name) => [name, null]), ...made]);
+}
 
 function number(name, text) {
   const value = Number(text.replace(",", "."));

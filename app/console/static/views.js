@@ -1,7 +1,7 @@
 // The views of a map: fetched page by page, shown as thumbnails of which only those in sight exist.
 
 import { pages } from "./api.js";
-import { h, place as inWords } from "./dom.js";
+import { h, place as inWords, problemBox } from "./dom.js";
 import { thumbnail } from "./images.js";
 
 const PAGE = 500;
@@ -53,7 +53,8 @@ export function grid(views, map, total, chosen) {
     track,
   );
   const cells = new Map(); // index -> element
-  let failed = null;
+  const told = h("div");
+  let broken = false; // a page did not come: somebody has to ask for it again
 
   const length = () => (views.complete ? views.items.length : Math.max(total, views.items.length));
 
@@ -87,10 +88,23 @@ export function grid(views, map, total, chosen) {
       });
       cell.setAttribute("aria-setsize", length());
     }
-    if (bottom > views.items.length && !views.complete && !failed)
-      views.upTo(bottom).then(draw, (error) => {
-        failed = error;
-      });
+    if (bottom > views.items.length && !views.complete && !broken) read(bottom);
+  }
+
+  /** Read on until `number` views are there, and show them. */
+  function read(number) {
+    views.upTo(number).then(draw, (error) => {
+      broken = true;
+      const again = h("button", { type: "button", onclick: () => tryAgain(number) }, "Try again");
+      told.replaceChildren(problemBox(error), again);
+    });
+  }
+
+  function tryAgain(number) {
+    broken = false;
+    told.replaceChildren();
+    element.focus();
+    read(number);
   }
 
   function made(view, index) {
@@ -121,5 +135,5 @@ export function grid(views, map, total, chosen) {
     });
   });
   new ResizeObserver(draw).observe(element);
-  return { element, draw };
+  return { element: h("div", {}, element, told), draw, read };
 }

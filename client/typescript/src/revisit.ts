@@ -64,7 +64,7 @@ export class Problem extends Error {
     super(body.detail);
     this.status = status;
     this.code = (body.type ?? "").split(":").pop() ?? "";
-    this.title = body.title ?? "";
+    this.title = body.title || `Status ${status}`; // a gateway's JSON has none
     this.detail = body.detail ?? "";
     this.errors = body.errors ?? [];
     this.requestId = body.request_id ?? null;
@@ -105,10 +105,14 @@ export class Revisit {
     this.#settings = settings;
   }
 
-  /** Headers that carry the key, if there is one. */
+  /** Headers that carry the key, if there is one; throws a Problem for what can be none. */
   headers(): Record<string, string> {
     const { key } = this.#settings;
-    const given = typeof key === "function" ? key() : key;
+    const given = (typeof key === "function" ? key() : key)?.trim();
+    if (given && !/^[!-~]+$/.test(given)) {
+      const detail = "the key has letters that no key has; take it as `./revisit keys create` printed it";
+      throw new Problem(0, { title: "Nothing was sent", detail });
+    }
     return given ? { "X-Api-Key": given } : {};
   }
 

@@ -18,6 +18,7 @@ for (const wrong of [
   () => new Revisit(url, { fetch: async () => new Response('{"version": ') }).get("/version"),
   () => revisit.delete("/maps/{map}/unknown/{place_id}", { path: { map: "campus", place_id: ".." } }),
   () => revisit.get("/maps/{map}", { path: { map: "\ud800" } }),
+  () => new Revisit(url, { key: "rv_…" }).get("/version"),
 ]) {
   try {
     await wrong();
