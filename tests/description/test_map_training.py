@@ -62,7 +62,7 @@ def test_views_that_are_deleted_meanwhile_are_left_out(monkeypatch: pytest.Monke
         learned.extend(fields)
         return SimpleNamespace(digest="1" * 64, tensors=b"tensors")
 
-    monkeypatch.setattr(map_training.vocabularies, "train", train)
+    monkeypatch.setattr("worker.description.vocabularies.train", train)
     ids = ("gate", "deleted", "pond")
     views = SimpleNamespace(image=image, list=lambda *_, **__: ([SimpleNamespace(id=one) for one in ids], None))
     scheduler = SimpleNamespace(
@@ -71,7 +71,7 @@ def test_views_that_are_deleted_meanwhile_are_left_out(monkeypatch: pytest.Monke
     jobs, maps, describers = Mock(), Mock(), Mock()
     maps.get.return_value.description.parameters.seed = 1
     parts: Any = {"maps": maps, "views": views, "jobs": jobs, "describers": describers, "scheduler": scheduler}
-    VocabularyTrainer(**parts, decode=lambda data: data).run(CLAIM, lambda: False)
+    VocabularyTrainer(**parts, decode=str).run(CLAIM, lambda: False)  # type: ignore[arg-type]
     assert sorted(learned) == ["gate", "pond"]
     assert jobs.finish_training.called
     assert not jobs.fail_map_job.called

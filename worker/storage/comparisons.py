@@ -96,8 +96,8 @@ class Comparisons(Part):
             if not switching.scores_alike(by, present):
                 return
             seqs = [one.seq for one in comparisons]
-            by = DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == recipe
-            there = sa.select(DESCRIPTIONS.c.seq).where(*by, DESCRIPTIONS.c.seq.in_(seqs))
+            own = DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == recipe
+            there = sa.select(DESCRIPTIONS.c.seq).where(*own, DESCRIPTIONS.c.seq.in_(seqs))
             left = set(connection.scalars(there))
             rows = [
                 {
