@@ -217,8 +217,8 @@ def build(
         catalogue, selecting = make_catalogue(store, settings.index)
         decoder = make_decoder(settings)
         trainer = VocabularyTrainer(
-            maps=store.maps, views=store.views, vocabularies=store.vocabularies, jobs=store.jobs,
-            describers=describers, scheduler=scheduler, decode=decoder.decode_patiently,
+            maps=store.maps, views=store.views, jobs=store.jobs, describers=describers, scheduler=scheduler,
+            decode=decoder.decode_patiently,
         )  # fmt: skip
         settlements = Settlements(store.views, lambda: scheduler.away is not None)
         bell = Bell(store.notices, settlements.notify)

@@ -31,7 +31,7 @@ def filled(store: SqlStore, count: int = 3) -> None:
         Comparison(seq, 0.25, 0.125, (seqs[0], seqs[-1]), count, count - 1, seqs[0], 0.5 + at / 8, 0.75 - at / 8)
         for at, seq in enumerate(seqs)
     ]
-    store.comparisons.keep("campus", RECIPE.description.id, compared, NOW)
+    store.comparisons.keep("campus", RECIPE, compared, NOW)
     enroll(store, "broken")
     for claim in store.jobs.claim("worker", 10):
         store.jobs.fail(claim, "nothing-static", "sky", NOW)

@@ -32,23 +32,23 @@ def due(store: SqlStore, sample: int = 100, count: int = 100, *, busy: bool = Fa
 def test_views_are_due_until_they_are_compared_and_again_when_the_map_has_doubled(store: SqlStore) -> None:
     first = described(store, "gate", "pond")
     assert due(store, busy=True) == set(first)
-    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in first], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 2) for seq in first], NOW)
     assert due(store, busy=True) == set()
 
     later = described(store, "stairs")
     assert due(store, busy=True) == set(later)
-    store.comparisons.keep("campus", ID, [compared(seq, 3) for seq in later], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 3) for seq in later], NOW)
     described(store, "hall")
     assert set(first) < due(store, busy=True)
 
 
 def test_a_small_map_is_compared_again_whenever_it_changed_and_nothing_waits(store: SqlStore) -> None:
     first = described(store, "gate", "pond", "hall")
-    store.comparisons.keep("campus", ID, [compared(seq, 3) for seq in first], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 3) for seq in first], NOW)
     assert (due(store), store.comparisons.levels("campus").current) == (set(), 3)
 
     later = described(store, "stairs")
-    store.comparisons.keep("campus", ID, [compared(seq, 4) for seq in later], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 4) for seq in later], NOW)
     assert (due(store), due(store, busy=True)) == (set(first), set())
     levels = store.comparisons.levels("campus")
     assert (levels.compared, levels.current) == (4, 1)  # what was compared before counts until then
@@ -59,7 +59,7 @@ def test_a_small_map_is_compared_again_whenever_it_changed_and_nothing_waits(sto
 
 def test_a_larger_map_waits_until_it_has_doubled(store: SqlStore) -> None:
     first = described(store, *(f"view {i}" for i in range(SMALL)))
-    store.comparisons.keep("campus", ID, [compared(seq, SMALL) for seq in first], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, SMALL) for seq in first], NOW)
     later = described(store, "one more")
     assert due(store) == set(later)
     assert store.comparisons.levels("campus").current == SMALL
@@ -75,7 +75,7 @@ def test_a_large_map_is_sampled_always_by_the_same_views(store: SqlStore) -> Non
     sample = due(store, sample=5)
     assert len(sample) == 5 == len(due(store, sample=5) & set(seqs))
     assert due(store, sample=5, count=2) < sample
-    store.comparisons.keep("campus", ID, [compared(seq, 12) for seq in sample], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 12) for seq in sample], NOW)
     assert due(store, sample=5) == set()
     assert len(due(store, sample=8)) == 3
 
@@ -84,24 +84,24 @@ def test_a_map_knows_the_means_over_its_compared_views(store: SqlStore) -> None:
     one, two, three = described(store, "gate", "pond", "stairs")
     assert (store.comparisons.levels("campus").compared, store.comparisons.levels("campus").breadth) == (0, None)
     rows = [compared(one, 3, 0.2), compared(two, 3, 0.4), Comparison(three, None, None, (), 3, 0)]
-    store.comparisons.keep("campus", ID, rows, NOW)
+    store.comparisons.keep("campus", RECIPE, rows, NOW)
     levels = store.comparisons.levels("campus")
     assert levels.compared == 2
     assert [levels.level, levels.gap, levels.breadth] == pytest.approx([0.3, 0.04, 1.5])
     assert levels.others == pytest.approx(4 / 3)
     assert (levels.own, levels.paired) == (None, 0)
     own = [replace(row, own=score) for row, score in zip(rows[:2], (0.4, 0.8), strict=True)]
-    store.comparisons.keep("campus", ID, own, NOW)
+    store.comparisons.keep("campus", RECIPE, own, NOW)
     assert store.comparisons.levels("campus").own == pytest.approx(0.76)  # nine tenths of the way
     assert store.comparisons.levels("campus").paired == 2
-    store.comparisons.keep("campus", ID, rows, NOW)
+    store.comparisons.keep("campus", RECIPE, rows, NOW)
     levels = store.comparisons.levels("campus")
     assert levels.updated_at == NOW
 
 
 def test_levels_are_read_again_only_where_the_map_changed(store: SqlStore) -> None:
     one, two = described(store, "gate", "pond")
-    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in (one, two)], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 2) for seq in (one, two)], NOW)
     before = store.comparisons.levels("campus")
     assert store.comparisons.levels("campus") is before
     store.removals.delete_view(store.views.at([one])[one].id)
@@ -114,7 +114,7 @@ def test_means_are_the_same_in_whichever_order_views_were_compared(store: SqlSto
     found = []
     for order in (rows, rows[::-1], rows[3:] + rows[:3], rows[::2] + rows[1::2]):
         for row in order:
-            store.comparisons.keep("campus", ID, [row], NOW)
+            store.comparisons.keep("campus", RECIPE, [row], NOW)
         levels = store.comparisons.levels("campus")
         found.append((levels.level, levels.gap, levels.breadth))
     assert len(set(found)) == 1
@@ -123,13 +123,13 @@ def test_means_are_the_same_in_whichever_order_views_were_compared(store: SqlSto
 def test_comparisons_change_answers_and_so_the_revision(store: SqlStore) -> None:
     one, _ = described(store, "gate", "pond")
     before = store.maps.revision("campus")
-    store.comparisons.keep("campus", ID, [compared(one, 2)], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(one, 2)], NOW)
     assert store.maps.revision("campus") == before + 1
 
 
 def test_what_is_known_of_views(store: SqlStore) -> None:
     one, two = described(store, "gate", "pond")
-    store.comparisons.keep("campus", ID, [compared(one, 2, same_spot=(two,))], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(one, 2, same_spot=(two,))], NOW)
     view = store.views.at([one])[one]
     store.views.change(
         store.views.at([two])[two].id, lambda now: replace(now, place="pond", position=Position(x=1, y=2))
@@ -142,29 +142,33 @@ def test_what_is_known_of_views(store: SqlStore) -> None:
 
 def test_a_view_that_moved_is_compared_again_and_a_deleted_one_is_forgotten(store: SqlStore) -> None:
     one, two = described(store, "gate", "pond")
-    store.comparisons.keep("campus", ID, [compared(one, 2), compared(two, 2)], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(one, 2), compared(two, 2)], NOW)
     ids = {seq: view.id for seq, view in store.views.at([one, two]).items()}
     store.views.change(ids[one], lambda now: replace(now, place="elsewhere"))
     assert due(store) == {one}
     store.removals.delete_view(ids[two])
-    store.comparisons.keep("campus", ID, [compared(two, 2)], NOW)  # finished after the deletion
+    store.comparisons.keep("campus", RECIPE, [compared(two, 2)], NOW)  # finished after the deletion
     assert store.comparisons.levels("campus").compared == 0
 
 
 def test_another_recipe_or_ranking_begins_anew_and_another_precision_does_not(store: SqlStore) -> None:
     seqs = described(store, "gate", "pond")
-    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in seqs], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 2) for seq in seqs], NOW)
     store.maps.change("campus", MapChanges(ranking=lambda now: now.ranking.model_copy(update={"precision": 0.99})))
     assert due(store) == set()
     store.maps.change(
         "campus", MapChanges(ranking=lambda now: now.ranking.model_copy(update={"full_resolution_top_k": 3}))
     )
     assert due(store) == set(seqs)
-    store.comparisons.keep("campus", ID, [compared(seq, 2) for seq in seqs], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(seq, 2) for seq in seqs], NOW)  # begun before the change
+    assert store.comparisons.levels("campus").compared == 0
+    changed = store.maps.get("campus").recipe
+    store.comparisons.keep("campus", changed, [compared(seq, 2) for seq in seqs], NOW)
+    assert (due(store), store.comparisons.levels("campus").compared) == (set(), 2)
     store.jobs.switch_recipe("campus", recipe("paper"), NOW)
     describe_all(store)
     assert due(store) == set(seqs)
-    store.comparisons.keep("campus", ID, [compared(seqs[0], 2)], NOW)  # by the recipe of before
+    store.comparisons.keep("campus", changed, [compared(seqs[0], 2)], NOW)  # by the recipe of before
     assert store.comparisons.levels("campus").compared == 0
 
 
@@ -182,7 +186,7 @@ def test_a_comparison_that_does_not_name_its_rival_is_made_again(store: SqlStore
     """Those that an earlier version made."""
     one, two, three = described(store, "gate", "pond", "stairs")
     nameless = [compared(one, 3), compared(two, 3), Comparison(three, None, None, (), 3, 0)]
-    store.comparisons.keep("campus", ID, [replace(nameless[0], rival=None), *nameless[1:]], NOW)
+    store.comparisons.keep("campus", RECIPE, [replace(nameless[0], rival=None), *nameless[1:]], NOW)
     assert due(store) == {one}
     assert store.comparisons.levels("campus").compared == 2
 
@@ -190,11 +194,11 @@ def test_a_comparison_that_does_not_name_its_rival_is_made_again(store: SqlStore
 def test_a_comparison_that_does_not_know_how_broad_its_lead_is_is_made_again(store: SqlStore) -> None:
     """Those that an earlier version made; until then the map is taken for one like others."""
     one, two = described(store, "gate", "pond")
-    store.comparisons.keep("campus", ID, [replace(compared(seq, 2), breadth=None) for seq in (one, two)], NOW)
+    store.comparisons.keep("campus", RECIPE, [replace(compared(seq, 2), breadth=None) for seq in (one, two)], NOW)
     assert due(store) == {one, two}
     levels = store.comparisons.levels("campus")
     assert (levels.compared, levels.breadth) == (2, None)
-    store.comparisons.keep("campus", ID, [compared(one, 2)], NOW)
+    store.comparisons.keep("campus", RECIPE, [compared(one, 2)], NOW)
     assert due(store) == {two}
     assert store.comparisons.levels("campus").breadth == 1.5
 
@@ -202,7 +206,7 @@ def test_a_comparison_that_does_not_know_how_broad_its_lead_is_is_made_again(sto
 def test_a_survey_has_the_newest_views_with_their_comparisons(store: SqlStore) -> None:
     one, two, three = described(store, "gate", "pond", "stairs")
     made = replace(compared(two, 3, same_spot=(one,)), rival=three, own=0.4)
-    store.comparisons.keep("campus", ID, [made], NOW)
+    store.comparisons.keep("campus", RECIPE, [made], NOW)
 
     views, described_views = store.comparisons.survey("campus", 2)
 

@@ -1,5 +1,7 @@
 """The deletion of a map that breaks off is finished without a new start: no call finds the map any more."""
 
+import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,15 +12,23 @@ import sqlalchemy as sa
 import time_machine
 
 from schemas.errors import NotFound, StorageFailed
+from schemas.map_changes import MapChanges
 from schemas.snapshot import RestoredMap
 from tests.storage.carried import filled, made
 from tests.storage.material import NOW, describe_all, enroll
 from tests.waiting import until
+from worker.storage import clock, removals
 from worker.storage.database import Database
 from worker.storage.removals import Removals
 from worker.storage.restoring import _Restoration
 from worker.storage.store import SqlStore
 from worker.storage.tables import MAPS, VIEWS
+
+
+@pytest.fixture(autouse=True)
+def our_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock of PostgreSQL's server goes with ours, which is set here."""
+    monkeypatch.setattr(clock, "shared_time", lambda connection: datetime.now(UTC))
 
 
 def rows(store: SqlStore) -> tuple[int, int]:
@@ -128,6 +138,106 @@ def test_a_restoration_that_was_taken_for_killed_says_so(
     with pytest.raises(StorageFailed, match="removed"):
         store.restoring.restore(made(elsewhere), None, NOW)
     assert rows(store) == (0, 0)
+
+
+def test_a_restoration_that_others_have_begun_to_remove_gets_no_name(
+    store: SqlStore, elsewhere: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They would go on, and take the map away from callers who were told that it is there."""
+    filled(elsewhere)
+    finish, remove = _Restoration.finish, Removals._remove
+    begun, named = threading.Event(), threading.Event()
+
+    def slow(self: Removals, map_id: int, seqs: Sequence[int]) -> Any:
+        begun.set()
+        named.wait(60)
+        return remove(self, map_id, seqs)
+
+    def late(restoration: _Restoration, name: str, now: datetime) -> RestoredMap:
+        monkeypatch.setattr(Removals, "_remove", slow)
+        with time_machine.travel(datetime.now(UTC) + timedelta(minutes=11)):
+            store.tend()
+            assert begun.wait(60)
+        try:
+            return finish(restoration, name, now)
+        finally:
+            named.set()
+
+    monkeypatch.setattr(_Restoration, "finish", late)
+    with pytest.raises(StorageFailed, match="removed"):
+        store.restoring.restore(made(elsewhere), None, NOW)
+    assert store.removals._finishing is not None
+    store.removals._finishing.join()
+    assert rows(store) == (0, 0)
+
+
+def test_a_long_deletion_is_left_to_who_began_it_and_the_receipt_names_all_of_it(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("gate", "pond", "hall", "stairs"):
+        enroll(store, name)
+    remove = Removals._remove
+    with time_machine.travel(datetime.now(UTC)) as travelling:
+
+        def slow(self: Removals, map_id: int, seqs: Sequence[int]) -> Any:
+            gone = remove(self, map_id, seqs)
+            if threading.current_thread() is threading.main_thread():
+                travelling.shift(timedelta(minutes=6))
+                store.tend()
+                if store.removals._finishing is not None:
+                    store.removals._finishing.join()
+            return gone
+
+        monkeypatch.setattr(Removals, "_remove", slow)
+        monkeypatch.setattr(removals, "PORTION", 1)
+        receipt = store.removals.delete_map("campus")
+    assert (receipt.views, receipt.images) == (4, 4)
+    assert rows(store) == (0, 0)
+
+
+def test_images_whose_removal_broke_off_go_once_the_database_is_back(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection breaks after the commit of a deletion, and while an enrolment is taken back."""
+
+    def files() -> list[Path]:
+        return list((data / "pictures").glob("??/??/*"))
+
+    gate, _ = enroll(store, "gate").view, enroll(store, "pond")
+    with monkeypatch.context() as patch:
+        patch.setattr(store._images, "_owned", refuse)
+        with pytest.raises(StorageFailed):
+            store.removals.delete_view(gate.id)
+        patch.setattr("worker.storage.enrolment.keep_pairs", refuse)
+        with pytest.raises(StorageFailed):
+            enroll(store, "hall")
+        store.tend()
+        assert store.removals._finishing is not None
+        store.removals._finishing.join()
+    with pytest.raises(NotFound):
+        store.removals.delete_view(gate.id)
+    assert len(files()) == 3
+
+    def is_tidy() -> bool:
+        store.tend()
+        return len(files()) == 1
+
+    until(is_tidy)
+    assert store._images.left == frozenset()
+
+
+def test_images_that_a_map_keeps_no_longer_go_when_that_is_said_again(
+    store: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enroll(store, "gate")
+    describe_all(store)
+    with monkeypatch.context() as patch:
+        patch.setattr("worker.storage.maps.forgetting.remove_all", refuse)
+        with pytest.raises(StorageFailed):
+            store.maps.change("campus", MapChanges(keep_images=False))
+    assert len(list((data / "pictures").glob("??/??/*"))) == 1
+    store.maps.change("campus", MapChanges(keep_images=False))
+    assert list((data / "pictures").glob("??/??/*")) == []
 
 
 def test_a_restored_map_whose_name_may_be_stored_or_not_is_whole_or_gone(

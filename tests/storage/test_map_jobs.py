@@ -1,5 +1,6 @@
 """What a store promises about jobs of whole maps: durable, with progress, cancelled cleanly, pruned after."""
 
+import hashlib
 from datetime import timedelta
 from pathlib import Path
 
@@ -26,7 +27,8 @@ from worker.storage.store import SqlStore
 
 IMPORT = "0195f2a4-7c1e-7b3a-9d52-0a4c6f1e8b93"
 PAPER = recipe("paper")
-LEARNED = RECIPE.description.model_copy(update={"vocabulary": "1" * 64})
+TENSORS = b"tensors"
+LEARNED = RECIPE.description.model_copy(update={"vocabulary": hashlib.sha256(TENSORS).hexdigest()})
 LATER = NOW + timedelta(seconds=61)
 
 
@@ -90,7 +92,8 @@ def test_a_vocabulary_is_trained_under_a_claim_and_described_by_as_one_job(store
     assert store.jobs.claim_map_job("other", NOW) is None
     store.jobs.report(claim, JobProgress(1, 2))
     assert store.jobs.get(job.id).progress == JobProgress(1, 2)
-    store.jobs.finish_training(claim, LEARNED, NOW)
+    store.jobs.finish_training(claim, LEARNED, TENSORS, NOW)
+    assert store.vocabularies.get(str(LEARNED.vocabulary)) == TENSORS
     assert (store.jobs.get(job.id).state, store.jobs.get(job.id).progress) == ("running", JobProgress(0, 2))
     assert store.jobs.claim_map_job("other", LATER) is None
     describe_all(store, LATER)
@@ -173,7 +176,7 @@ def test_a_cancelled_vocabulary_job_leaves_the_map_as_it_was(store: SqlStore, mo
         assert claim is not None
     if moment == "describing":
         assert claim is not None
-        store.jobs.finish_training(claim, LEARNED, NOW)
+        store.jobs.finish_training(claim, LEARNED, TENSORS, NOW)
 
     cancelled = store.jobs.cancel(job.id, NOW)
 

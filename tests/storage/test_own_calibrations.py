@@ -68,7 +68,7 @@ def test_it_is_dropped_with_another_recipe(calibrated: SqlStore, described: bool
     other = recipe("paper") if described else RECIPE.model_copy(update={"ranking": ranking})
     seq = calibrated.views.list("campus", Filters())[0][0].seq
     made = [Comparison(seq, 0.3, 0.1, (), 2, 1)]
-    calibrated.comparisons.keep("campus", RECIPE.description.id, made, NOW)
+    calibrated.comparisons.keep("campus", RECIPE, made, NOW)
     assert calibrated.comparisons.levels("campus").compared == 1
 
     calibrated.jobs.switch_recipe("campus", other, NOW)

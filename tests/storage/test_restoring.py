@@ -8,14 +8,16 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+import time_machine
 
 from schemas.errors import BadSnapshot, Conflict, DiskFull
 from schemas.records import Filters
 from tests.storage.carried import contents, filled, made
-from tests.storage.databases import data_folder, sqlite_url
+from tests.storage.databases import data_folder, postgres_schema, sqlite_url
 from tests.storage.material import NOW, enroll
 from worker.storage import space
 from worker.storage.store import SqlStore, open_store
@@ -245,3 +247,28 @@ def test_a_kill_at_any_step_leaves_no_map_and_nothing_after_a_start(store: SqlSt
             assert everything(folder)[1] == []
             after_kill.restoring.restore(path, None, NOW)
             assert contents(after_kill) == contents(store)
+
+
+def test_a_service_whose_clock_is_ahead_leaves_the_restoration_of_another_alone(
+    elsewhere: SqlStore, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is at work says so by the clock of the database, which both can read."""
+    filled(elsewhere)
+    with (
+        postgres_schema() as url,
+        data_folder() as folder,
+        closing(open_store(url, data)) as store,
+        closing(open_store(url, folder)) as ahead,
+    ):
+        add = store._images.add
+
+        def meanwhile(images: dict[str, bytes]) -> None:
+            with time_machine.travel(datetime.now(UTC) + timedelta(hours=1)):
+                ahead.tend()
+                if ahead.removals._finishing is not None:
+                    ahead.removals._finishing.join()
+            add(images)
+
+        monkeypatch.setattr(store._images, "add", meanwhile)
+        store.restoring.restore(made(elsewhere), None, NOW)
+        assert contents(store) == contents(elsewhere)

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from schemas.comparisons import Comparison
 from schemas.errors import Conflict, LeaseLost, NotFound
 from schemas.map_changes import MapChanges
-from schemas.records import JobProgress, MapClaim
+from schemas.records import Filters, JobProgress, MapClaim
 from tests.storage.carried import made
 from tests.storage.conftest import Open
 from tests.storage.material import (
@@ -274,7 +274,7 @@ def test_its_comparisons_change_no_answer_before_the_switch(store: SqlStore) -> 
     levels, revision = store.comparisons.levels("campus"), store.maps.revision("campus")
 
     by = PAPER.description.id
-    store.comparisons.keep("campus", by, [Comparison(seq, 0.5, 0.1, (), 2, 1, None, None) for seq in seqs], NOW)
+    store.comparisons.keep("campus", PAPER, [Comparison(seq, 0.5, 0.1, (), 2, 1, None, None) for seq in seqs], NOW)
 
     assert store.maps.revision("campus") == revision
     assert store.comparisons.levels("campus") == levels
@@ -289,6 +289,14 @@ def test_an_emptied_map_that_is_put_anew_has_no_shadow(store: SqlStore) -> None:
     with pytest.raises(NotFound):
         store.jobs.shadow("campus")
     assert recipe_of(store) == "third"
+
+
+def test_a_map_that_is_emptied_and_put_anew_drops_the_table_of_its_shadow(store: SqlStore) -> None:
+    job = made_ready(store)
+    store.removals.delete_views("campus", Filters())
+    store.maps.put("campus", recipe("third"), NOW)
+    result = store.jobs.get(job).result
+    assert (result and result["wanted"], result and result["queries"]) == (7, [])
 
 
 @pytest.mark.parametrize("damage", ["gone", "changed"])

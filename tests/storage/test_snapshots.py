@@ -4,12 +4,13 @@ import subprocess
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 import sqlalchemy as sa
 from hypothesis import given, strategies as st
 
-from schemas.errors import Conflict, Damaged, NotFound
+from schemas.errors import Conflict, Damaged, NotFound, StorageFailed
 from schemas.records import Filters, ViewAttributes
 from tests.storage.carried import JOB, contents, filled, made, views
 from tests.storage.databases import data_folder, postgres_schema
@@ -190,3 +191,56 @@ def test_a_job_makes_it_and_what_ends_the_job_leaves_no_file(store: SqlStore, da
         job = store.jobs.get(queued.id)
         assert (job.state, job.result and job.result["views"]) == ("done", 5)
         assert files == [f"{queued.id}.snapshot"]
+
+
+@pytest.mark.parametrize("rest", ["done", "running"])
+def test_who_was_silent_too_long_leaves_the_snapshot_to_whoever_took_it_up(
+    store: SqlStore, data: Path, rest: str
+) -> None:
+    """As a worker that is stopped (SIGSTOP) while it writes, and goes on once another has the job."""
+    filled(store)
+    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    job = service.queue("campus").id
+    slow = store.jobs.claim_map_job("slow", NOW)
+    assert slow is not None
+    making: list[Path] = []
+
+    def stands_still() -> bool:
+        if not making:  # in the middle of its file
+            making.extend((data / "snapshots").glob(".writing-*"))
+            store.workers.bury(["slow"], NOW)
+            claim = store.jobs.claim_map_job("quick", NOW)
+            assert claim is not None
+            if rest == "done":
+                service.run(claim, lambda: False)
+        return False
+
+    service.run(slow, stands_still)
+
+    assert len(making) == 1
+    assert store.jobs.get(job).state == rest
+    if rest == "running":
+        assert store.snapshots.all() == []
+    else:
+        [kept] = store.snapshots.all()
+        copy = store.restoring.restore(data / "snapshots" / f"{kept.facts.id}.snapshot", "copy", NOW)
+        assert copy.views == 5
+    assert list((data / "snapshots").glob(".writing-*")) == []
+
+
+def test_a_job_whose_end_could_not_be_stored_leaves_no_snapshot(
+    store: SqlStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled(store)
+    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    job = service.queue("campus").id
+    claim = store.jobs.claim_map_job("worker", NOW)
+    assert claim is not None
+
+    def away(*_: object) -> NoReturn:
+        raise StorageFailed("away")
+
+    monkeypatch.setattr(store.jobs, "finish_snapshot", away)
+    service.run(claim, lambda: False)
+    assert store.jobs.get(job).state == "failed"
+    assert store.snapshots.all() == []

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from schemas.description import PixelField
-from schemas.errors import EncoderAway, LeaseLost, RevisitError
+from schemas.errors import DiskFull, EncoderAway, LeaseLost, NotFound, RevisitError, StorageFailed
 from schemas.image import Image
 from schemas.recipe import DescriptionRecipe
 from schemas.records import Filters, JobProgress, MapClaim, MapRecord, ViewRecord
@@ -56,14 +56,6 @@ class ViewReader(Protocol):
         ...
 
 
-class VocabularyWriter(Protocol):
-    """Stores vocabularies."""
-
-    def keep(self, digest: str, tensors: bytes) -> None:
-        """Store safetensors bytes under their SHA-256."""
-        ...
-
-
 class TrainingJobs(Protocol):
     """Jobs of maps that a worker has claimed."""
 
@@ -71,8 +63,9 @@ class TrainingJobs(Protocol):
         """Report the progress of a job; raises LeaseLost."""
         ...
 
-    def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
-        """Queue the description of the map's views by the recipe with the trained vocabulary; raises LeaseLost."""
+    def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, tensors: bytes, now: datetime) -> None:
+        """Store the trained vocabulary (safetensors), and queue the description of the map's views by the recipe that
+        names it; raises LeaseLost."""
         ...
 
     def fail_map_job(self, claim: MapClaim, code: str, detail: str, now: datetime) -> None:
@@ -89,7 +82,7 @@ class VocabularyTrainer:
 
     Parameters
     ----------
-    maps, views, vocabularies, jobs
+    maps, views, jobs
         Parts of the store.
     describers : Describers
     scheduler : Scheduler
@@ -102,17 +95,22 @@ class VocabularyTrainer:
         *,
         maps: MapReader,
         views: ViewReader,
-        vocabularies: VocabularyWriter,
         jobs: TrainingJobs,
         describers: Describers,
         scheduler: Scheduler,
         decode: Callable[[bytes], Image],
     ) -> None:
-        self._maps, self._views, self._vocabularies, self._jobs = maps, views, vocabularies, jobs
+        self._maps, self._views, self._jobs = maps, views, jobs
         self._describers, self._scheduler, self._decode = describers, scheduler, decode
 
     def run(self, claim: MapClaim, stopping: Callable[[], bool]) -> None:
-        """Train a vocabulary and queue the descriptions by it until `stopping()` is true; an error fails the job."""
+        """Train a vocabulary and queue the descriptions by it until `stopping()` is true; an error fails the job.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+            The job is to be put back, and tried again.
+        """
         try:
             recipe = self._maps.get(claim.map).description
             describer = self._describers.of(recipe)
@@ -123,12 +121,14 @@ class VocabularyTrainer:
                     recipe.parameters,
                     recipe.parameters.seed,
                 )
-            self._vocabularies.keep(learned.digest, learned.tensors)
-            self._jobs.finish_training(claim, recipe.model_copy(update={"vocabulary": learned.digest}), _now())
+            trained = recipe.model_copy(update={"vocabulary": learned.digest})
+            self._jobs.finish_training(claim, trained, learned.tensors, _now())
         except (Stop, EncoderAway):  # the latter only where the service stops while a shared encoder is away
             self._jobs.release_map_job(claim)
         except LeaseLost:
             log.info("job %s was cancelled, or given to another worker", claim.job_id)
+        except (DiskFull, StorageFailed):  # the loop puts it back, once it can
+            raise
         except ValueError as error:
             self._jobs.fail_map_job(
                 claim, "too-few-pictures", f"{error}; enrol more views of different places first", _now()
@@ -144,7 +144,7 @@ class VocabularyTrainer:
     def _fields(
         self, claim: MapClaim, seed: int, beat: "_Heartbeat", stopping: Callable[[], bool]
     ) -> Iterator[PixelField]:
-        """Pixel fields of the map's views, in random order by `seed`; queries go first."""
+        """Pixel fields of the map's views, in random order by `seed`; queries go first. Without deleted ones."""
         ids: list[str] = []
         cursor: str | None = None
         while True:
@@ -157,7 +157,11 @@ class VocabularyTrainer:
             if stopping():
                 raise Stop
             beat.tell(JobProgress(done, len(chosen)))
-            image = self._decode(self._views.image(ids[number]))
+            try:
+                data = self._views.image(ids[number])
+            except NotFound:  # it was deleted since they were listed
+                continue
+            image = self._decode(data)
             yield self._scheduler.submit(image, lambda _, field: field, urgent=False).result().value
 
 
@@ -204,6 +208,8 @@ class _Heartbeat:
             except LeaseLost as lost:
                 self._lost = lost
                 return
+            except (DiskFull, StorageFailed) as error:  # it is asked again
+                log.debug("whether a job is still this worker's is not known: %s", error.detail)
 
 
 def _now() -> datetime:

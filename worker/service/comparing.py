@@ -22,6 +22,7 @@ from worker.method.evidence import Ranking
 from worker.method.places import ENOUGH_VIEWS, SAME_SPOT_INLIERS, SAME_SPOT_SCORE, Places
 from worker.search.fetcher import Fetcher
 from worker.search.ports import Catalogue, ComparisonReader, DescriptionReader, SearchableIndex
+from worker.service.trouble import STORAGE_ERRORS
 
 log = logging.getLogger("revisit.worker")
 
@@ -53,8 +54,8 @@ class ComparisonStore(ComparisonReader, Protocol):
         """Up to `count` views, of one map, that should be compared, or None; `busy`: only what cannot wait."""
         ...
 
-    def keep(self, name: str, recipe: str, comparisons: list[Comparison], now: datetime) -> None:
-        """Store comparisons."""
+    def keep(self, name: str, by: MapRecipe, comparisons: list[Comparison], now: datetime) -> None:
+        """Store comparisons, unless the map no longer scores by this recipe and ranking."""
         ...
 
 
@@ -123,7 +124,7 @@ class MapComparer:
             made.append(self._attempt(seq, index, record.description, record.ranking, due.among))
             if rest(0):
                 break
-        self._comparisons.keep(due.map, due.recipe, [one for one in made if one is not None], datetime.now(UTC))
+        self._comparisons.keep(due.map, record.recipe, [one for one in made if one is not None], datetime.now(UTC))
         rest(time.monotonic() - began)
         return True
 
@@ -143,9 +144,17 @@ class MapComparer:
     def _attempt(
         self, seq: int, index: SearchableIndex, recipe: DescriptionRecipe, config: RankingConfig, among: int
     ) -> Comparison | None:
-        """As `_compare`; a view that cannot be compared is logged and left until the map is another."""
+        """As `_compare`; a view that cannot be compared is logged and left until the map is another.
+
+        Raises
+        ------
+        DiskFull, StorageFailed
+            It cannot be read now, which says nothing of the view.
+        """
         try:
             return self._compare(seq, index, recipe, config, among)
+        except STORAGE_ERRORS:
+            raise
         except Exception:
             log.exception("the view with the sequence number %d could not be compared with its map", seq)
             return Comparison(seq, None, None, (), among, 0)

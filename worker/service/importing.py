@@ -123,6 +123,9 @@ class Importer:
             self._jobs.release_map_job(claim)
             return
         except LeaseLost:
+            if not self._is_over(claim):
+                log.info("job %s was taken from this worker, which was silent for too long", claim.job_id)
+                return  # whoever goes on with it needs the recording
             log.info("job %s was cancelled, or its map was deleted", claim.job_id)
         except STORAGE_ERRORS:
             self._jobs.release_map_job(claim)
@@ -153,6 +156,13 @@ class Importer:
             raise LeaseLost(error.detail) from None
         if state != "running":
             raise LeaseLost(f"the job {claim.job_id} is {state}")
+
+    def _is_over(self, claim: MapClaim) -> bool:
+        """Whether a job has ended or went with its map; else it is another worker's, or waits for one."""
+        try:
+            return self._jobs.get(claim.job_id).state not in ("waiting", "running")
+        except NotFound:
+            return True
 
     # what a run of a job does with one image
 

@@ -269,7 +269,7 @@ class ShadowService:
         for seq in spread([int(seq) for seq in seqs], count):
             _unless(stopping)
             made += self._comparer.compare([seq], index, recipe, len(seqs))
-        self._comparisons.keep(name, recipe.description.id, made, datetime.now(UTC))
+        self._comparisons.keep(name, recipe, made, datetime.now(UTC))
 
     def _queries_of(self, name: str, wanted: int, old: Side, new: Side, both: Sequence64) -> list[KeptQuery | int]:
         """The newest kept queries, the last first, and where they are too few views described by both recipes."""

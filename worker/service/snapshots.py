@@ -65,6 +65,10 @@ class SnapshotJobs(Protocol):
         """Queue the making of a snapshot; raises NotFound, Conflict."""
         ...
 
+    def get(self, job_id: str) -> JobRecord:
+        """A job; raises NotFound."""
+        ...
+
     def report(self, claim: MapClaim, progress: JobProgress) -> None:
         """Report the progress of a job; raises LeaseLost."""
         ...
@@ -174,13 +178,21 @@ class SnapshotService:
         except _Stop:
             self._jobs.release_map_job(claim)
         except LeaseLost:
-            log.info("job %s was cancelled, or its map deleted", claim.job_id)
-            with suppress(NotFound):
-                self._files.delete(claim.job_id)
+            log.info("job %s was cancelled, its map deleted, or it was given to another worker", claim.job_id)
+            self._drop(claim)
         except RevisitError as error:
             self._jobs.fail_map_job(claim, error.code, error.detail, datetime.now(UTC))
+            self._drop(claim)
         except Exception as error:
             log.exception("making a snapshot of the map %s failed", claim.map)
             self._jobs.fail_map_job(
                 claim, "internal", f"{type(error).__name__}; the service's log has the details", datetime.now(UTC)
             )
+
+    def _drop(self, claim: MapClaim) -> None:
+        """Remove the file of a job that came to nothing; that of one that goes on, or is done, is another worker's."""
+        with suppress(NotFound):
+            if self._jobs.get(claim.job_id).state not in ("cancelled", "failed"):
+                return
+        with suppress(RevisitError):  # NotFound for most
+            self._files.delete(claim.job_id)

@@ -104,14 +104,19 @@ class Calls(Part):
             connection.execute(sa.delete(CALLS).where(*which, CALLS.c.finished_at.is_(None)))
 
 
+def keep_vocabulary(connection: sa.Connection, digest: str, tensors: bytes) -> None:
+    """Store safetensors bytes under their SHA-256; a second time does nothing."""
+    if connection.scalar(sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == digest)) is None:
+        connection.execute(sa.insert(VOCABULARIES).values(digest=digest, tensors=bytes(tensors)))
+
+
 class Vocabularies(Part):
     """Trained vocabularies by digest."""
 
     def keep(self, digest: str, tensors: bytes) -> None:
-        """Store safetensors bytes under their SHA-256; a second time does nothing."""
+        """As `keep_vocabulary`, for tests and studies: without a recipe that names it, it is pruned soon."""
         with self._database.writing() as connection:
-            if connection.scalar(sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == digest)) is None:
-                connection.execute(sa.insert(VOCABULARIES).values(digest=digest, tensors=bytes(tensors)))
+            keep_vocabulary(connection, digest, tensors)
 
     def get(self, digest: str) -> bytes:
         """The safetensors bytes of a vocabulary; raises NotFound."""

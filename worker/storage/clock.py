@@ -1,4 +1,9 @@
-"""Revisions: one clock for all maps, so that a new map is later than every index of a deleted one of its name."""
+"""Revisions: one clock for all maps, so that a new map is later than every index of a deleted one of its name.
+
+And the time that services of one database tell each other, whose machines' clocks need not agree.
+"""
+
+from datetime import UTC, datetime
 
 import sqlalchemy as sa
 
@@ -9,6 +14,7 @@ _EDIT = (
     .where(MAPS.c.id == sa.bindparam("of"))
     .values(edited=MAPS.c.revision, checksum=MAPS.c.checksum)  # which covers neither
 )
+_NOW = sa.select(sa.func.clock_timestamp())
 _LAST = sa.select(CLOCK.c.revision)
 _FORWARD = sa.update(CLOCK).values(revision=CLOCK.c.revision + 1)
 _GIVE = (
@@ -41,3 +47,12 @@ def tick_edited(connection: sa.Connection, map_id: int) -> int:
     revision = tick(connection, map_id)
     connection.execute(_EDIT, {"of": map_id})
     return revision
+
+
+def shared_time(connection: sa.Connection) -> datetime:
+    """The time by the one clock that all services of the database can read: its server's, or with SQLite, whose
+    services share a machine, that machine's."""
+    if connection.dialect.name != "postgresql":
+        return datetime.now(UTC)
+    told: datetime = connection.execute(_NOW).scalar_one()
+    return told.astimezone(UTC)

@@ -13,11 +13,12 @@ import sqlalchemy as sa
 from schemas.comparisons import Comparison, KnownView, MapLevels
 from schemas.draw import draw_order
 from schemas.health import SurveyedView, Uncompared
-from worker.storage import checksums, clock
+from schemas.recipe import MapRecipe
+from worker.storage import checksums, clock, switching
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
 from worker.storage.part import Part
-from worker.storage.rows import attributes_of, batches, find_map, has_whole_attributes, log
+from worker.storage.rows import attributes_of, batches, find_map, has_whole_attributes, log, ranking_of
 from worker.storage.tables import COMPARISONS, DESCRIPTIONS, MAPS, VIEWS
 
 NOTHING: frozenset[int] = frozenset()
@@ -79,19 +80,24 @@ class Comparisons(Part):
                 return Uncompared(row.name, row.recipe, tuple(connection.scalars(due)), among)
         return None
 
-    def keep(self, name: str, recipe: str, comparisons: Sequence[Comparison], now: datetime) -> None:
+    def keep(self, name: str, by: MapRecipe, comparisons: Sequence[Comparison], now: datetime) -> None:
         """Store comparisons; those of views that were deleted or described anew are left out, and all of them when the
-        map was deleted.
+        map was deleted, or has another ranking by now than the one in `by`, whose scores they are made of.
 
         Those by the map's recipe count from its next revision on, those by the recipe of its shadow from the switch on.
         """
+        recipe = by.description.id
         with self._database.writing() as connection:
             row = connection.execute(sa.select(MAPS).where(MAPS.c.name == name)).one_or_none()
-            if row is None or recipe not in (row.recipe, row.next_recipe):
+            rankings = {} if row is None else {row.next_recipe: row.next_ranking, row.recipe: row.ranking}
+            if row is None or recipe not in rankings:
+                return
+            present = MapRecipe(description=by.description, ranking=ranking_of(rankings[recipe]))
+            if not switching.scores_alike(by, present):
                 return
             seqs = [one.seq for one in comparisons]
-            by = DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == recipe
-            there = sa.select(DESCRIPTIONS.c.seq).where(*by, DESCRIPTIONS.c.seq.in_(seqs))
+            own = DESCRIPTIONS.c.map_id == row.id, DESCRIPTIONS.c.recipe == recipe
+            there = sa.select(DESCRIPTIONS.c.seq).where(*own, DESCRIPTIONS.c.seq.in_(seqs))
             left = set(connection.scalars(there))
             rows = [
                 {

@@ -265,10 +265,13 @@ def one_of(column: sa.Column[int], numbers: str, database: str) -> sa.ColumnElem
 
 @contextmanager
 def raw_cursor(connection: sa.Connection) -> Iterator[Any]:
-    """The driver's own cursor in a transaction, for what SQLAlchemy has no words for."""
+    """The driver's own cursor in a transaction, for what SQLAlchemy has no words for; raises SQLAlchemy's errors."""
     cursor = connection.connection.cursor()
+    base = connection.dialect.loaded_dbapi.Error
     try:
         yield cursor
+    except base as error:
+        raise sa.exc.DBAPIError.instance(None, None, error, base) from error
     finally:
         cursor.close()
 

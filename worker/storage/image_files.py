@@ -13,12 +13,12 @@ import re
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from schemas.errors import Damaged
+from schemas.errors import Damaged, RevisitError
 from worker.storage.disk_errors import translated
 from worker.storage.locks import held
 
@@ -71,6 +71,7 @@ class Images:
     def __init__(self, folder: Path, owned: Owned) -> None:
         self._folder = folder
         self._owned = owned
+        self._left: set[str] = set()
         folder.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
@@ -93,7 +94,10 @@ class Images:
                 yield
             except BaseException:
                 if written:
-                    self._discard([digest])
+                    self._left.add(digest)
+                    with suppress(RevisitError):  # then it goes later, and what was raised before is told
+                        self._discard([digest])
+                        self._left.discard(digest)
                 raise
 
     def add(self, images: Mapping[str, bytes]) -> None:
@@ -149,18 +153,26 @@ class Images:
         return Damaged(LOST.format(path.relative_to(self._folder.parent), how))
 
     def discard(self, digests: Iterable[str]) -> Discarded:
-        """Remove images that no view needs, after their rows were deleted.
+        """Remove images that no view needs, after their rows were deleted; those that cannot be now are in `left`.
 
         What is no digest comes from a damaged row and names no image; as a path it could be that of any file.
         """
         removed, needed = 0, set[str]()
         named = {digest for digest in digests if DIGEST.fullmatch(digest)}
+        self._left.update(named)
         for first, group in groupby(sorted(named), key=lambda digest: digest[:2]):
+            few = list(group)
             with self._locked(first):
-                some = self._discard(list(group))
+                some = self._discard(few)
+            self._left.difference_update(few)
             removed += some.removed
             needed |= some.needed
         return Discarded(removed, frozenset(needed))
+
+    @property
+    def left(self) -> frozenset[str]:
+        """Digests of images that `discard` could not remove yet, since the database did not say who needs them."""
+        return frozenset(self._left)
 
     def sweep(self) -> int:
         """Remove unfinished files and images without a view, which a crash left; returns how many."""

@@ -121,8 +121,10 @@ class ImageObjects:
             try:
                 yield
             except BaseException:
-                with suppress(RevisitError):  # then the next sweep removes it
+                self._left.add(digest)
+                with suppress(RevisitError):  # then it goes later
                     self._remove([digest])
+                    self._left.discard(digest)
                 raise
 
     def add(self, images: Mapping[str, bytes]) -> None:
@@ -166,6 +168,11 @@ class ImageObjects:
         with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
             done = list(pool.map(self._discard, groups))
         return Discarded(sum(some.removed for some in done), frozenset[str]().union(*(some.needed for some in done)))
+
+    @property
+    def left(self) -> frozenset[str]:
+        """Digests of images that `discard` could not remove yet, while the store or the database was away."""
+        return frozenset(self._left)
 
     def sweep(self) -> int:
         """Remove images without a view, which a crash left; returns how many."""

@@ -42,6 +42,11 @@ class ImageStore(Protocol):
         """Remove images that no view needs, after their rows were deleted."""
         ...
 
+    @property
+    def left(self) -> frozenset[str]:
+        """Digests of images that `discard` could not remove yet: they are to be given to it again."""
+        ...
+
     def sweep(self) -> int:
         """Remove what a crash left; returns how many files."""
         ...

@@ -21,6 +21,7 @@ from schemas.errors import Conflict, Damaged, LeaseLost, NotFound
 from schemas.recipe import DescriptionRecipe, MapRecipe
 from schemas.records import JobKind, JobProgress, JobRecord, JobState, MapClaim
 from worker.storage import checksums, forgetting, switching
+from worker.storage.calls import keep_vocabulary
 from worker.storage.image_store import forgets
 from worker.storage.jobs import ATTEMPTS, Jobs
 from worker.storage.paging import cursor_after, read_cursor
@@ -131,10 +132,14 @@ class MapJobs(Jobs):
             told = {"progress_done": progress.done, "progress_total": progress.total}
             connection.execute(sa.update(JOBS).where(JOBS.c.number == job.number).values(**told))
 
-    def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, now: datetime) -> None:
-        """Begin to describe the map's views with the trained vocabulary, as the same job; raises LeaseLost."""
+    def finish_training(self, claim: MapClaim, recipe: DescriptionRecipe, tensors: bytes, now: datetime) -> None:
+        """Begin to describe the map's views with the trained vocabulary, as the same job; raises LeaseLost.
+
+        `tensors`: the vocabulary. It is stored with the recipe, or another process would remove it as one of no recipe.
+        """
         with self._database.writing() as connection:
             job = held(connection, claim)
+            keep_vocabulary(connection, str(recipe.vocabulary), tensors)
             row = connection.execute(sa.select(MAPS).where(MAPS.c.id == job.map_id)).one()
             kept = keep_recipe(connection, recipe)
             running = {"recipe": kept, "token": None, "progress_done": None}

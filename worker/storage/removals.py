@@ -92,12 +92,13 @@ class Removals(Part):
         return self.clear(*nameless)
 
     def finish_late(self) -> None:
-        """Finish deletions of maps that broke off in this process, or with one that was killed, and remove what that
-        had restored half; in a thread of its own, returns at once."""
+        """Finish deletions that broke off in this process, and those of maps with one that was killed, and remove what
+        that had restored half; in a thread of its own, returns at once."""
         with suppress(DiskFull, StorageFailed), self._database.reading() as connection:
-            given_up = MAPS.c.name.is_(None), MAPS.c.given_up_at <= datetime.now(UTC)
+            given_up = MAPS.c.name.is_(None), MAPS.c.given_up_at <= clock.shared_time(connection)
             self._unfinished.update(connection.scalars(sa.select(MAPS.c.id).where(*given_up)))
-        if self._unfinished and (self._finishing is None or not self._finishing.is_alive()):
+        some = self._unfinished or self._images.left
+        if some and (self._finishing is None or not self._finishing.is_alive()):
             self._finishing = threading.Thread(target=self._finish, name="revisit-removing", daemon=True)
             self._finishing.start()
 
@@ -112,6 +113,9 @@ class Removals(Part):
                     self.clear(map_id)
             except (DiskFull, StorageFailed) as error:
                 log.info("a deletion that broke off is finished later: %s", error.detail)
+        with suppress(DiskFull, StorageFailed):  # they stay in `left`
+            if self._images.left and self._images.problem() is None:
+                self._images.discard(self._images.left)
 
     @contextmanager
     def _finished_later(self, map_ids: Collection[int]) -> Iterator[None]:
@@ -152,13 +156,14 @@ class Removals(Part):
         ):
             queries += portion_of
         some = sa.select(VIEWS.c.seq).where(VIEWS.c.map_id == map_id).order_by(VIEWS.c.seq).limit(PORTION)
-        while True:
+        while self._database.freeing(lambda connection: _at_work(connection, map_id)):
             with self._database.reading() as connection:
                 seqs = list(connection.scalars(some))
             if not seqs:
                 break
             portions.append(self._remove(map_id, seqs))
-        self._database.freeing(lambda connection: connection.execute(sa.delete(MAPS).where(MAPS.c.id == map_id)))
+        empty = sa.delete(MAPS).where(MAPS.c.id == map_id, MAPS.c.name.is_(None))
+        self._database.freeing(lambda connection: connection.execute(empty))
         return replace(self._receipt(portions, None, making), queries=queries)
 
     def _receipt(self, portions: Sequence["_Gone"], revision: int | None, making: Sequence[str] = ()) -> Removal:
@@ -233,8 +238,17 @@ _DESCRIBED = (
 
 def _take_name(connection: sa.Connection, map_id: int) -> None:
     """Without a name no call finds a map; its views are deleted next, or after a crash by who comes later."""
-    left = {"name": None, "given_up_at": datetime.now(UTC) + GIVEN_UP}
+    left = {"name": None, "given_up_at": clock.shared_time(connection) + GIVEN_UP}
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**left))
+
+
+def _at_work(connection: sa.Connection, map_id: int) -> bool:
+    """Say that a map is being removed, so that no other finishes that, and who restored it stops; whether it has no
+    name."""
+    at = clock.shared_time(connection) + GIVEN_UP
+    told = {"given_up_at": at, "checksum": MAPS.c.checksum}  # which does not cover the other
+    nameless = MAPS.c.id == map_id, MAPS.c.name.is_(None)
+    return connection.execute(sa.update(MAPS).where(*nameless).values(**told)).rowcount > 0
 
 
 def _being_made(connection: sa.Connection, map_id: int) -> list[str]:

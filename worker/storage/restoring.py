@@ -6,7 +6,7 @@ the last sign of who restored it: whatever ends a restoration half way, nothing 
 
 import hashlib
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -167,8 +167,8 @@ def _refuse_taken(connection: sa.Connection, name: str) -> None:
         raise Conflict(TAKEN.format(name))
 
 
-def _given_up_at() -> datetime:
-    return datetime.now(UTC) + GIVEN_UP
+def _given_up_at(connection: sa.Connection) -> datetime:
+    return clock.shared_time(connection) + GIVEN_UP
 
 
 def _key_of(inserted: sa.CursorResult[Any]) -> int:
@@ -185,6 +185,7 @@ class _Restoration:
         self._recipe = told.description
         self.new_ids = new_ids
         self.map_id: int | None = None
+        self._told_until: datetime | None = None
         self._revision = 0
         self._seqs: dict[int, int] = {}
         self._pending: list[int] = []
@@ -233,14 +234,19 @@ class _Restoration:
         )
 
     def _tell(self, connection: sa.Connection, **changed: object) -> None:
-        """Say that somebody is at work on the map; raises StorageFailed when it was removed since nobody had."""
-        values = {"given_up_at": _given_up_at(), **changed}
-        if connection.execute(sa.update(MAPS).where(MAPS.c.id == self.map_id).values(**values)).rowcount == 0:
+        """Say that somebody is at work on the map; raises StorageFailed when others began to remove it, since nobody
+        had said so for minutes: they say it with another time."""
+        told = _given_up_at(connection)
+        mine = MAPS.c.id == self.map_id, MAPS.c.given_up_at == self._told_until
+        values = {"given_up_at": told, **changed}
+        if connection.execute(sa.update(MAPS).where(*mine).values(**values)).rowcount == 0:
             raise StorageFailed("what was restored so far was removed, since nothing was added for minutes; try again")
+        self._told_until = told
 
     def _make_map(self, tensors: bytes | None) -> None:
         told = self._told
         with self._database.writing() as connection:
+            self._told_until = _given_up_at(connection)
             kept = sa.select(VOCABULARIES.c.digest).where(VOCABULARIES.c.digest == self._recipe.vocabulary)
             if tensors is not None and connection.scalar(kept) is None:
                 connection.execute(inserting(VOCABULARIES), {"digest": self._recipe.vocabulary, "tensors": tensors})
@@ -255,7 +261,7 @@ class _Restoration:
                 "refuse_poor": told.refuse_poor or None,
                 "blur": as_json(list(told.blur)) if told.blur else None,
                 "created_at": told.map_created_at,
-                "given_up_at": _given_up_at(),
+                "given_up_at": self._told_until,
             }
             made = connection.execute(sa.insert(MAPS).values(name=None, revision=born, anew=born, **columns))
             map_id = _key_of(made)

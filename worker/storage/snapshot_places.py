@@ -1,5 +1,6 @@
 """Where snapshots are kept: in a folder, or in an object store, where any node of a fleet finds them."""
 
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -63,6 +64,12 @@ class SnapshotPlace(Protocol):
         ...
 
 
+def drop_drafts(folder: Path, snapshot_id: str) -> None:
+    """Remove what was written of a snapshot that is not kept."""
+    for path in folder.glob(f"{WRITING}{snapshot_id}*"):
+        path.unlink(missing_ok=True)
+
+
 class SnapshotFolder:
     """Snapshots in a folder, which is made with the first of them."""
 
@@ -73,7 +80,9 @@ class SnapshotFolder:
     def draft(self, snapshot_id: str) -> Iterator[Path]:
         """A path to write a new one to."""
         self._folder.mkdir(exist_ok=True)
-        path = self._folder / f"{WRITING}{snapshot_id}"
+        # What a worker left that died; or one that stood still, and must not go on writing to this one's file.
+        drop_drafts(self._folder, snapshot_id)
+        path = self._folder / f"{WRITING}{snapshot_id}.{uuid.uuid4().hex}"
         try:
             yield path
         finally:

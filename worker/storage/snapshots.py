@@ -20,7 +20,7 @@ from worker.storage.part import Part
 from worker.storage.rows import find_map, find_recipe, log, map_record
 from worker.storage.snapshot_contents import SnapshotContents
 from worker.storage.snapshot_files import COMPARISONS, VOCABULARY, SnapshotWriter
-from worker.storage.snapshot_places import WRITING, SnapshotPlace
+from worker.storage.snapshot_places import WRITING, SnapshotPlace, drop_drafts
 from worker.storage.snapshot_portions import Portions, SizedView
 from worker.storage.snapshot_rows import comparison_lines
 from worker.storage.tables import CELLS, JOBS, VIEWS as VIEW_ROWS, VOCABULARIES
@@ -80,6 +80,7 @@ class Snapshots(Part, again=False):
         with translated("snapshots"), self._place.draft(snapshot_id) as draft:
             with draft.open("wb", WRITTEN_AT_ONCE) as file, self._database.reading() as connection:
                 views = self._write(connection, file, name, snapshot_id, now, tell)
+            tell(views, views)  # who lost the job meanwhile keeps nothing: another may have made it by now
             self._place.keep(draft, snapshot_id, lambda: tell(views, views))
         return self.get(snapshot_id)
 
@@ -212,7 +213,7 @@ class Snapshots(Part, again=False):
         for path in self._folder.glob(f"{RECEIVING}*"):
             path.unlink(missing_ok=True)
         for path in self._folder.glob(f"{WRITING}*"):
-            job = JOBS.c.id == path.name.removeprefix(WRITING)
+            job = JOBS.c.id == path.name.removeprefix(WRITING).partition(".")[0]
             with self._database.reading() as connection:
                 state = connection.scalar(sa.select(JOBS.c.state).where(job))
             if state not in ("waiting", "running"):
@@ -220,7 +221,7 @@ class Snapshots(Part, again=False):
 
     def drop_draft(self, snapshot_id: str) -> None:
         """Remove the unfinished file of a snapshot, if there is one."""
-        (self._folder / f"{WRITING}{snapshot_id}").unlink(missing_ok=True)
+        drop_drafts(self._folder, snapshot_id)
 
     def admit(self, size: int) -> None:
         """Raise DiskFull unless there is room for a file of `size` bytes."""

@@ -222,6 +222,7 @@ def change_over(connection: sa.Connection, map_id: int, recipe: str, ranking: st
     present, shadow = connection.execute(sa.select(MAPS.c.recipe, MAPS.c.shadow).where(MAPS.c.id == map_id)).one()
     if shadow is not None:  # of an empty map that was given another recipe at once
         end_shadow(connection, map_id, now)
+        drop_rows(connection, shadow)
     after = {"recipe": recipe, "ranking": ranking, "anew": revision, **NOTHING_NEXT}
     learned = {"calibration": None, "previous_recipe": present}  # what was learned by the old recipe is dropped
     connection.execute(sa.update(MAPS).where(MAPS.c.id == map_id).values(**learned, **after))

@@ -19,6 +19,9 @@ from worker.storage.vector_tables import SEARCHED_MAPS, SEARCHED_VECTORS, see_ex
 ROWS = 2048
 """Views that one transaction adds at most: the memory that this takes, however large a map is."""
 
+MOST_AGAIN = 20
+"""Portions of one call that are added again because views in them were deleted meanwhile."""
+
 FILL = 0x72657669
 """First half of the advisory locks, one for each map, under which a map's vectors are added."""
 
@@ -46,26 +49,43 @@ def follow(database: Database, name: str) -> tuple[str, dict[int, str]]:
     damaged: dict[int, str] = {}
     after: tuple[int, int] | None = (-1, -1)
     of: tuple[int, str] | None = None
+    again = iter(range(MOST_AGAIN))
     while after is not None:
-        with database.writing(in_turn=False, frees=True) as connection:
-            row = find_map(connection, name)
-            connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({FILL}, {int(row.id)})"))
-            row = find_map(connection, name)  # as of now that no other process adds to it
-            if of != (row.id, row.recipe):  # at first, and when the recipe changed between two portions
-                of, after = (row.id, row.recipe), (-1, -1)
-            held = _held(connection, row)
-            if after == (-1, -1) and held.revision is not None and row.anew <= held.revision <= row.revision:
-                after = int(held.revision), np.iinfo(np.int64).max
-            recipe = find_recipe(connection, row.recipe)
-            whole, faults, after = _portion(connection, row, held.id, recipe, after)
-            damaged |= faults
-            if whole:
-                see_extension(connection)
-                _add(connection, held.id, recipe, whole)
-            if after is None:
-                caught_up = sa.update(SEARCHED_MAPS).where(SEARCHED_MAPS.c.id == held.id)
-                connection.execute(caught_up.values(revision=row.revision))
-    return str(row.recipe), damaged
+        try:
+            with database.writing(in_turn=False, frees=True) as connection:
+                own, faults, following = _follow_portion(connection, name, of, after)
+        except sa.exc.IntegrityError:  # a view, or the map, was deleted between its reading and its adding
+            if next(again, None) is None:
+                raise
+            continue
+        of, after = own, following
+        damaged |= faults
+    assert of is not None
+    return of[1], damaged
+
+
+def _follow_portion(
+    connection: sa.Connection, name: str, of: tuple[int, str] | None, after: tuple[int, int]
+) -> tuple[tuple[int, str], dict[int, str], tuple[int, int] | None]:
+    """Add one portion; returns the map's number and recipe, what is damaged, and where the next one begins."""
+    row = find_map(connection, name)
+    connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({FILL}, {int(row.id)})"))
+    row = find_map(connection, name)  # as of now that no other process adds to it
+    own = int(row.id), str(row.recipe)
+    if of != own:  # at first, and when the recipe changed between two portions
+        after = (-1, -1)
+    held = _held(connection, row)
+    if after == (-1, -1) and held.revision is not None and row.anew <= held.revision <= row.revision:
+        after = int(held.revision), np.iinfo(np.int64).max
+    recipe = find_recipe(connection, row.recipe)
+    whole, faults, following = _portion(connection, row, held.id, recipe, after)
+    if whole:
+        see_extension(connection)
+        _add(connection, held.id, recipe, whole)
+    if following is None:
+        caught_up = sa.update(SEARCHED_MAPS).where(SEARCHED_MAPS.c.id == held.id)
+        connection.execute(caught_up.values(revision=row.revision))
+    return own, faults, following
 
 
 def _held(connection: sa.Connection, row: sa.Row[Any]) -> sa.Row[Any]:
