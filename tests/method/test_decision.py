@@ -8,6 +8,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 
 from schemas.comparisons import KnownView, MapLevels
+from schemas.records import Position
 from worker.method.calibration import Calibration, Logistic
 from worker.method.decision import (
     PRIOR,
@@ -208,6 +209,27 @@ def test_probabilities_of_all_places_and_none_sum_to_one(scores: list[float], na
     assert min([*probabilities, answer.nowhere]) >= 0
     assert answer.confidence == probabilities[0]
     assert all(a >= b for a, b in zip(answer.confidences, answer.confidences[1:], strict=False))
+
+
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=40), st.lists(st.sampled_from("abcdef"), min_size=40, max_size=40)
+)
+def test_nothing_depends_on_how_many_views_are_shown(scores: list[float], names: list[str]) -> None:
+    """Nor does the verdict over several maps: `joining` reads the probability of none."""
+    views = ranking(sorted(scores, reverse=True), {i: KnownView(n if n > "c" else None) for i, n in enumerate(names)})
+    few, many = (decide(views, LEVELS, CALIBRATION, 0.97, searched=100, shown=shown) for shown in (1, 40))
+    assert (many.status, many.confidence, many.reason) == (few.status, few.confidence, few.reason)
+    assert many.nowhere == pytest.approx(few.nowhere, abs=1e-9)
+    assert [place.probability for place in many.places[: len(few.places)]] == [p.probability for p in few.places]
+    assert sum(place.probability for place in many.places) + many.nowhere == pytest.approx(1)
+
+
+def test_neighbours_far_down_do_not_make_the_verdict_another() -> None:
+    """Ten views of one spot, then views along the path that are neither of it nor rivals."""
+    known = {i: KnownView(position=Position(x=0.0 if i < 10 else 8.0, y=0.0)) for i in range(12)}
+    views = ranking([*np.linspace(0.26, 0.25, 10), 0.1, 0.1], known)
+    few, many = (decide(views, LEVELS, CALIBRATION, 0.97, searched=100, shown=shown) for shown in (1, 12))
+    assert few.status == many.status == "no_match"
 
 
 def test_who_wants_more_precision_gets_matched_less_often() -> None:
