@@ -19,6 +19,7 @@ from worker.method.decision import (
     expected_levels,
     features,
     floor,
+    of_nothing,
     own_share,
     tells_apart,
 )
@@ -260,6 +261,18 @@ def test_too_few_views_and_a_poor_image_are_said() -> None:
     assert blame_image(decided([0.6, 0.2]), "the image is dark").reason.code == "sure"
     assert blame_image(decided([]), "the image is dark").reason.code == "empty"
     assert blame_image(decided([0.21, 0.2]), None).reason.code == "weak"
+
+
+def test_an_image_of_nothing_shows_none_of_the_places() -> None:
+    nothing = of_nothing(decided([0.6, 0.2, 0.1]))
+    assert (nothing.status, nothing.reason.code, nothing.confidence, nothing.nowhere) == (
+        "no_match",
+        "poor-picture",
+        0,
+        1,
+    )
+    assert nothing.confidences == (0, 0, 0)
+    assert of_nothing(decided([])).reason.code == "empty"
 
 
 def test_histograms_alone_decide_nothing_in_a_map_that_knows_whole_scores() -> None:

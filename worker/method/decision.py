@@ -331,6 +331,16 @@ def blame_image(decision: Decision, problem: str | None) -> Decision:
 
 
 BETTER_PHOTO = "take another photo of the place: lit, sharp, and of things that stay"
+NOTHING_SHOWN = Reason("poor-picture", "the image shows nothing", BETTER_PHOTO)
+
+
+def of_nothing(decision: Decision) -> Decision:
+    """The decision on an image that shows nothing: none of the places, however like one of their views it is."""
+    if not decision.places:
+        return decision
+    places = tuple(replace(place, probability=0.0) for place in decision.places)
+    none = replace(decision, confidence=0.0, places=places, confidences=confidences(places))
+    return replace(none, status="no_match", reason=NOTHING_SHOWN)
 
 
 def confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:
