@@ -135,6 +135,11 @@ def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_t
     assert many.gap == pytest.approx(0.06, abs=0.001)
 
 
+def test_a_map_of_two_places_leaves_it_to_other_maps_by_what_wrong_answers_lead() -> None:
+    """A view of the one has the other as its best wrong answer, and nothing that this could lead over."""
+    assert expected_levels(MapLevels(60, 0.3, 0.0, others=30)).gap == PRIOR.gap
+
+
 def test_what_stands_out_from_what_wrong_answers_get_is_matched() -> None:
     outstanding = decided([0.6, 0.2, 0.19])
     assert (outstanding.status, outstanding.reason.code) == ("matched", "sure")

@@ -150,9 +150,10 @@ def expected_levels(levels: MapLevels) -> MapLevels:
     compared with few views of other places."""
     own = own_share(levels)
     broad = USUAL_BREADTH if levels.breadth is None else levels.breadth
+    lead = levels.gap or PRIOR.gap  # 0: no view was compared with two other places
     level, gap, breadth = (
         own * mine + (1 - own) * usual
-        for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap), (broad, USUAL_BREADTH))
+        for mine, usual in ((levels.level, PRIOR.level), (lead, PRIOR.gap), (broad, USUAL_BREADTH))
     )
     paired = levels.paired / (levels.paired + PRIOR.compared)
     pair = USUAL_OWN if levels.own is None else paired * levels.own + (1 - paired) * USUAL_OWN
