@@ -70,7 +70,7 @@ class MapLevels:
     compared : int
         Number of compared views, those without another place left out.
     level, gap : float
-        Means of `Comparison`'s; 0 without compared views.
+        Means of `Comparison`'s; 0 where no comparison has one.
     others : float
         Mean number of views of other places that they were compared with.
     updated_at : datetime or None

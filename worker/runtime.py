@@ -354,6 +354,7 @@ def _services(
             decode=decoder.decode,
             shrink=codec.shrink,
             look_for_problem=quality.problem_of,
+            is_blank=quality.is_blank,
             thumbnail=decoder.thumbnail,
             kept=QueryKeeper(store.kept_queries, store.maps, blurring, scheduler, describers, decoder.decode),
             scores=scores,

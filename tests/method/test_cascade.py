@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from schemas.comparisons import KnownView
 from schemas.description import DETAIL, SEMANTIC, Description
 from schemas.recipe import CellGrid, TermWeights
 from tests.method.views_in_a_dictionary import (
@@ -14,6 +15,7 @@ from tests.method.views_in_a_dictionary import (
     NO_CELLS,
     NOISES,
     QUERY,
+    RECIPE,
     ROWS,
     WEIGHTS,
     Dictionary,
@@ -27,8 +29,9 @@ from tests.method.views_in_a_dictionary import (
 )
 from worker.method import dense_cells
 from worker.method.byte_vectors import quantise
-from worker.method.cascade import STAGES, ViewGone
-from worker.method.evidence import Evidence, RankedCandidate
+from worker.method.cascade import STAGES, ViewGone, rank
+from worker.method.evidence import Evidence, RankedCandidate, Ranking
+from worker.method.places import ENOUGH_PLACES
 
 
 class TestStages:
@@ -281,3 +284,36 @@ class TestVerification:
         weights = WEIGHTS.terms()
         share = weights["verification"] / sum(weights.values())
         assert ranking[0].parts["verification"] == pytest.approx(share * excess / (excess + usual + 20))
+
+
+class TestRivals:
+    """Forty views, of which thirty-six show one place: more than are re-ranked."""
+
+    FOUND = found({SEMANTIC: np.linspace(0.2, 0.9, 40).tolist(), DETAIL: np.linspace(0.2, 0.9, 40).tolist()})
+
+    def ranking(self, candidates: int, home: int = 36, **values: Any) -> Ranking:
+        views = Dictionary({seq: described(seq, 0.4) for seq in range(10, 50)})
+        views.attributes = {seq: KnownView("home" if seq < 10 + home else f"other {seq}") for seq in views.views}
+        return rank(QUERY, self.FOUND, RECIPE, changed(candidates=candidates, **values), views, top=10)
+
+    def test_views_that_were_not_compared_do_not_vouch_for_the_first_place(self) -> None:
+        """There is no other place among what was compared, so nobody knows what the next one gets."""
+        filled = self.ranking(10, home=20)
+        assert (filled.reranked, filled.rivals, filled.others) == (10, (), 0)
+        one = self.ranking(1, home=1)
+        assert (one.reranked, one.rivals, one.others) == (1, (), 0)
+        assert self.ranking(22, home=20).others == 2
+        assert self.ranking(23, home=20).others == ENOUGH_PLACES
+
+    def test_so_many_as_there_are_are_compared_in_full(self) -> None:
+        """Of three compared in full only the first is of its own place, as the decision needs the others."""
+        compared: list[int] = []
+
+        def observe(stage: str, evidence: Evidence) -> None:
+            if stage == "full":
+                compared.extend(sorted(evidence.seqs(np.array(sorted(evidence.cells)))))
+
+        views = Dictionary({seq: described(seq, 0.4 if seq < 20 else 3.0) for seq in range(10, 50)})
+        views.attributes = {seq: KnownView("home" if seq < 20 else f"other {seq}") for seq in views.views}
+        rank(QUERY, self.FOUND, RECIPE, changed(candidates=40), views, top=10, observe=observe)
+        assert [seq < 20 for seq in compared] == [True, False, False]

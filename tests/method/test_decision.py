@@ -8,6 +8,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 
 from schemas.comparisons import KnownView, MapLevels
+from schemas.records import Position
 from worker.method.calibration import Calibration, Logistic
 from worker.method.decision import (
     PRIOR,
@@ -18,6 +19,7 @@ from worker.method.decision import (
     expected_levels,
     features,
     floor,
+    of_nothing,
     own_share,
     tells_apart,
 )
@@ -133,6 +135,11 @@ def test_a_map_without_comparisons_is_taken_for_one_like_others_and_moves_over_t
     assert many.gap == pytest.approx(0.06, abs=0.001)
 
 
+def test_a_map_of_two_places_leaves_it_to_other_maps_by_what_wrong_answers_lead() -> None:
+    """A view of the one has the other as its best wrong answer, and nothing that this could lead over."""
+    assert expected_levels(MapLevels(60, 0.3, 0.0, others=30)).gap == PRIOR.gap
+
+
 def test_what_stands_out_from_what_wrong_answers_get_is_matched() -> None:
     outstanding = decided([0.6, 0.2, 0.19])
     assert (outstanding.status, outstanding.reason.code) == ("matched", "sure")
@@ -210,6 +217,27 @@ def test_probabilities_of_all_places_and_none_sum_to_one(scores: list[float], na
     assert all(a >= b for a, b in zip(answer.confidences, answer.confidences[1:], strict=False))
 
 
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=40), st.lists(st.sampled_from("abcdef"), min_size=40, max_size=40)
+)
+def test_nothing_depends_on_how_many_views_are_shown(scores: list[float], names: list[str]) -> None:
+    """Nor does the verdict over several maps: `joining` reads the probability of none."""
+    views = ranking(sorted(scores, reverse=True), {i: KnownView(n if n > "c" else None) for i, n in enumerate(names)})
+    few, many = (decide(views, LEVELS, CALIBRATION, 0.97, searched=100, shown=shown) for shown in (1, 40))
+    assert (many.status, many.confidence, many.reason) == (few.status, few.confidence, few.reason)
+    assert many.nowhere == pytest.approx(few.nowhere, abs=1e-9)
+    assert [place.probability for place in many.places[: len(few.places)]] == [p.probability for p in few.places]
+    assert sum(place.probability for place in many.places) + many.nowhere == pytest.approx(1)
+
+
+def test_neighbours_far_down_do_not_make_the_verdict_another() -> None:
+    """Ten views of one spot, then views along the path that are neither of it nor rivals."""
+    known = {i: KnownView(position=Position(x=0.0 if i < 10 else 8.0, y=0.0)) for i in range(12)}
+    views = ranking([*np.linspace(0.26, 0.25, 10), 0.1, 0.1], known)
+    few, many = (decide(views, LEVELS, CALIBRATION, 0.97, searched=100, shown=shown) for shown in (1, 12))
+    assert few.status == many.status == "no_match"
+
+
 def test_who_wants_more_precision_gets_matched_less_often() -> None:
     scores = [0.35, *([0.2] * 30)]
     assert decided(scores, precision=0.9).status == "matched"
@@ -238,6 +266,18 @@ def test_too_few_views_and_a_poor_image_are_said() -> None:
     assert blame_image(decided([0.6, 0.2]), "the image is dark").reason.code == "sure"
     assert blame_image(decided([]), "the image is dark").reason.code == "empty"
     assert blame_image(decided([0.21, 0.2]), None).reason.code == "weak"
+
+
+def test_an_image_of_nothing_shows_none_of_the_places() -> None:
+    nothing = of_nothing(decided([0.6, 0.2, 0.1]))
+    assert (nothing.status, nothing.reason.code, nothing.confidence, nothing.nowhere) == (
+        "no_match",
+        "poor-picture",
+        0,
+        1,
+    )
+    assert nothing.confidences == (0, 0, 0)
+    assert of_nothing(decided([])).reason.code == "empty"
 
 
 def test_histograms_alone_decide_nothing_in_a_map_that_knows_whole_scores() -> None:

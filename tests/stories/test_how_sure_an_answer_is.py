@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from app.http.application import create_app
 from scenes import scene
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
-from tests.stories.photos import photo
+from tests.stories.photos import jpeg, photo
 from worker.runtime import Runtime, build
 
 pytestmark = pytest.mark.one_database("it is about how views are ranked, not where they lie")
@@ -69,3 +70,22 @@ def test_it_does_not_depend_on_how_fast_images_were_enrolled(client: CheckedClie
         answer = client.post(f"/query?map={name}", content=taken, headers={"content-type": "image/jpeg"}).json()
         answers.append((answer["status"], answer["confidence"], answer["decision"]["features"]))
     assert answers[1:] == answers[:1] * 2
+
+
+def test_a_covered_lens_is_not_where_it_was_covered_before(client: CheckedClient) -> None:
+    """One frame of a map shows nothing: the only view of its place, and like every other covered lens."""
+    grain = np.random.default_rng(7)
+    first, later = (np.clip(grain.normal(8, 4, (240, 320, 3)), 0, 255).astype(np.uint8) for _ in range(2))
+    looks = {f"{kind} {n}": scene(f"{kind} {n}").sized(320, 240).pixels for n in range(4) for kind in ("lane", "park")}
+    for n in range(4):
+        looks[f"corridor {n}"] = scene(f"corridor {n}").sized(320, 240).pixels
+    for place, pixels in {**looks, "dock": first}.items():
+        client.post(f"/enroll?map=covered&place={place}", content=jpeg(pixels), headers={"content-type": "image/jpeg"})
+    for taken in (first, later):
+        for more in ("", "&drive=robot", "&candidates=5"):
+            answer = client.post(
+                f"/query?map=covered{more}", content=jpeg(taken), headers={"content-type": "image/jpeg"}
+            ).json()
+            assert answer["matches"][0]["view"]["place"] == "dock"
+            assert (answer["status"], answer["reason"]["code"]) == ("no_match", "poor-picture")
+            assert (answer["confidence"], answer["nowhere"]) == (0, 1)

@@ -15,6 +15,10 @@ DARK, BRIGHT = 24.0, 240.0
 FLAT = 5.0
 """Standard deviation of luminance below which a photo shows hardly anything."""
 
+COARSE, BLANK = 32, 1.5
+"""Squares along the longer side, and the standard deviation of their mean luminance below which a flat photo shows
+nothing: noise averages out there, and what little an underexposed photo has does not."""
+
 BLURRED = 20.0
 """Variance of the Laplacian below which a photo counts as blurred; sharp ones of places have hundreds (Pech-Pacheco et
 al. 2000)."""
@@ -28,9 +32,7 @@ def problem(pixels: npt.NDArray[np.uint8]) -> str | None:
     pixels : uint8 of shape (height, width, 3)
         RGB.
     """
-    factor = LONGEST / max(pixels.shape[:2])
-    size = (max(1, round(pixels.shape[1] * factor)), max(1, round(pixels.shape[0] * factor)))
-    luminance = cv2.cvtColor(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+    luminance = cv2.cvtColor(_resized(pixels, LONGEST), cv2.COLOR_RGB2GRAY)
     mean, spread = float(luminance.mean()), float(luminance.std())
     if mean < DARK:
         return f"the image is dark (mean luminance {mean:.0f} of 255)"
@@ -42,6 +44,18 @@ def problem(pixels: npt.NDArray[np.uint8]) -> str | None:
     if sharpness < BLURRED:
         return f"the image is blurred (sharpness {sharpness:.0f}; photos of places have hundreds)"
     return None
+
+
+def is_blank(image: Image) -> bool:
+    """Whether a photo shows nothing at all, noise apart: darkness, glare, a covered lens."""
+    luminance = cv2.cvtColor(_resized(image.pixels, LONGEST), cv2.COLOR_RGB2GRAY)
+    return float(luminance.std()) < FLAT and float(_resized(luminance, COARSE).std()) < BLANK
+
+
+def _resized(pixels: npt.NDArray[np.uint8], longest: int) -> npt.NDArray[np.uint8]:
+    factor = longest / max(pixels.shape[:2])
+    size = (max(1, round(pixels.shape[1] * factor)), max(1, round(pixels.shape[0] * factor)))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def problem_of(image: Image) -> str | None:

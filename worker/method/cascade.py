@@ -21,7 +21,7 @@ from schemas.recipe import DescriptionRecipe, RankingConfig
 from schemas.records import Candidates
 from worker.method import channel_fusion, context_graph, dense_cells, hough, score_fusion, shortlist, verification
 from worker.method.byte_vectors import Product, float_product
-from worker.method.evidence import DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
+from worker.method.evidence import RIVALS, DenseEvidence, Evidence, GraphEvidence, RankedCandidate, Ranking
 from worker.method.places import ENOUGH_PLACES, ENOUGH_VIEWS, Places
 
 
@@ -257,6 +257,8 @@ def fuse(evidence: Evidence, top: int, fetch: Fetch) -> Ranking:
     others = ENOUGH_PLACES
     if candidates.searched - (len(among) + 1 - len(rivals)) < ENOUGH_VIEWS:
         rivals = [i for i in among if not places.same(seqs[0], seqs[i])]
+        others = len(places.group([seqs[i] for i in rivals]))
+    elif len(rivals) < RIVALS:  # views of the first place fill the candidates, or hardly any are re-ranked
         others = len(places.group([seqs[i] for i in rivals]))
     usual = _usual_dense(evidence)
 

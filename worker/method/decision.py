@@ -150,9 +150,10 @@ def expected_levels(levels: MapLevels) -> MapLevels:
     compared with few views of other places."""
     own = own_share(levels)
     broad = USUAL_BREADTH if levels.breadth is None else levels.breadth
+    lead = levels.gap or PRIOR.gap  # 0: no view was compared with two other places
     level, gap, breadth = (
         own * mine + (1 - own) * usual
-        for mine, usual in ((levels.level, PRIOR.level), (levels.gap, PRIOR.gap), (broad, USUAL_BREADTH))
+        for mine, usual in ((levels.level, PRIOR.level), (lead, PRIOR.gap), (broad, USUAL_BREADTH))
     )
     paired = levels.paired / (levels.paired + PRIOR.compared)
     pair = USUAL_OWN if levels.own is None else paired * levels.own + (1 - paired) * USUAL_OWN
@@ -266,7 +267,8 @@ def decide(
     -----
     The probability of a place depends on its best view, the best view of any other place, and the map: more views of
     the place can only raise it. That of the second place is the probability that the first is wrong times what the
-    curve says of the second, and so on, so that all of them and "none" sum to 1.
+    curve says of the second, and so on, so that all of them and "none" sum to 1. Places of which no view is among the
+    first `GROUPED` have 0: else that of none, and of the places of other searches, would depend on `shown`.
     """
     usual, threshold = expected_levels(levels), calibration.threshold(precision)
     if not len(ranking.seqs):
@@ -274,19 +276,21 @@ def decide(
     seqs = [int(seq) for seq in ranking.seqs]
     rival = ranking.rival
     groups = ranking.places.group(seqs[: max(shown, GROUPED)])
-    scores = [float(ranking.scores[group[0]]) for group in groups]
+    decided = [group for group in groups if group[0] < GROUPED]
+    scores = [float(ranking.scores[group[0]]) for group in decided]
     least = floor(ranking.others, usual)
     counts = tells_apart(ranking.rival_inliers, ranking.others)
     broad, lowest = ranking.breadth(ranking.rivals), least if measured_alike else 1.0
     first = features(scores[0], _score(ranking, rival), usual, broad, lowest, counts)
     read = [first, *(features(score, scores[0], usual) for score in scores[1:])]
     places, left = [], 1.0
-    for group, p in zip(groups, calibration.probabilities(read), strict=True):
+    for group, p in zip(decided, calibration.probabilities(read), strict=True):
         places.append(PlaceProbability(left * p, tuple(group)))
         left *= 1 - p
+    places += [PlaceProbability(0.0, tuple(group)) for group in groups[len(decided) :]]
     confidence = places[0].probability
     status = calibration.verdict(confidence, precision)
-    if status == "ambiguous" and len(groups) == 1 and rival is None:
+    if status == "ambiguous" and len(decided) == 1 and rival is None:
         status = "no_match"
     alone = ranking.breadth(())
     undisputed = tells_apart(None if ranking.rival_inliers is None else 0, ranking.others)
@@ -328,6 +332,16 @@ def blame_image(decision: Decision, problem: str | None) -> Decision:
 
 
 BETTER_PHOTO = "take another photo of the place: lit, sharp, and of things that stay"
+NOTHING_SHOWN = Reason("poor-picture", "the image shows nothing", BETTER_PHOTO)
+
+
+def of_nothing(decision: Decision) -> Decision:
+    """The decision on an image that shows nothing: none of the places, however like one of their views it is."""
+    if not decision.places:
+        return decision
+    places = tuple(replace(place, probability=0.0) for place in decision.places)
+    none = replace(decision, confidence=0.0, places=places, confidences=confidences(places))
+    return replace(none, status="no_match", reason=NOTHING_SHOWN)
 
 
 def confidences(places: Sequence[PlaceProbability]) -> tuple[float, ...]:

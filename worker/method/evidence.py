@@ -126,7 +126,8 @@ class Ranking:
     places : Places
         Of those that were re-ranked and of `first`; of all, when none was re-ranked.
     others : int
-        Number of other places than the first one's, counted up to `worker.method.places.ENOUGH_PLACES`.
+        Number of other places than the first one's, counted up to `worker.method.places.ENOUGH_PLACES`: of the views
+        that were re-ranked, where these show all there is or fewer than `RIVALS` of them are of other places.
     rivals : tuple of int
         Indices of the re-ranked views that show another place than the first, best first. Its neighbours count as other
         places where fewer than `ENOUGH_VIEWS` views show others.
@@ -267,7 +268,7 @@ class Evidence:
         rival = self._apart_from_first(order)
         missing = max(0, min(RIVALS, int(rival.sum())) - int(rival[:count].sum()))
         own = np.flatnonzero(~rival[:count])[1:]
-        kept = np.setdiff1d(np.arange(count), own[len(own) - missing :] if missing else own[:0])
+        kept = np.setdiff1d(np.arange(count), own[max(len(own) - missing, 0) :])
         added = count + np.flatnonzero(rival[count:])[: count - len(kept)]
         chosen: Rows = order[np.concatenate([kept, added])]
         return chosen

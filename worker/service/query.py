@@ -16,7 +16,7 @@ from schemas.records import Filters
 from worker.description.describer import components
 from worker.description.scheduler import Timed
 from worker.method.cell_evidence import Region, contrast
-from worker.method.decision import GROUPED, Decision, blame_image, decide
+from worker.method.decision import GROUPED, Decision, blame_image, decide, of_nothing
 from worker.method.joining import Joined, join
 from worker.search.ports import DescriptionReader
 from worker.service import moving
@@ -119,6 +119,8 @@ class QueryService:
         Image to a smaller one, which is kept for its explanation.
     look_for_problem : function
         What is wrong with an image, in words, or None.
+    is_blank : function
+        Whether an image shows nothing at all: two of them are alike wherever they were taken.
     thumbnail : function
         Bytes and length of the longer side to a small JPEG.
     kept : QueryKeeper
@@ -139,6 +141,7 @@ class QueryService:
         decode: Callable[[bytes], Image],
         shrink: Callable[[Image], Image],
         look_for_problem: Callable[[Image], str | None],
+        is_blank: Callable[[Image], bool],
         thumbnail: Callable[[bytes, int], bytes],
         kept: QueryKeeper,
         scores: ScoreKeeper,
@@ -147,6 +150,7 @@ class QueryService:
     ) -> None:
         self._searcher, self._views, self._descriptions = searcher, views, descriptions
         self._decode, self._shrink, self._look_for_problem = decode, shrink, look_for_problem
+        self._is_blank = is_blank
         self._thumbnail, self._kept, self.scores = thumbnail, kept, scores
         self._explanations, self._drives = explanations, drives
 
@@ -211,6 +215,8 @@ class QueryService:
             image, wanted, describers, top=max(top, GROUPED), candidates=candidates
         )
         decisions = [_decide(one.results, precision, top, candidates) for one in found]
+        if any(one.status != "no_match" for one in decisions) and self._is_blank(image):
+            decisions = [of_nothing(one) for one in decisions]
         driven = None
         if drive is not None:
             [one], [decision] = found, decisions
