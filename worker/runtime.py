@@ -199,7 +199,8 @@ def build(
     Raises
     ------
     SetupError
-        The data folder is in use, the database is newer than this program, or the encoder cannot be loaded.
+        The data folder is in use, the database is newer than this program, the images are of another database, or
+        the encoder cannot be loaded.
     """
     threads = settings.threads or os.cpu_count() or 1
     configure(threads)
@@ -209,6 +210,7 @@ def build(
         encoder, segmenter = make_encoder(settings, threads)
         reserve = int(settings.reserve_mb * MEGA)
         store = open_store(settings.database_url, settings.data, reserve, settings.images, settings.index)
+        store.refuse_foreign()
         batch = batch_of(settings)
         scheduler = make_scheduler(encoder, batch, settings.queries, segmenter)
         product = make_product(settings)

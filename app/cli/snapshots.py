@@ -167,6 +167,7 @@ def _stored(arguments: argparse.Namespace) -> "dict[str, object]":
     try:
         reserve = round(settings.reserve_mb * 1_000_000)
         store = open_store(settings.database_url, settings.data, reserve, settings.images)
+        store.refuse_foreign()
         try:
             store.recover()
             return asdict(store.restoring.restore(arguments.file, arguments.name, datetime.now(UTC)))

@@ -9,6 +9,7 @@ from typing import Any
 
 from lab.faults.ledger import Known, KnownMap, require
 from lab.faults.live_service import LiveService
+from worker.storage.owner_file import OWNER
 
 PAGE = 500
 
@@ -99,7 +100,11 @@ def compare_folder(data: Path, views: Iterable[Known]) -> None:
     Only while nothing is being written.
     """
     wanted = {view.digest for view in views}
-    files = {path.name: path for path in (data / "pictures").rglob("*") if path.is_file() and path.name != ".lock"}
+    files = {
+        path.name: path
+        for path in (data / "pictures").rglob("*")
+        if path.is_file() and path.name not in (".lock", OWNER)
+    }
     stems = {path.stem for path in files.values()}
     require(stems == wanted, f"{len(stems - wanted)} image files without a view, {len(wanted - stems)} without a file")
     for path in files.values():

@@ -22,6 +22,7 @@ from schemas.records import Filters, Replay, ViewAttributes
 from tests.failing_writes import FailingWrites
 from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW, RECIPE, describe_all, description, enroll, facts, finish, image, recipe
+from worker.storage.owner_file import OWNER
 from worker.storage.store import SqlStore, open_store
 
 Operation = Callable[[SqlStore], object]
@@ -70,7 +71,9 @@ def state(folder: Path) -> State:
         rows = {name: sorted(map(repr, database.execute(f"SELECT * FROM {name}"))) for name in names}
         needed = {digest for (digest,) in database.execute("SELECT sha256 FROM views")}
     database.close()
-    files = {path.name for path in (folder / "pictures").rglob("*") if path.is_file() and path.name != ".lock"}
+    files = {
+        path.name for path in (folder / "pictures").rglob("*") if path.is_file() and path.name not in (".lock", OWNER)
+    }
     assert needed <= files, "a view without its image"
     return rows, files
 

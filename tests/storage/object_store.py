@@ -10,6 +10,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import boto3
 from moto.server import ThreadedMotoServer
 
+from worker.storage.owner_file import OWNER
+
 BUCKET = "places"
 ADDRESS = f"s3://{BUCKET}/museum/images"
 PREFIX = "museum/images/"
@@ -55,9 +57,9 @@ class ObjectStore:
         return {"REVISIT_IMAGES": ADDRESS, **aws(self.url)}
 
     def names(self) -> list[str]:
-        """Names of all objects below the prefix."""
+        """Names of all objects below the prefix, but for the one that says of which database they are."""
         found = self.client.list_objects_v2(Bucket=BUCKET, Prefix=PREFIX).get("Contents", [])
-        return sorted(str(each["Key"]).removeprefix(PREFIX) for each in found)
+        return sorted({str(each["Key"]).removeprefix(PREFIX) for each in found} - {OWNER})
 
     def unfinished(self) -> list[str]:
         """Names of the objects whose upload has not ended."""
@@ -66,7 +68,7 @@ class ObjectStore:
 
     def empty(self) -> None:
         """Remove all objects."""
-        for name in self.names():
+        for name in (*self.names(), OWNER):
             self.client.delete_object(Bucket=BUCKET, Key=PREFIX + name)
 
 

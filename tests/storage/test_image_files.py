@@ -20,6 +20,7 @@ from schemas.records import Filters, ViewAttributes
 from tests.storage.databases import sqlite_url
 from tests.storage.material import NOW, Follower, describe_all, enroll, facts, image
 from worker.storage.image_files import Images, sync_folder
+from worker.storage.owner_file import OWNER
 from worker.storage.store import SqlStore, open_store
 
 
@@ -29,7 +30,9 @@ class PowerCut(BaseException):
 
 def files(data: Path) -> list[Path]:
     """All files of images, whole or not."""
-    return sorted(path for path in (data / "pictures").rglob("*") if path.is_file() and path.name != ".lock")
+    return sorted(
+        path for path in (data / "pictures").rglob("*") if path.is_file() and path.name not in (".lock", OWNER)
+    )
 
 
 @pytest.fixture

@@ -300,6 +300,7 @@ LATER = ("keys", "kept_queries", "day_scores")
 
 def without_later(connection: sa.Connection) -> None:
     """Take away what came after revision 0008."""
+    connection.exec_driver_sql("DROP TABLE installation")
     connection.exec_driver_sql("DROP TABLE kept_queries")
     connection.exec_driver_sql("DROP TABLE day_scores")
     connection.exec_driver_sql("DROP INDEX views_by_sent")

@@ -20,6 +20,7 @@ from tests.storage.carried import contents, filled, made
 from tests.storage.databases import data_folder, postgres_schema, sqlite_url
 from tests.storage.material import NOW, enroll
 from worker.storage import space
+from worker.storage.owner_file import OWNER
 from worker.storage.store import SqlStore, open_store
 
 ROOT = Path(__file__).parents[2]
@@ -47,7 +48,11 @@ def everything(folder: Path) -> list[object]:
         ]
     return [
         rows,
-        sorted(path.name for path in (folder / "pictures").rglob("*") if path.is_file() and path.name != ".lock"),
+        sorted(
+            path.name
+            for path in (folder / "pictures").rglob("*")
+            if path.is_file() and path.name not in (".lock", OWNER)
+        ),
     ]
 
 

@@ -16,6 +16,7 @@ from worker.storage.examining_images import image_findings
 from worker.storage.examining_objects import object_findings
 from worker.storage.examining_rows import row_findings
 from worker.storage.finding import BACKUP, REPAIR, Finding, Mend
+from worker.storage.ownership import id_of
 from worker.storage.tables import METADATA
 
 STOP = f"stop the service, then {REPAIR}; if that cannot, {BACKUP}"
@@ -44,6 +45,7 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
         yield Finding(str(data), "is no folder that can be read", "see REVISIT_DATA, or restore a backup")
         return
     owners: dict[str, str] | None = None
+    own: str | None = None
     path = database_file(url)
     if path is not None and (blocked := file_finding(path)) is not None:
         yield blocked
@@ -59,6 +61,8 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
                 yield from tables
                 if not tables:
                     owners = {}
+                    with engine.connect() as connection:
+                        own = id_of(connection)
                     yield from row_findings(engine, owners)
         except (sa.exc.SQLAlchemyError, sqlite3.Error, RevisitError, UnicodeError) as error:
             yield Finding("database", f"cannot be read on ({getattr(error, 'orig', error)})", f"{REPAIR}, or {BACKUP}")
@@ -66,9 +70,9 @@ def examine(url: str, data: Path, *, running: bool = False, images: str | None =
         finally:
             engine.dispose()
     if images is None:
-        yield from image_findings(data / "pictures", owners, running=running)
+        yield from image_findings(data / "pictures", owners, own, running=running)
     else:
-        yield from object_findings(images, owners, running=running)
+        yield from object_findings(images, owners, own, running=running)
 
 
 def database_file(url: str) -> Path | None:

@@ -7,14 +7,24 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from worker.storage.finding import REPAIR, Finding
-from worker.storage.image_files import DIGEST, UNFINISHED
+from worker.storage.image_files import DIGEST, UNFINISHED, owner_of
+from worker.storage.owner_file import OWNER
 
 AGAIN = "enrol the image again, or restore the file from a backup"
 ORPHAN = "belongs to no view"
 LEFTOVER = "was left unfinished by a crash"
+FOREIGN = "says that the images are of another database"
+THEIRS = "see REVISIT_DATABASE; if that one is gone, remove this: the next start removes images that no view here needs"
 
 
-def image_findings(folder: Path, owners: dict[str, str] | None, *, running: bool = False) -> Iterator[Finding]:
+def is_foreign(owner: str | None, own: str | None) -> bool:
+    """Whether images are of another database than that with the id `own`; where either is unknown, they are not."""
+    return owner is not None and own is not None and owner != own
+
+
+def image_findings(
+    folder: Path, owners: dict[str, str] | None, own: str | None, *, running: bool = False
+) -> Iterator[Finding]:
     """Findings of all files of images.
 
     Parameters
@@ -22,6 +32,8 @@ def image_findings(folder: Path, owners: dict[str, str] | None, *, running: bool
     folder : Path
     owners : mapping or None
         SHA-256 of each image to the view that needs it, as text; None when the database could not be read.
+    own : str or None
+        Id of the database.
     running : bool
         Whether a service uses the folder: it may be writing or removing files just now.
     """
@@ -30,11 +42,19 @@ def image_findings(folder: Path, owners: dict[str, str] | None, *, running: bool
             yield Finding(str(folder), "is missing or cannot be read", "see its permissions, or restore a backup")
         return
     missing = dict(owners or {})
+    try:
+        foreign = is_foreign(owner_of(folder), own)
+    except OSError as error:
+        yield Finding(str(folder / OWNER), f"cannot be read ({error.strerror})", "see its permissions")
+        foreign = True
+    else:
+        if foreign:
+            yield Finding(str(folder / OWNER), FOREIGN, THEIRS)
     for path in files_below(folder):
         name = str(path.relative_to(folder.parent))
         digest = path.name
         placed = path.parent == folder / digest[:2] / digest[2:4]
-        if path.name == ".lock" and path.parent.parent == folder:
+        if path == folder / OWNER or (path.name == ".lock" and path.parent.parent == folder):
             continue
         if path.name.startswith(UNFINISHED):
             if not running:
@@ -45,7 +65,7 @@ def image_findings(folder: Path, owners: dict[str, str] | None, *, running: bool
             view = missing.pop(digest, None)
             if (fault := _fault(path)) is not None:
                 yield Finding(name, f"{fault}; it is the image of {view or 'no view'}", f"cannot be mended: {AGAIN}")
-            elif owners is not None and view is None and not running:
+            elif owners is not None and view is None and not running and not foreign:
                 yield Finding(name, ORPHAN, f"{REPAIR} removes it")
     for digest, view in missing.items():
         shown = f"pictures/{digest[:2]}/{digest[2:4]}/{digest}" if DIGEST.fullmatch(digest) else repr(digest)

@@ -6,15 +6,18 @@ from contextlib import nullcontext
 from functools import partial
 
 from schemas.errors import Damaged, RevisitError, SetupError
-from worker.storage.examining_images import AGAIN, ORPHAN
+from worker.storage.examining_images import AGAIN, FOREIGN, ORPHAN, THEIRS, is_foreign
 from worker.storage.finding import REPAIR, Finding
 from worker.storage.image_files import DIGEST
 from worker.storage.image_objects import AT_ONCE, PROBE, ImageObjects
+from worker.storage.owner_file import OWNER
 from worker.storage.snapshot_places import SNAPSHOTS
 from worker.storage.uploads import IMPORTS
 
 
-def object_findings(address: str, owners: dict[str, str] | None, *, running: bool = False) -> Iterator[Finding]:
+def object_findings(
+    address: str, owners: dict[str, str] | None, own: str | None, *, running: bool = False
+) -> Iterator[Finding]:
     """Findings of all images of a store.
 
     Parameters
@@ -23,6 +26,8 @@ def object_findings(address: str, owners: dict[str, str] | None, *, running: boo
         ``s3://bucket/prefix``.
     owners : mapping or None
         SHA-256 of each image to the view that needs it, as text; None when the database could not be read.
+    own : str or None
+        Id of the database.
     running : bool
         Whether a service of this folder runs: it may be writing or removing objects just now.
     """
@@ -32,7 +37,10 @@ def object_findings(address: str, owners: dict[str, str] | None, *, running: boo
         yield Finding(address, "cannot be examined", str(error))
         return
     try:
-        yield from _findings(objects, address, owners, running)
+        foreign = is_foreign(objects.owner(), own)
+        if foreign:
+            yield Finding(objects.owner_name, FOREIGN, THEIRS)
+        yield from _findings(objects, address, owners, running or foreign)
     except RevisitError as error:
         yield Finding(address, "cannot be examined", error.detail)
     finally:
@@ -46,7 +54,7 @@ def _findings(objects: ImageObjects, address: str, owners: dict[str, str] | None
         digest = name.rpartition("/")[2]
         if DIGEST.fullmatch(digest) and name == f"{digest[:2]}/{digest[2:4]}/{digest}":
             placed.append(digest)
-        elif name != PROBE and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
+        elif name not in (PROBE, OWNER) and not name.startswith((f"{IMPORTS}/", f"{SNAPSHOTS}/")):
             yield Finding(f"{address}/{name}", "is not of revisit", "move it away")
     with ThreadPoolExecutor(AT_ONCE, "revisit-images") as pool:
         faults = pool.map(partial(_fault, objects), placed)

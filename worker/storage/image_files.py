@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from schemas.errors import Damaged, RevisitError
+from worker.storage import owner_file
 from worker.storage.disk_errors import translated
 from worker.storage.locks import held
+from worker.storage.owner_file import OWNER
 
 UNFINISHED = ".writing-"
 
@@ -52,6 +54,13 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def owner_of(folder: Path) -> str | None:
+    """The id of the database that the images of a folder are of; None: nobody has said so."""
+    with suppress(FileNotFoundError):
+        return owner_file.read((folder / OWNER).read_bytes())
+    return None
 
 
 class Images:
@@ -189,6 +198,27 @@ class Images:
     def sweep_at_start(self, alone: bool) -> None:
         """`sweep`: its locks keep it from what others write."""
         self.sweep()
+
+    @property
+    def owner_name(self) -> str:
+        """Path of the file that `owner` reads."""
+        return str(self._folder / OWNER)
+
+    def owner(self) -> str | None:
+        """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
+        with translated("images"):
+            return owner_of(self._folder)
+
+    def claim(self, owner: str) -> None:
+        """Say of which database they are, durably; raises DiskFull, StorageFailed."""
+        unfinished = self._folder / f"{UNFINISHED}{OWNER}"
+        with translated("images"):
+            with unfinished.open("wb") as file:
+                file.write(owner_file.written(owner))
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.rename(self._folder / OWNER)
+            sync_folder(self._folder)
 
     def holds_any(self) -> bool:
         """Whether there is an image, of a view or not."""

@@ -19,9 +19,11 @@ from typing import Any
 
 from schemas.errors import Damaged, RevisitError, SetupError
 from schemas.settings import IMAGES_ADDRESS
+from worker.storage import owner_file
 from worker.storage.image_files import DIGEST, LOST, Discarded, Owned
 from worker.storage.object_errors import MISSING, code_of, told
 from worker.storage.object_files import ObjectFiles
+from worker.storage.owner_file import OWNER
 from worker.storage.peers import ImageLock
 
 log = logging.getLogger("revisit")
@@ -199,6 +201,22 @@ class ImageObjects:
             for page in pages:
                 for found in page.get("Contents", ()):
                     yield str(found["Key"]).removeprefix(self._prefix)
+
+    @property
+    def owner_name(self) -> str:
+        """Address of the object that `owner` reads."""
+        return f"{self.address}/{OWNER}"
+
+    def owner(self) -> str | None:
+        """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
+        try:
+            return owner_file.read(self.files.read(OWNER))
+        except FileNotFoundError:
+            return None
+
+    def claim(self, owner: str) -> None:
+        """Say of which database they are; raises DiskFull, StorageFailed."""
+        self.files.write(OWNER, owner_file.written(owner))
 
     def holds_any(self) -> bool:
         """Whether there is an image, of a view or not; raises StorageFailed."""

@@ -55,6 +55,19 @@ class ImageStore(Protocol):
         """`sweep`, or begin it; `alone`: whether no other service uses the database."""
         ...
 
+    @property
+    def owner_name(self) -> str:
+        """Path or address of the file that `owner` reads."""
+        ...
+
+    def owner(self) -> str | None:
+        """The id of the database that the images are of; None: nobody has said so. Raises StorageFailed."""
+        ...
+
+    def claim(self, owner: str) -> None:
+        """Say of which database they are; raises DiskFull, StorageFailed."""
+        ...
+
     def holds_any(self) -> bool:
         """Whether there is an image, of a view or not; raises StorageFailed."""
         ...

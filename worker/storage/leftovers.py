@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
@@ -34,10 +34,12 @@ class Leftovers:
     ----------
     database : Database
     files : ObjectFiles
+    is_own : function
+        Whether what lies there is of this database.
     """
 
-    def __init__(self, database: Database, files: "ObjectFiles") -> None:
-        self._database, self._files = database, files
+    def __init__(self, database: Database, files: "ObjectFiles", is_own: Callable[[], bool]) -> None:
+        self._database, self._files, self._is_own = database, files, is_own
         self._swept = -EVERY_S
 
     def step(self) -> bool:
@@ -46,7 +48,7 @@ class Leftovers:
             return False
         self._swept = time.monotonic()
         try:
-            return self.sweep() > 0
+            return self._is_own() and self.sweep() > 0
         except RevisitError as error:
             log.warning("files that a crash left in %s are not removed yet: %s", self._files.address, error.detail)
             return False

@@ -194,6 +194,7 @@ def _copy(old: Path, new: Path) -> dict[str, int]:
         with source.connect() as reading, closing(sqlite3.connect(new)) as writing:
             writing.execute("PRAGMA foreign_keys=OFF")
             writing.execute("DELETE FROM clock")
+            writing.execute("DELETE FROM installation")
             for table in METADATA.sorted_tables:
                 counts[table.name] = _copy_table(reading, writing, table)
             writing.commit()

@@ -3,13 +3,14 @@
 import logging
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from schemas.errors import Damaged, DiskFull, RevisitError, SetupError, StorageFailed
 from schemas.statistics import StoreStatistics
-from worker.storage import clock, dialect, statistics, wal
+from worker.storage import dialect, statistics, wal
 from worker.storage.calls import Calls, Vocabularies
 from worker.storage.comparisons import Comparisons
 from worker.storage.database import Database
@@ -25,6 +26,7 @@ from worker.storage.locks import FolderLock
 from worker.storage.maps import Maps
 from worker.storage.migrating import enter, migrates_by_itself
 from worker.storage.notices import Notices
+from worker.storage.ownership import is_own, refuse_foreign
 from worker.storage.peers import Peers
 from worker.storage.pruning import Pruning
 from worker.storage.removals import Removals
@@ -33,7 +35,7 @@ from worker.storage.scratch import Scratch
 from worker.storage.snapshot_places import SNAPSHOTS, SnapshotFolder, SnapshotObjects
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
-from worker.storage.tables import CALLS, CLOCK, VIEWS
+from worker.storage.tables import CALLS, CLOCK
 from worker.storage.uploads import IMPORTS, SharedUploads, Uploads
 from worker.storage.vector_hnsw import VectorIndexing
 from worker.storage.vector_search import VectorSearch
@@ -46,8 +48,6 @@ log = logging.getLogger("revisit")
 PROBE = "can this be written?"
 """Key of a row that is written and removed at once; with spaces, so that no caller can have it."""
 
-
-WHOSE = "stop the service if REVISIT_DATABASE is not the one that they belong to, or if its file was lost"
 
 DOCTOR = "run `./revisit doctor --repair` with the service stopped"
 
@@ -112,7 +112,7 @@ class SqlStore:
         here = data / IMPORTS, database.space
         self.uploads = Uploads(*here) if files is None else SharedUploads(*here, files, scratch)
         self.jobs.drop_files = self._drop_files
-        self.leftovers = None if files is None else Leftovers(database, files)
+        self.leftovers = None if files is None else Leftovers(database, files, partial(is_own, database, images))
         self.vectors = None if index == "faiss" else VectorSearch(database, images)
         self.indexing = VectorIndexing(database, images) if index == "pgvector-hnsw" else None
 
@@ -120,6 +120,14 @@ class SqlStore:
         """Remove the recording of an import, and what there is of a snapshot."""
         self.uploads.discard(job_id)
         self.snapshots.drop_draft(job_id)
+
+    def refuse_foreign(self) -> None:
+        """Close the store and raise SetupError where its images are of another database, as far as that is known."""
+        try:
+            refuse_foreign(self._database, self._images)
+        except BaseException:
+            self.close()
+            raise
 
     def recover(self) -> bool:
         """Clean up after a crash: delete unfinished calls, maps, snapshots and images, and uploads without a job;
@@ -150,16 +158,8 @@ class SqlStore:
         self.uploads.sweep(self.jobs.unfinished_imports())
         if self._lost is not None:  # an image without a view may be all that is left of it
             log.error("the log of the database was damaged: %s; images without a view are kept, %s", self._lost, DOCTOR)
-        elif self._is_new():  # and has left none: they are another database's, or all that is left of one
-            if self._images.holds_any():
-                log.error("the database is new, and there are images already, which are kept: %s", WHOSE)
-        else:
+        elif is_own(self._database, self._images):
             self._images.sweep_at_start(alone)
-
-    def _is_new(self) -> bool:
-        """Whether nothing was ever enrolled into this database."""
-        with self._database.reading() as connection:
-            return clock.read(connection) == 0 and not connection.scalar(sa.select(sa.exists(sa.select(VIEWS.c.id))))
 
     def check(self) -> str:
         """``ok``, or what is wrong with the database or the place of the images."""

@@ -44,6 +44,12 @@ CLOCK = sa.Table(
     _seal(),
 )
 
+INSTALLATION = sa.Table(
+    "installation",
+    METADATA,
+    sa.Column("id", sa.Text, primary_key=True),  # one row: by which the place of the images knows whose they are
+)
+
 RECIPES = sa.Table(
     "recipes",
     METADATA,

@@ -1,0 +1,119 @@
+"""A database removes no images of another one, whoever named the wrong place."""
+
+from collections.abc import Iterator
+from contextlib import closing
+
+import pytest
+
+from schemas.errors import SetupError
+from tests.storage.databases import data_folder, sqlite_url
+from tests.storage.material import enroll, facts, image
+from tests.storage.object_store import BUCKET, PREFIX
+from tests.storage.test_image_stores import Place, place as place
+from tests.waiting import until
+from worker.storage.examining import examine
+from worker.storage.owner_file import OWNER, written
+from worker.storage.repairing import repair
+from worker.storage.store import SqlStore, open_store
+
+
+@pytest.fixture
+def other(place: Place) -> Iterator[SqlStore]:
+    """The store of another database, whose images are to lie at the same place."""
+    with data_folder() as folder:
+        if place.address is None:
+            (folder / "pictures").symlink_to(place.data / "pictures")
+        with closing(open_store(sqlite_url(folder), folder, 0, place.address)) as store:
+            yield store
+
+
+def test_another_database_is_not_served_from_there_and_removes_nothing(
+    place: Place, other: SqlStore, caplog: pytest.LogCaptureFixture
+) -> None:
+    theirs = enroll(place.store, "gate").view
+    place.store.recover()
+    ours = enroll(other, "pond").view
+
+    for _ in range(2):
+        other.recover()
+    with pytest.raises(SetupError, match="another database"):
+        other.refuse_foreign()
+
+    assert set(place.digests()) == {theirs.image.sha256, ours.image.sha256}
+    assert place.store.views.image(theirs.id) == image("gate")
+    assert "none is removed" in caplog.text
+
+
+def test_its_own_is_served_from_there_and_swept(place: Place) -> None:
+    kept = enroll(place.store, "gate").view
+    place.store.recover()
+    place.store.close()
+    place.store = place.open()
+    place.put(facts(image("left")).sha256, image("left"))
+
+    place.store.refuse_foreign()
+    place.store.recover()
+
+    until(lambda: place.digests() == [kept.image.sha256])
+
+
+def test_a_place_that_nobody_has_is_taken_and_one_that_was_given_up_too(place: Place, other: SqlStore) -> None:
+    enroll(place.store, "gate")
+    place.store.recover()
+    first = place.store._images.owner()
+    ours = enroll(other, "pond").view
+    _give_up(place)
+
+    other.recover()
+
+    assert first is not None
+    assert place.store._images.owner() not in (None, first)
+    until(lambda: place.digests() == [ours.image.sha256])
+
+
+def test_a_new_database_takes_no_images_that_are_there_already(place: Place, other: SqlStore) -> None:
+    theirs = enroll(place.store, "gate").view  # by a version that told nobody
+
+    other.recover()
+
+    assert place.digests() == [theirs.image.sha256]
+    assert place.store._images.owner() is None
+
+
+def test_the_doctor_calls_none_of_them_orphans_and_removes_none(place: Place, other: SqlStore) -> None:
+    theirs = enroll(place.store, "gate").view
+    place.store.recover()
+    enroll(other, "pond")
+    url, folder = str(other._database.engine.url), other._data
+    other.close()
+
+    findings = [finding.what for finding in examine(url, folder, images=place.address)]
+    repair(url, folder, images=place.address)
+
+    assert findings == ["says that the images are of another database"]
+    assert place.store.views.image(theirs.id) == image("gate")
+
+
+def test_a_damaged_file_says_nothing_and_is_written_anew(place: Place) -> None:
+    enroll(place.store, "gate")
+    place.store.recover()
+    owner = place.store._images.owner()
+    assert owner is not None
+    damaged = written(owner).replace(b"-", b"+", 1)
+    if place.objects is None:
+        (place.data / "pictures" / OWNER).write_bytes(damaged)
+    else:
+        place.objects.client.put_object(Bucket=BUCKET, Key=PREFIX + OWNER, Body=damaged)
+
+    assert place.store._images.owner() is None
+    place.store.refuse_foreign()
+    place.store.recover()
+
+    assert place.store._images.owner() == owner
+
+
+def _give_up(place: Place) -> None:
+    if place.objects is None:
+        (place.data / "pictures" / OWNER).unlink()
+    else:
+        place.objects.client.delete_object(Bucket=BUCKET, Key=PREFIX + OWNER)

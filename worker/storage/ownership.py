@@ -1,0 +1,74 @@
+"""Whose images lie at a place: to a database that is not theirs all of them look like what a crash left.
+
+The place has a file with the id of the database that they were enrolled into. Another one, named by a mistake in
+REVISIT_DATABASE or REVISIT_IMAGES, or begun anew where a file was lost, is not served from there, and removes nothing.
+"""
+
+import uuid
+
+import sqlalchemy as sa
+
+from schemas.errors import DiskFull, SetupError, StorageFailed
+from worker.storage import clock
+from worker.storage.database import Database
+from worker.storage.image_store import ImageStore
+from worker.storage.rows import log
+from worker.storage.tables import INSTALLATION, VIEWS
+
+
+def refuse_foreign(database: Database, images: ImageStore) -> None:
+    """Raise SetupError where the images at a place are of another database; where that is not known, they are not."""
+    try:
+        owner = images.owner()
+    except (DiskFull, StorageFailed):  # queries can be answered all the same
+        return
+    with database.reading() as connection:
+        own = id_of(connection)
+    if owner is not None and own is not None and owner != own:
+        raise SetupError(
+            f"the images are of another database: its id stands in {images.owner_name}; see REVISIT_DATABASE, "
+            "REVISIT_IMAGES and REVISIT_DATA. If that database is gone for good, remove this file: the next start "
+            "removes all images that no view of this one needs"
+        )
+
+
+def is_own(database: Database, images: ImageStore) -> bool:
+    """Whether the images at a place are this database's, which takes a place that nobody has; logs if they are not.
+
+    Raises
+    ------
+    DiskFull, StorageFailed
+    """
+    own, owner = _own_id(database), images.owner()
+    if owner is None and images.holds_any() and _is_new(database):  # told by no version before
+        log.error(
+            "the database is new, and there are images already, which are kept: stop the service if REVISIT_DATABASE "
+            "is not the one that they belong to, or if its file was lost"
+        )
+        return False
+    if owner is None:
+        images.claim(own)
+    elif owner != own:
+        log.error("the images are of another database by %s, and none is removed", images.owner_name)
+    return owner in (None, own)
+
+
+def id_of(connection: sa.Connection) -> str | None:
+    """The id of a database; None where a damaged file lost it."""
+    return connection.scalar(sa.select(INSTALLATION.c.id).limit(1))
+
+
+def _own_id(database: Database) -> str:
+    with database.reading() as connection:
+        found = id_of(connection)
+    if found is None:
+        found = str(uuid.uuid4())
+        with database.writing() as connection:
+            connection.execute(sa.insert(INSTALLATION).values(id=found))
+    return found
+
+
+def _is_new(database: Database) -> bool:
+    """Whether nothing was ever enrolled into this database."""
+    with database.reading() as connection:
+        return clock.read(connection) == 0 and not connection.scalar(sa.select(sa.exists(sa.select(VIEWS.c.id))))
