@@ -8,7 +8,7 @@ import uuid
 
 import sqlalchemy as sa
 
-from schemas.errors import DiskFull, SetupError, StorageFailed
+from schemas.errors import Damaged, RevisitError, SetupError
 from worker.storage import clock
 from worker.storage.database import Database
 from worker.storage.image_store import ImageStore
@@ -20,10 +20,10 @@ def refuse_foreign(database: Database, images: ImageStore) -> None:
     """Raise SetupError where the images at a place are of another database; where that is not known, they are not."""
     try:
         owner = images.owner()
-    except (DiskFull, StorageFailed):  # queries can be answered all the same
+        with database.reading() as connection:
+            own = id_of(connection)
+    except RevisitError:  # queries can be answered all the same
         return
-    with database.reading() as connection:
-        own = id_of(connection)
     if owner is not None and own is not None and owner != own:
         raise SetupError(
             f"the images are of another database: its id stands in {images.owner_name}; see REVISIT_DATABASE, "
@@ -39,7 +39,11 @@ def is_own(database: Database, images: ImageStore) -> bool:
     ------
     DiskFull, StorageFailed
     """
-    own, owner = _own_id(database), images.owner()
+    try:
+        own, owner = _own_id(database), images.owner()
+    except Damaged as error:
+        log.error("whose images these are cannot be read, and none is removed: %s", error.detail)
+        return False
     if owner is None and images.holds_any() and _is_new(database):  # told by no version before
         log.error(
             "the database is new, and there are images already, which are kept: stop the service if REVISIT_DATABASE "
