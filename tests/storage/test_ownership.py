@@ -27,11 +27,19 @@ def other(place: Place) -> Iterator[SqlStore]:
             yield store
 
 
+def served(place: Place) -> None:
+    """The place is taken by its first database, whose sweep has ended: it would take away what another one enrols."""
+    place.store.recover()
+    sweeper = getattr(place.store._images, "_sweeper", None)
+    if sweeper is not None:
+        sweeper.join()
+
+
 def test_another_database_is_not_served_from_there_and_removes_nothing(
     place: Place, other: SqlStore, caplog: pytest.LogCaptureFixture
 ) -> None:
     theirs = enroll(place.store, "gate").view
-    place.store.recover()
+    served(place)
     ours = enroll(other, "pond").view
 
     for _ in range(2):
@@ -46,20 +54,20 @@ def test_another_database_is_not_served_from_there_and_removes_nothing(
 
 def test_its_own_is_served_from_there_and_swept(place: Place) -> None:
     kept = enroll(place.store, "gate").view
-    place.store.recover()
+    served(place)
     place.store.close()
     place.store = place.open()
     place.put(facts(image("left")).sha256, image("left"))
 
     place.store.refuse_foreign()
-    place.store.recover()
+    served(place)
 
     until(lambda: place.digests() == [kept.image.sha256])
 
 
 def test_a_place_that_nobody_has_is_taken_and_one_that_was_given_up_too(place: Place, other: SqlStore) -> None:
     enroll(place.store, "gate")
-    place.store.recover()
+    served(place)
     first = place.store._images.owner()
     ours = enroll(other, "pond").view
     _give_up(place)
@@ -82,7 +90,7 @@ def test_a_new_database_takes_no_images_that_are_there_already(place: Place, oth
 
 def test_the_doctor_calls_none_of_them_orphans_and_removes_none(place: Place, other: SqlStore) -> None:
     theirs = enroll(place.store, "gate").view
-    place.store.recover()
+    served(place)
     enroll(other, "pond")
     url, folder = str(other._database.engine.url), other._data
     other.close()
@@ -96,7 +104,7 @@ def test_the_doctor_calls_none_of_them_orphans_and_removes_none(place: Place, ot
 
 def test_a_damaged_file_says_nothing_and_is_written_anew(place: Place) -> None:
     enroll(place.store, "gate")
-    place.store.recover()
+    served(place)
     owner = place.store._images.owner()
     assert owner is not None
     damaged = written(owner).replace(b"-", b"+", 1)
@@ -107,7 +115,7 @@ def test_a_damaged_file_says_nothing_and_is_written_anew(place: Place) -> None:
 
     assert place.store._images.owner() is None
     place.store.refuse_foreign()
-    place.store.recover()
+    served(place)
 
     assert place.store._images.owner() == owner
 
