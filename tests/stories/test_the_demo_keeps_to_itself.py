@@ -23,6 +23,7 @@ import signal, sys
 from pathlib import Path
 from app.cli.service import started
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may be told to ignore it, by nohup
 with started(Path(sys.argv[1]) / "data", Path(sys.argv[1]) / "log") as service:
     print(service.process.pid, flush=True)
     signal.pause()
