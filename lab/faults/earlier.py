@@ -12,6 +12,7 @@ from alembic.script import ScriptDirectory
 
 from worker.storage.database import Database
 from worker.storage.migrating import SCRIPTS
+from worker.storage.owner_file import OWNER
 
 NAME = "revisit.db"
 
@@ -42,9 +43,13 @@ def rewound(data: Path, to: Path) -> str:
         with database.writing() as connection:
             config.attributes["connection"] = connection
             command.upgrade(config, revision)
-            connection.execute(sa.text("DELETE FROM clock"))
+            names = set(sa.inspect(connection).get_table_names())
+            for name in names & {"clock", "installation"}:  # which have a row from the beginning
+                connection.execute(sa.text(f"DELETE FROM {name}"))
     finally:
         database.close()
+    if "installation" not in names:  # and so no file that says whose the images are
+        (to / "pictures" / OWNER).unlink(missing_ok=True)
     _fill(to / NAME, data / NAME)
     return revision
 

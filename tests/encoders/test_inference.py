@@ -11,7 +11,7 @@ from schemas.errors import BadBody
 from schemas.inference import Tensor, model_name, packed, unpacked
 
 TENSORS = st.dictionaries(
-    st.text(min_size=1, max_size=8),
+    st.from_regex(r"[A-Za-z0-9._-]{1,8}", fullmatch=True),
     st.one_of(
         arrays(np.uint8, array_shapes(max_dims=4, max_side=4)), arrays(np.float32, array_shapes(max_dims=4, max_side=4))
     ),
@@ -32,6 +32,13 @@ def test_what_was_packed_comes_out_bit_for_bit(tensors: dict[str, Tensor]) -> No
         assert found[name].shape == tensor.shape
         assert found[name].tobytes() == tensor.tobytes()
         assert found[name].flags.aligned
+
+
+@pytest.mark.parametrize("name", ["", "a\nb", "\x1b[2J", "n" * 65, "é"])
+def test_a_name_that_a_log_would_not_carry_as_it_is_is_refused(name: str) -> None:
+    length, body = packed("inputs", {name: np.zeros(1, np.uint8)}, {})
+    with pytest.raises(BadBody, match="names of tensors"):
+        unpacked("inputs", str(length), body)
 
 
 @given(st.binary(max_size=200), st.one_of(st.none(), st.integers(-5, 250).map(str), st.text(max_size=3)))

@@ -5,6 +5,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import boto3
@@ -70,6 +71,12 @@ class ObjectStore:
         """Remove all objects."""
         for name in (*self.names(), OWNER):
             self.client.delete_object(Bucket=BUCKET, Key=PREFIX + name)
+
+
+@cache
+def server() -> ObjectStore:
+    """One for all tests: it ends with the process."""
+    return ObjectStore()
 
 
 def aws(url: str) -> dict[str, str]:

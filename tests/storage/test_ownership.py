@@ -2,17 +2,22 @@
 
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
 from schemas.errors import SetupError
+from tests.storage.conftest import Place
 from tests.storage.databases import data_folder, sqlite_url
 from tests.storage.material import enroll, facts, image
 from tests.storage.object_store import BUCKET, PREFIX
-from tests.storage.test_image_stores import Place, place as place
+from tests.storage.test_migrations import set_revision
 from tests.waiting import until
+from worker.storage.database import Database
 from worker.storage.examining import examine
+from worker.storage.migrating import migrate
 from worker.storage.owner_file import OWNER, written
+from worker.storage.ownership import id_of
 from worker.storage.repairing import repair
 from worker.storage.store import SqlStore, open_store
 
@@ -118,6 +123,28 @@ def test_a_damaged_file_says_nothing_and_is_written_anew(place: Place) -> None:
     served(place)
 
     assert place.store._images.owner() == owner
+
+
+def test_a_database_of_before_gets_the_same_id_each_time_it_is_migrated(database_url: str, data: Path) -> None:
+    store = open_store(database_url, data)
+    enroll(store, "gate")
+    store.close()
+
+    assert len({_migrated_again(database_url, data) for _ in range(2)}) == 1
+
+
+def _migrated_again(url: str, data: Path) -> str | None:
+    """The id of the database, after it was taken away and the tables were migrated."""
+    database = Database(url)
+    try:
+        with database.writing() as connection:
+            connection.exec_driver_sql("DROP TABLE installation")
+        set_revision(database, "0020")
+        migrate(url, data)
+        with database.reading() as connection:
+            return id_of(connection)
+    finally:
+        database.close()
 
 
 def _give_up(place: Place) -> None:

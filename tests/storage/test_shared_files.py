@@ -13,8 +13,7 @@ import pytest
 from schemas.errors import Damaged, DiskFull, NotFound, StorageFailed
 from tests.storage.databases import data_folder, sqlite_url
 from tests.storage.material import NOW, RECIPE, describe_all, enroll, facts, image
-from tests.storage.object_store import ADDRESS, BUCKET, PREFIX, CuttingProxy, ObjectStore, aws
-from tests.storage.test_image_stores import server
+from tests.storage.object_store import ADDRESS, BUCKET, PREFIX, CuttingProxy, ObjectStore, aws, server
 from worker.storage import object_files
 from worker.storage.examining import examine
 from worker.storage.object_files import ObjectFiles
