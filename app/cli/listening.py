@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from app.cli.console import DONE, FAILED, Failure, say
-from app.cli.starting import started
+from app.cli.starting import collecting_new
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -78,7 +78,7 @@ def serve_until_stopped(
         signal.signal(number, lambda *_: None)
 
     def ready() -> None:
-        started()
+        collecting_new()
         announce()
 
     server = Server(configured(app, settings), settings.grace_s, drain=drain, announce=ready)

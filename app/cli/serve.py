@@ -13,7 +13,7 @@ from app.cli import logs
 from app.cli.console import DONE, Failure, Verbs, show
 from app.cli.listening import address, is_loopback, listen, serve_until_stopped
 from app.cli.processor import check_processor
-from app.cli.starting import collecting_nothing, started
+from app.cli.starting import collecting_new, collecting_nothing
 
 if TYPE_CHECKING:
     from schemas.settings import Settings
@@ -193,7 +193,7 @@ def run_worker(arguments: argparse.Namespace) -> int:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stop.set())
         runtime.start()
-        started()
+        collecting_new()
     show(f"revisit worker describes images of {settings.data.resolve()} with {runtime.encoder.name}")
     try:
         stop.wait()

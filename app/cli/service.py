@@ -15,23 +15,10 @@ from types import FrameType
 from app.cli.console import Failure
 
 _URL = re.compile(r"revisit serves at (http://\S+)")
-_KEPT = frozenset(
-    (
-        *(
-            "encoder",
-            "weights",
-            "bpe",
-            "lseg_mode",
-            "encoder_url",
-            "encoder_key",
-            "device",
-            "preset",
-            "threads",
-            "batch",
-        ),
-        *("wait", "max_body_mb", "max_megapixels", "decoders", "decode_s", "log_level"),
-    )
-)
+_KEPT = frozenset((
+    "encoder", "weights", "bpe", "lseg_mode", "encoder_url", "encoder_key", "device", "preset", "threads", "batch",
+    "wait", "max_body_mb", "max_megapixels", "decoders", "decode_s", "log_level",
+))  # fmt: skip
 """Settings of the user's that the service takes over: how images are read and described. Where data lie, who may call
 and who is told are those of another service: one on a new database would take all images of its store for a crash's."""
 ROOT = Path(__file__).resolve().parents[2]

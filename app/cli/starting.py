@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def collecting_nothing() -> Iterator[None]:
-    """Let the garbage collector rest, until `started` or the end."""
+    """Let the garbage collector rest, until `collecting_new` or the end."""
     gc.disable()
     try:
         yield
@@ -15,7 +15,7 @@ def collecting_nothing() -> Iterator[None]:
         gc.enable()
 
 
-def started() -> None:
+def collecting_new() -> None:
     """Collect what is made from now on: what is there by now stays, and no collection looks through it any more."""
     gc.freeze()
     gc.enable()

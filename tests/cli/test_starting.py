@@ -4,13 +4,13 @@ import gc
 
 import pytest
 
-from app.cli.starting import collecting_nothing, started
+from app.cli.starting import collecting_new, collecting_nothing
 
 
 def test_what_was_there_at_the_start_is_collected_no_more_and_what_comes_later_is() -> None:
     with collecting_nothing():
         assert not gc.isenabled()
-        started()
+        collecting_new()
 
     assert gc.isenabled()
     assert gc.get_freeze_count() > 1000

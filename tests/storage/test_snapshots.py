@@ -22,6 +22,11 @@ from worker.storage.snapshot_portions import MOST_BYTES, MOST_VIEWS, SizedView, 
 from worker.storage.store import SqlStore, open_store
 
 
+def service_of(store: SqlStore) -> SnapshotService:
+    """What makes the snapshots of a store."""
+    return SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+
+
 def test_the_same_map_on_another_machine(store: SqlStore, elsewhere: SqlStore) -> None:
     filled(store)
     restored = elsewhere.restoring.restore(made(store), None, NOW)
@@ -167,7 +172,7 @@ def test_from_postgresql_to_sqlite(elsewhere: SqlStore) -> None:
 @pytest.mark.parametrize("end", ["cancelled", "deleted", "stopped", "done"])
 def test_a_job_makes_it_and_what_ends_the_job_leaves_no_file(store: SqlStore, data: Path, end: str) -> None:
     filled(store)
-    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    service = service_of(store)
     queued = service.queue("campus")
     with pytest.raises(Conflict, match=queued.id):
         service.queue("campus")
@@ -199,7 +204,7 @@ def test_who_was_silent_too_long_leaves_the_snapshot_to_whoever_took_it_up(
 ) -> None:
     """As a worker that is stopped (SIGSTOP) while it writes, and goes on once another has the job."""
     filled(store)
-    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    service = service_of(store)
     job = service.queue("campus").id
     slow = store.jobs.claim_map_job("slow", NOW)
     assert slow is not None
@@ -232,7 +237,7 @@ def test_a_job_whose_end_could_not_be_stored_leaves_no_snapshot(
     store: SqlStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     filled(store)
-    service = SnapshotService(files=store.snapshots, restorer=store.restoring, jobs=store.jobs, wake=lambda: None)
+    service = service_of(store)
     job = service.queue("campus").id
     claim = store.jobs.claim_map_job("worker", NOW)
     assert claim is not None

@@ -19,6 +19,9 @@ COARSE, BLANK = 32, 1.5
 """Squares along the longer side, and the standard deviation of their mean luminance below which a flat photo shows
 nothing: noise averages out there, and what little an underexposed photo has does not."""
 
+SEEN = 6.0
+"""The same of some of its pixels alone, from which on it shows something: noise that is not averaged stays below."""
+
 BLURRED = 20.0
 """Variance of the Laplacian below which a photo counts as blurred; sharp ones of places have hundreds (Pech-Pacheco et
 al. 2000)."""
@@ -48,6 +51,10 @@ def problem(pixels: npt.NDArray[np.uint8]) -> str | None:
 
 def is_blank(image: Image) -> bool:
     """Whether a photo shows nothing at all, noise apart: darkness, glare, a covered lens."""
+    step = max(1, max(image.pixels.shape[:2]) // LONGEST)
+    some = np.ascontiguousarray(image.pixels[::step, ::step, 1])
+    if float(_resized(some, COARSE).std()) > SEEN:  # most photos, at a fiftieth of what the rest takes of a large one
+        return False
     luminance = cv2.cvtColor(_resized(image.pixels, LONGEST), cv2.COLOR_RGB2GRAY)
     return float(luminance.std()) < FLAT and float(_resized(luminance, COARSE).std()) < BLANK
 

@@ -44,7 +44,7 @@ def is_own(database: Database, images: ImageStore) -> bool:
     except Damaged as error:
         log.error("whose images these are cannot be read, and none is removed: %s", error.detail)
         return False
-    if owner is None and images.holds_any() and _is_new(database):  # told by no version before
+    if owner is None and _is_new(database) and images.holds_any():  # told by no version before
         log.error(
             "the database is new, and there are images already, which are kept: stop the service if REVISIT_DATABASE "
             "is not the one that they belong to, or if its file was lost"
