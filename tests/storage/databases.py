@@ -99,6 +99,7 @@ def _migrated_file() -> bytes:
 
 def put_tables(folder: Path) -> None:
     """Begin the database of a data folder, as its first start would."""
+    assert folder.is_absolute(), folder
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "revisit.db").write_bytes(_migrated_file())
     _name(sqlite_url(folder))

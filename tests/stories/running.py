@@ -30,8 +30,10 @@ rows_of: Callable[[Path], str] | None = None
 
 def settings(data: Path, **said: Any) -> Settings:
     """Settings of a service inside the test, whose rows lie where `rows_of` says, with the encoder without weights."""
-    database = _tables(data)
-    return Settings.model_validate({"data": data, "database": database, "encoder": "color", "threads": 1, **said})
+    ours = {"data": data, "encoder": "color", "threads": 1}
+    if "database" not in said:
+        ours["database"] = _tables(data)
+    return Settings.model_validate({**ours, **said})
 
 
 def _tables(data: Path) -> str | None:

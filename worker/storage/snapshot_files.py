@@ -18,7 +18,6 @@ import hashlib
 import json
 import os
 import re
-import tarfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,19 +29,14 @@ from pydantic import ValidationError
 from schemas.errors import BadSnapshot
 from schemas.snapshot import FORMAT, VERSION, SnapshotFacts, SnapshotPart
 from worker.storage.one_thread import OneThread
+from worker.storage.tar_headers import BLOCK, END, header, padding, told
 
 FACTS, VOCABULARY, MANIFEST, SEAL = "snapshot.json", "vocabulary.safetensors", "manifest.ndjson", "manifest.sha256"
 IMAGE, BODIES, VIEWS, COMPARISONS = "images/", "descriptions/", "views/", "comparisons/"
 
-BLOCK = 512
-END = bytes(2 * BLOCK)
-
 MOST_FACTS = 16 * 1024 * 1024
 MOST_PART = 1024 * 1024 * 1024
 """Bytes of the largest part: each is read into memory whole."""
-
-MOST_SIZE = 8**11 - 1
-"""Bytes of a part that a header can tell, in octal digits."""
 
 MOST_WAITING = 16 * 1024 * 1024
 """Bytes of parts that wait to be written: some two portions of views."""
@@ -78,38 +72,6 @@ class Part:
     name: str
     body: bytes
     bodies: bytes = b""
-
-
-_MODE = 0o644
-_SIZES, _SUM = slice(124, 136), slice(148, 156)
-"""Where a header has the size of its part, and the sum of its own bytes with spaces in its place (POSIX ustar)."""
-
-
-def _blank() -> bytes:
-    """A header without name, size and sum."""
-    part = tarfile.TarInfo()
-    part.mode = _MODE
-    blank = bytearray(part.tobuf(tarfile.GNU_FORMAT, "ascii", "strict"))
-    blank[_SUM] = b" " * 8
-    return bytes(blank)
-
-
-_BLANK = _blank()
-
-
-def _header(name: str, size: int) -> bytes:
-    """The one header that a part of this name, of at most 100 characters, and size has: as tarfile makes it."""
-    if not 0 <= size <= MOST_SIZE:
-        raise ValueError(f"a part of {size} bytes has no header")
-    header = bytearray(_BLANK)
-    header[: len(name)] = name.encode("ascii")
-    header[_SIZES] = b"%011o\0" % size
-    header[_SUM] = b"%06o\0 " % sum(header)
-    return bytes(header)
-
-
-def _padding(size: int) -> bytes:
-    return bytes(-size % BLOCK)
 
 
 class SnapshotWriter:
@@ -170,13 +132,13 @@ class SnapshotWriter:
         self._file.seek(self._end)
         opening = _manifest_line(FACTS, hashlib.sha256(first).hexdigest(), len(first))
         size = len(opening) + self._lines.tell()
-        self._file.write(_header(MANIFEST, size) + opening)
+        self._file.write(header(MANIFEST, size) + opening)
         seal = hashlib.sha256(opening)
         self._lines.seek(0)
         while chunk := self._lines.read(1 << 20):
             seal.update(chunk)
             self._file.write(chunk)
-        self._file.write(_padding(size))
+        self._file.write(padding(size))
         self._put(SEAL, seal.hexdigest().encode())
         self._file.write(END)
         self._file.flush()
@@ -190,9 +152,9 @@ class SnapshotWriter:
     def _put(self, name: str, *pieces: bytes) -> int:
         """Write a part; returns the size of its pieces together."""
         size = sum(map(len, pieces))
-        padding = _padding(size)
-        self._file.writelines((_header(name, size), *pieces, padding))
-        self._end += BLOCK + size + len(padding)
+        after = padding(size)
+        self._file.writelines((header(name, size), *pieces, after))
+        self._end += BLOCK + size + len(after)
         if self._end - self._begun >= WRITTEN_AHEAD and hasattr(os, "posix_fadvise"):  # macOS has none
             os.posix_fadvise(self._file.fileno(), self._begun, self._end - self._begun, os.POSIX_FADV_DONTNEED)
             self._begun = self._end
@@ -312,7 +274,7 @@ class SnapshotReader:
                     body = _read(file, size, name)
                     found.update(bytes.fromhex(digest.decode()) for digest in _DIGEST.findall(body))
                     continue
-                file.seek(size + len(_padding(size)), os.SEEK_CUR)
+                file.seek(size + len(padding(size)), os.SEEK_CUR)
 
     def parts(self, kind: str) -> Iterator[Part]:
         """Read the parts of a kind again, views with their descriptions, each compared with what was verified."""
@@ -321,7 +283,7 @@ class SnapshotReader:
             for at in range(0, len(self._digests), 32):
                 name, size = _read_header(file)
                 if not name.startswith(wanted):
-                    file.seek(size + len(_padding(size)), os.SEEK_CUR)
+                    file.seek(size + len(padding(size)), os.SEEK_CUR)
                     continue
                 body = _read(file, size, name)
                 if hashlib.sha256(body).digest() != self._digests[at : at + 32]:
@@ -336,12 +298,8 @@ class SnapshotReader:
 def _read_header(file: BinaryIO) -> tuple[str, int]:
     """Name and size of the next part; raises BadSnapshot for any header that is not written so here."""
     raw = file.read(BLOCK)
-    try:
-        name, size = raw[:100].rstrip(b"\0").decode("ascii"), int(raw[_SIZES].rstrip(b"\0"), 8)
-        sound = bool(_NAME.fullmatch(name)) and _header(name, size) == raw
-    except ValueError:
-        sound = False
-    if not sound:
+    name, size = told(raw) or ("", 0)
+    if not _NAME.fullmatch(name):
         where = file.tell() - len(raw)
         if where == 0:
             raise BadSnapshot("it is no snapshot of revisit, or its first bytes are damaged")
@@ -353,8 +311,8 @@ def _read_header(file: BinaryIO) -> tuple[str, int]:
 def _read(file: BinaryIO, size: int, name: str) -> bytes:
     """The body of a part, whose padding has to be zeros."""
     body = file.read(size)
-    padding = _padding(size)
-    if len(body) != size or file.read(len(padding)) != padding:
+    after = padding(size)
+    if len(body) != size or file.read(len(after)) != after:
         raise BadSnapshot(f"its part {name} is cut off, or changed behind its end")
     return body
 
@@ -395,8 +353,8 @@ def _check_manifest(file: BinaryIO, size: int, whole: bytes, lines: bytearray) -
         except ValidationError:
             named = MANIFEST
         raise BadSnapshot(f"its part {named} does not have the size and SHA-256 of the manifest: it was changed")
-    padding = _padding(size)
-    if file.read(len(padding)) != padding:
+    after = padding(size)
+    if file.read(len(after)) != after:
         raise BadSnapshot(f"its part {MANIFEST} is changed behind its end")
 
 
