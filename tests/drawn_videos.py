@@ -44,7 +44,18 @@ def uneven(mp4: bytes, shares: Sequence[float]) -> bytes:
     return _with(mp4, STTS, _boxed(b"stts", struct.pack(">II", 0, count) + b"".join(lasting)))
 
 
+def turned(mp4: bytes, degrees: int) -> bytes:
+    """An MP4 of OpenCV whose frames are to be shown turned clockwise, as phones write it; a multiple of 90."""
+    quarter = degrees // 90 % 4
+    cosine, sine = (1, 0, -1, 0)[quarter], (0, 1, 0, -1)[quarter]
+    whole = bytearray(mp4)
+    struct.pack_into(">4i", whole, _box(mp4, TKHD)[0] + 48, cosine << 16, sine << 16, 0, -sine << 16)
+    struct.pack_into(">i", whole, _box(mp4, TKHD)[0] + 64, cosine << 16)
+    return bytes(whole)
+
+
 MVHD, TRAK = (b"moov", b"mvhd"), (b"moov", b"trak")
+TKHD = (*TRAK, b"tkhd")
 EDTS, MDHD = (*TRAK, b"edts"), (*TRAK, b"mdia", b"mdhd")
 STTS = (*TRAK, b"mdia", b"minf", b"stbl", b"stts")
 

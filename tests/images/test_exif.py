@@ -75,3 +75,21 @@ def test_heights_below_are_below_by_any_reference(reference: bytes, sign: int) -
 def test_a_magnetic_direction_is_no_heading_however_it_is_written(magnetic: str | bytes) -> None:
     assert taken(photo({16: magnetic, 17: 90.0})) == {}
     assert taken(photo({16: "T", 17: 90.0})) == {"heading": 90}
+
+
+@pytest.mark.parametrize(
+    ("digits", "microseconds"),
+    [("2", 200_000), ("04 ", 40_000), ("1234567", 123_456), (b"25\0", 250_000), ("  ", 0), ("-5", 0), (None, 0)],
+)
+def test_images_of_one_second_are_told_apart_by_its_fractions(digits: str | bytes | None, microseconds: int) -> None:
+    exif = PilImage.Exif()
+    exif.get_ifd(0x8769).update({0x9003: "2026:05:04 11:30:00", 0x9011: "+02:00"})
+    if digits is not None:
+        exif.get_ifd(0x8769)[0x9291] = digits
+    known = taken(io.BytesIO(encoded(drawn(64, 48, 1), "jpeg", exif=exif)))
+    assert known == {"captured_at": datetime(2026, 5, 4, 9, 30, 0, microseconds, tzinfo=UTC)}
+
+
+def test_a_time_of_gps_has_its_fractions() -> None:
+    known = taken(photo({29: "2026:05:04", 7: (9.0, 30.0, IFDRational(1234, 100))}))
+    assert known == {"captured_at": datetime(2026, 5, 4, 9, 30, 12, 340_000, tzinfo=UTC)}

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from schemas.errors import BadBody, BodyTooLarge
-from tests.drawn_videos import cut, frames, uneven, video
+from tests.drawn_videos import cut, frames, turned, uneven, video
 from worker.images.apart.edit_list import shown_s
 from worker.images.apart.stream import Repeated
 from worker.images.apart.video import Video, is_video
@@ -57,6 +57,14 @@ def test_the_frames_are_those_of_their_times(tmp_path: Path, ending: str, codec:
 
     with closing(opened(tmp_path / "upload")) as again, closing(opened(tmp_path / "upload", 2)) as fewer:
         assert again.read(2) == fewer.read(1)  # the same bytes each time, whatever is left out
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 180, 270])
+def test_frames_of_a_phone_that_was_turned_are_upright(tmp_path: Path, degrees: int) -> None:
+    (path := tmp_path / "a.mp4").write_bytes(turned(video(path, frames(6), 5, "mp4v"), degrees))
+    with closing(opened(path)) as one:
+        for number in range(2):
+            assert unlike(one.read(number), np.rot90(frames(6)[5 * number], -degrees // 90)) < 6
 
 
 def test_frames_are_read_a_little_out_of_turn(tmp_path: Path) -> None:

@@ -152,8 +152,15 @@ def test_positions_are_not_made_up() -> None:
     assert position_at(poses, 5, geographic=False) is None
     assert position_at(poses, 11, geographic=False) is None
     assert position_at([], 0, geographic=False) is None
-    across: list[list[float | None]] = [[0, 10, 179.9, None, None], [1, 10, -179.9, None, None]]
-    assert position_at(across, 0.1, geographic=True) == Position(lat=10, lon=179.9)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_way_across_the_date_line_does_not_lead_round_the_globe(side: int) -> None:
+    across: list[list[float | None]] = [[0, 10, side * 179.75, 3, None], [1, 12, side * -179.75, 3, None]]
+    for time, lat, lon in ((0.25, 10.5, 179.875), (0.5, 11, 180), (0.75, 11.5, -179.875)):
+        assert position_at(across, time, geographic=True) == Position(lat=lat, lon=side * lon, alt=3)
+    level: list[list[float | None]] = [[0, 0, side * 200, 3, None], [1, 0, side * -200, 3, None]]
+    assert position_at(level, 0.25, geographic=False) == Position(x=0, y=side * 100, z=3)
 
 
 def test_a_listing_ends_before_it_fills_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

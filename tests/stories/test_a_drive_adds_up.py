@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from app.http.application import create_app
@@ -12,7 +13,7 @@ from scenes import scene
 from schemas.records import Filters
 from schemas.settings import Settings
 from tests.openapi import CheckedClient
-from tests.stories.photos import photo
+from tests.stories.photos import jpeg, photo
 from worker.method.decision import decide
 from worker.runtime import Runtime, build
 from worker.service.drives import Driven, Drives
@@ -155,6 +156,34 @@ def test_an_empty_map_has_drives_too(client: CheckedClient) -> None:
     answer = put(client, 0.0, map="empty", drive="robot-5")
     assert (answer["status"], answer["drive"]["images"], answer["drive"]["posterior"]) == ("no_match", 0, [])
     assert answer["drive"]["nowhere"] == 1
+
+
+@pytest.mark.parametrize("light", [0, 255])
+@pytest.mark.parametrize("more", [{}, {"consistent": 3}])
+def test_images_that_show_nothing_leave_a_drive_as_it_is(
+    client: CheckedClient, light: int, more: dict[str, Any]
+) -> None:
+    """A hand before the lens, a black frame while the camera starts."""
+    grain = np.random.default_rng(light).integers(0, 6, (240, 320, 3)) * (1 if light == 0 else -1)
+    covered = jpeg((light + grain).astype(np.uint8))
+    name = f"robot-{light}-{len(more)}"
+    seen = [put(client, ahead, drive=f"{name}-seen", **more) for ahead in STREET]
+    agreed = images = 0
+    for ahead, without in zip(STREET, seen, strict=True):
+        for _ in range(2):
+            answer = client.post("/query", params={"drive": name, **more}, content=covered, headers=JPEG).json()
+            assert (answer["status"], answer["reason"]["code"], answer["nowhere"]) == ("no_match", "poor-picture", 1)
+            told = {
+                "images": images,
+                "posterior": [],
+                "nowhere": 1,
+                "single_frame_status": "no_match",
+                "agreeing": agreed,
+            }
+            assert answer["drive"] == told
+        again = put(client, ahead, drive=name, **more)
+        assert (again["drive"], again["status"]) == (without["drive"], without["status"])
+        agreed, images = again["drive"]["agreeing"], again["drive"]["images"]
 
 
 def told(results: RankedResults, driven: Driven) -> list[tuple[float, str]]:

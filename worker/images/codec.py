@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from schemas.errors import BadImage, BodyTooLarge
 from schemas.image import Bytes2D, Image, ImageFacts
-from worker.images import jpeg, png
+from worker.images import jpeg, png, sample_depth
 from worker.images.sniffing import ACCEPTED, image_type
 
 if TYPE_CHECKING:  # a decoder's process does without the libraries of settings
@@ -65,9 +65,9 @@ class Limits:
 def decode(data: bytes, limits: Limits) -> Image:
     """Decode an image: upright, RGB, eight bits.
 
-    Orientation follows EXIF. Grey is repeated, alpha is laid over white, sixteen bits keep their upper eight, CMYK is
-    converted without a profile, and of several pages or frames in JPEG, PNG and TIFF the first is taken, in HEIC
-    the primary one.
+    Orientation follows EXIF. Grey is repeated, alpha is laid over white, CMYK is converted without a profile. Of
+    sixteen bits the upper eight are kept, of those that are filled (`sample_depth`). Of several pages or frames in
+    JPEG, PNG and TIFF the first is taken, in HEIC the primary one.
 
     Raises
     ------
@@ -122,7 +122,8 @@ def thumbnail(data: bytes, longest: int) -> bytes:
         # A JPEG can be decoded straight to a fraction of its size, which saves most of the time.
         pil_image.draft("RGB", (2 * longest, 2 * longest))
         orientation = _orientation(pil_image, data)
-        small = _rgb(pil_image)
+        sample_depth.mend_planes(pil_image)
+        small = _rgb(pil_image, data)
     small.thumbnail((longest, longest), PilImage.Resampling.LANCZOS)
     out = io.BytesIO()
     PilImage.fromarray(np.ascontiguousarray(_turned(np.asarray(small), orientation))).save(
@@ -278,7 +279,7 @@ def _with_opencv(data: bytes, header: _Header) -> Bytes2D:
         raise _undecodable(header.format, "it is damaged") from error
     if pixels is None or pixels.shape[1::-1] != header.stored:
         raise _undecodable(header.format, "it is damaged")
-    return np.asarray(pixels, np.uint8)
+    return sample_depth.colours(np.asarray(pixels, np.uint8), data)
 
 
 def _turned(pixels: Bytes2D, orientation: int) -> Bytes2D:
@@ -295,8 +296,9 @@ def _turned(pixels: Bytes2D, orientation: int) -> Bytes2D:
 def _with_pillow(data: bytes, header: _Header) -> Bytes2D:
     try:
         with PilImage.open(io.BytesIO(data), formats=_FORMATS) as pil_image:
+            sample_depth.mend_planes(pil_image)
             pil_image.load()
-            upright = _rgb(pil_image)
+            upright = _rgb(pil_image, data)
     except BadImage:
         raise
     except MemoryError as error:
@@ -306,10 +308,10 @@ def _with_pillow(data: bytes, header: _Header) -> Bytes2D:
     return np.asarray(upright)
 
 
-def _rgb(pil_image: PilImage.Image) -> PilImage.Image:
+def _rgb(pil_image: PilImage.Image, data: bytes) -> PilImage.Image:
     """Convert any mode of grey or colour to eight-bit RGB; raises BadImage for 32-bit pixels."""
     if pil_image.mode.startswith("I;16"):
-        return PilImage.fromarray((np.asarray(pil_image) >> 8).astype(np.uint8)).convert("RGB")
+        return PilImage.fromarray(sample_depth.grey(np.asarray(pil_image), data)).convert("RGB")
     if pil_image.mode in ("I", "F"):
         # 32-bit pixels have no defined white level.
         raise BadImage(
@@ -318,6 +320,8 @@ def _rgb(pil_image: PilImage.Image) -> PilImage.Image:
     if pil_image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in pil_image.info:
         alpha = pil_image.convert("RGBA")
         return PilImage.alpha_composite(PilImage.new("RGBA", alpha.size, "white"), alpha).convert("RGB")
+    if pil_image.mode == "RGB" and pil_image.format in ("PNG", "TIFF"):
+        return PilImage.fromarray(sample_depth.colours(np.asarray(pil_image), data))
     return pil_image.convert("RGB")
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -88,8 +88,13 @@ def _degrees(value: Any, reference: Any, sides: str) -> float | None:
 
 def _side(reference: Any) -> str:
     """The letter of a reference, such as N, however it is written; empty where there is none."""
-    named = reference.decode("latin-1") if isinstance(reference, bytes) else reference
-    return named.strip("\0 ").upper()[:1] if isinstance(named, str) else ""
+    return _text(reference).upper()[:1]
+
+
+def _text(value: Any) -> str:
+    """A text without what fills its field up; empty where there is none."""
+    named = value.decode("latin-1") if isinstance(value, bytes) else value
+    return named.strip("\0 ") if isinstance(named, str) else ""
 
 
 def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
@@ -99,18 +104,21 @@ def _taken(exif: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
 
 def _time_of_gps(gps: Mapping[int, Any]) -> datetime | None:
     try:
-        hours, minutes, seconds = (int(float(part)) for part in gps[7])
+        hours, minutes, seconds = (float(part) for part in gps[7])
         day = datetime.strptime(str(gps[29]), "%Y:%m:%d")
-        return day.replace(hour=hours, minute=minutes, second=seconds, tzinfo=UTC)
+        moment = day.replace(hour=int(hours), minute=int(minutes), second=int(seconds), tzinfo=UTC)
+        return moment + timedelta(microseconds=round(seconds % 1 * 1e6))
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError):
         return None
 
 
 def _time_of_clock(exif: Mapping[int, Any]) -> datetime | None:
-    clock, zone = exif.get(0x9003), exif.get(0x9011)
+    clock, zone = _text(exif.get(0x9003)), _text(exif.get(0x9011))
     if not clock or not zone:
         return None
     try:
-        return datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
+        moment = datetime.strptime(f"{clock}{zone}", "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
     except (ValueError, OverflowError):  # OverflowError: the year 1 or 9999, and a zone that leads out of it
         return None
+    digits = _text(exif.get(0x9291))  # behind the point of the seconds
+    return moment.replace(microsecond=int(digits[:6].ljust(6, "0"))) if digits.isdecimal() else moment

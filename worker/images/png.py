@@ -23,6 +23,11 @@ def chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
+def depth(data: bytes) -> int:
+    """Bits of a sample, by IHDR."""
+    return data[24]
+
+
 def is_whole(data: bytes) -> bool:
     """Whether the chunks are complete up to IEND."""
     return any(kind == b"IEND" for kind, _ in chunks(data))

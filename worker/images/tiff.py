@@ -6,9 +6,10 @@ _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12
 _LENGTHS = {3: "H", 4: "I"}
 _STRIPS, _TILES = (273, 279), (324, 325)  # offsets, byte counts
 
-# What decoders need: size, depth, compression, colours, strips, tiles, tables, samples, orientation, ICC profile.
+# What decoders need: size, depth, compression, colours, strips, tiles, tables, samples and their range, orientation,
+# ICC profile.
 _KEPT = frozenset(
-    (254, 256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 282, 283, 284, 292, 293, 296, 301, 317, 318, 319)
+    (254, 256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 281, 282, 283, 284, 292, 293, 296, 301, 317, 318, 319)
 ) | frozenset((320, 322, 323, 324, 325, 332, 334, 336, 338, 339, 340, 341, 347, 529, 530, 531, 532, 34675))
 
 

@@ -1,5 +1,6 @@
 """Images of a ROS 2 recording with where they were taken."""
 
+import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -52,10 +53,12 @@ def position_at(poses: Sequence[PoseRow], time: float, *, geographic: bool) -> P
     """
     at = bisect_left(poses, time, key=_time)
     before, after = (poses[at - 1] if at else None), (poses[at] if at < len(poses) else None)
-    if before is not None and after is not None and _joined(before, after):
+    if before is not None and after is not None and _time(after) - _time(before) <= ACROSS_S:
         share = (time - _time(before)) / max(_time(after) - _time(before), 1e-9)
-        return _position([_between(a, b, share) for a, b in zip(before[1:4], after[1:4], strict=True)],
-                         before[4] if share < 0.5 else after[4], geographic)  # fmt: skip
+        place = [_between(a, b, share) for a, b in zip(before[1:4], after[1:4], strict=True)]
+        if geographic:
+            place[1] = _along(before[2], after[2], share)
+        return _position(place, before[4] if share < 0.5 else after[4], geographic)
     near = [pose for pose in (before, after) if pose is not None and abs(_time(pose) - time) <= BESIDE_S]
     if not near:
         return None
@@ -67,13 +70,6 @@ def _moment(time: float) -> datetime | None:
     return datetime.fromtimestamp(time, UTC) if time >= LEAST_UNIX_S else None
 
 
-def _joined(before: PoseRow, after: PoseRow) -> bool:
-    """Whether the way from one to the other is short, and does not cross the antimeridian."""
-    assert before[2] is not None
-    assert after[2] is not None
-    return _time(after) - _time(before) <= ACROSS_S and (before[4] is not None or abs(after[2] - before[2]) < 180)
-
-
 def _time(pose: PoseRow) -> float:
     assert pose[0] is not None
     return pose[0]
@@ -81,6 +77,15 @@ def _time(pose: PoseRow) -> float:
 
 def _between(one: float | None, other: float | None, share: float) -> float | None:
     return None if one is None or other is None else one + share * (other - one)
+
+
+def _along(one: float | None, other: float | None, share: float) -> float | None:
+    """Between two longitudes, the short way round the globe, -180..180."""
+    if one is None or other is None:
+        return None
+    round_about = 0.0 if abs(other - one) <= 180 else math.copysign(360.0, one)
+    between = one + share * (other + round_about - one)
+    return between - round_about if abs(between) > 180 else between
 
 
 def _position(place: Sequence[float | None], heading: float | None, geographic: bool) -> Position:

@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from itertools import count
 from typing import Protocol
 
 import numpy as np
@@ -36,7 +37,11 @@ PORTION = 8
 """Views compared at a time, whose comparisons are stored together."""
 
 WIDENED = 3
-"""How often a search is repeated because too many of its candidates show the view's own place."""
+"""How often a search is repeated because too many of its candidates show the view's own place, before it is made for
+twice as many each time."""
+
+MOST_OWN = 4000
+"""Views of its own place, found so, beyond which a view is not compared: reading them takes long."""
 
 
 Rest = Callable[[float], bool]
@@ -170,7 +175,8 @@ class MapComparer:
         fetcher = Fetcher(self._descriptions, self._comparisons, recipe.id, fixed=fixed)
         query = fetcher.without_fixed(whole)
         try:
-            found = self._search(index, query, config, {seq})
+            usual = max(2, config.searched)
+            found = self._search(index, query, usual, {seq})
             ranking = self._rank(query, found, recipe, config, fetcher)
             spot = {int(s) for s in ranking.seqs[_same_spot(ranking)]}
             own = {seq} | spot
@@ -178,15 +184,19 @@ class MapComparer:
             places = _places(seq, found, fetcher, config)
             scored = zip(ranking.seqs, ranking.scores, strict=True)
             best = max((float(score) for other, score in scored if places.same(seq, int(other))), default=None)
-            for _ in range(WIDENED):
+            for repeated in count():
                 seqs = [int(other) for other in found.seqs]
                 own = own | {other for other in seqs if places.same(seq, other)}
                 near = near | {other for other in seqs if not places.apart(seq, other)}
                 left_out = near if among - len(near) >= ENOUGH_VIEWS else own
                 if left_out.isdisjoint(seqs):
                     break
-                found = self._search(index, query, config, left_out)
+                if len(left_out) > MOST_OWN:
+                    return Comparison(seq, None, None, tuple(sorted(spot)), among, 0, None, best)
+                found = self._search(index, query, usual << max(0, repeated + 1 - WIDENED), left_out)
                 places = _places(seq, found, fetcher, config)
+            if repeated > WIDENED:
+                found = self._search(index, query, usual, left_out)
             others = self._rank(query, found, recipe, config, fetcher)
         except ViewGone:
             return None
@@ -197,8 +207,8 @@ class MapComparer:
         taken_for = None if level is None else int(others.seqs[0])
         return Comparison(seq, level, gap, tuple(sorted(spot)), among, found.searched, taken_for, best, breadth)
 
-    def _search(self, index: SearchableIndex, query: Description, config: RankingConfig, never: set[int]) -> Candidates:
-        return index.search(query.vectors, max(2, config.searched), Selection(None, np.array(sorted(never))))
+    def _search(self, index: SearchableIndex, query: Description, count: int, never: set[int]) -> Candidates:
+        return index.search(query.vectors, count, Selection(None, np.array(sorted(never))))
 
     def _rank(
         self,

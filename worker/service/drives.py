@@ -107,6 +107,7 @@ class Drives:
         decision: Decision,
         consistent: int | None = None,
         call: str | None = None,
+        blank: bool = False,
     ) -> tuple[RankedResults, Decision, Driven]:
         """Take one more image of a drive into account.
 
@@ -130,9 +131,12 @@ class Drives:
         call : str, optional
             Names the call. That of the drive's last image, repeated since its answer was lost, counts once; without a
             name every call is another image.
+        blank : bool
+            The image shows nothing, so it says nothing of where it was taken: the drive is left as it is.
         """
-        if not results.views:
-            return results, decision, Driven(self._images(key), (), decision.status, 0)
+        if blank or not results.views:
+            path = self._path(key, timeout_s)
+            return results, decision, Driven(path.drive.images, (), decision.status, path.row.images if blank else 0)
         single = _single(results, decision)
         recipe, now = results.recipe.description.id, self._now()
         with self._lock:
@@ -178,9 +182,11 @@ class Drives:
                 posterior = _by_place(ranking, len(results.views), len(results.views), probability)
         return results, posterior
 
-    def _images(self, key: tuple[str, str]) -> int:
+    def _path(self, key: tuple[str, str], timeout_s: float) -> _Path:
+        """The drive as it is."""
         with self._lock:
-            return self._kept[key].after.drive.images if key in self._kept else 0
+            kept = self._kept.get(key)
+        return kept.after if kept is not None and self._now() - kept.at <= timeout_s else _Path(Drive(), Row())
 
 
 def _consistent(decision: Decision, agreeing: int, wanted: int) -> Decision:

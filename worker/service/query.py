@@ -215,13 +215,14 @@ class QueryService:
             image, wanted, describers, top=max(top, GROUPED), candidates=candidates
         )
         decisions = [_decide(one.results, precision, top, candidates) for one in found]
-        if any(one.status != "no_match" for one in decisions) and self._is_blank(image):
+        told = drive is not None or any(one.status != "no_match" for one in decisions)
+        if blank := told and self._is_blank(image):
             decisions = [of_nothing(one) for one in decisions]
         driven = None
         if drive is not None:
             [one], [decision] = found, decisions
             results, decision, driven = self._drives.follow(
-                (maps[0], drive), drive_timeout_s, one.results, decision, consistent, call
+                (maps[0], drive), drive_timeout_s, one.results, decision, consistent, call, blank
             )
             found, decisions = [replace(one, results=results)], [decision]
         joined = join(decisions)

@@ -45,13 +45,18 @@ def contradictions(kept: ViewAttributes, anew: ViewAttributes) -> list[str]:
         value = getattr(anew.position, coordinate)
         if value is not None and value != getattr(kept.position, coordinate):
             differing.append(coordinate)
-    if anew.captured_at is not None and anew.captured_at != kept.captured_at:
+    if anew.captured_at is not None and not _is_that_moment(kept.captured_at, anew.captured_at):
         differing.append("captured_at")
     for key, value in anew.metadata.items():
         # As JSON: 1 and true are equal in Python.
         if key not in kept.metadata or as_json(value) != as_json(kept.metadata[key]):
             differing.append(f"metadata.{key}")
     return differing
+
+
+def _is_that_moment(kept: datetime | None, anew: datetime) -> bool:
+    """Whether a time is the one that is kept, or that to more than the whole second which is kept."""
+    return kept == anew or (kept is not None and kept == anew.replace(microsecond=0))
 
 
 def keep_pairs(connection: sa.Connection, seq: int, attributes: ViewAttributes) -> None:
