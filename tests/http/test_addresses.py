@@ -145,6 +145,29 @@ def test_a_preflight_needs_no_key(method: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("sent", "told"),
+    [
+        ({"origin": "https://evil.example"}, "REVISIT_CORS does not name the origin https://evil.example"),
+        ({"access-control-request-method": "TRACE"}, "pages may not send TRACE"),
+        ({"access-control-request-headers": "x-api-key, x-other"}, "pages may not send the header x-other"),
+        ({"access-control-request-headers": ""}, "pages may not send this"),
+    ],
+)
+def test_a_preflight_is_refused_by_a_problem(shared: CheckedClient, sent: dict[str, str], told: str) -> None:
+    asks = {**MUSEUM, "access-control-request-method": "PUT", "x-request-id": "asked-first", **sent}
+    with shared:
+        answer = shared.send(shared.build_request("OPTIONS", "/maps/hall", headers=asks))
+
+    assert (answer.status_code, answer.headers["content-type"]) == (403, "application/problem+json")
+    problem = answer.json()
+    assert (problem["type"], problem["detail"]) == ("urn:revisit:problem:other-site", told)
+    assert problem["request_id"] == answer.headers["x-request-id"] == "asked-first"
+    assert int(answer.headers["content-length"]) == len(answer.content)
+    allowed = answer.headers.get("access-control-allow-origin")
+    assert allowed == (None if "origin" in sent else MUSEUM["origin"])
+
+
+@pytest.mark.parametrize(
     "text", ["museum.example", "https://museum.example/", "https://a/b", "https://*.example", "null"]
 )
 def test_what_is_no_origin_is_refused_at_the_start(text: str) -> None:
