@@ -11,9 +11,9 @@ _ONE = re.compile(r"bytes=([0-9]{0,19})-([0-9]{0,19})", re.IGNORECASE)
 
 
 def wanted(request: Request, size: int, etag: str) -> range | None:
-    """The bytes that a request asks for; None for all of them.
+    """The bytes that a request wants; None for all of them.
 
-    All of them also where it asks for several parts, in a way that is not understood, or of another body than the one
+    All of them also where it names several parts, in a way that is not understood, or of another body than the one
     that `If-Range` names: each of that is allowed, and the caller sees it by the status.
 
     Parameters
@@ -29,10 +29,10 @@ def wanted(request: Request, size: int, etag: str) -> range | None:
     RangeOutside
         The body has none of these bytes.
     """
-    asked = _ONE.fullmatch(",".join(request.headers.getlist("range")).strip())
-    if asked is None or request.headers.get("if-range", quoted(etag)) != quoted(etag):
+    given = _ONE.fullmatch(",".join(request.headers.getlist("range")).strip())
+    if given is None or request.headers.get("if-range", quoted(etag)) != quoted(etag):
         return None
-    first, last = asked.groups()
+    first, last = given.groups()
     if first and last and int(last) < int(first):
         return None
     if first:

@@ -65,7 +65,7 @@ def environment(**given: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", ["HTTP_PROXY", "http_proxy"])
 @pytest.mark.parametrize("spared", ["NO_PROXY", "no_proxy"])
-def test_no_proxy_is_asked_for_what_this_machine_serves(here: str, name: str, spared: str) -> None:
+def test_what_this_machine_serves_is_called_directly(here: str, name: str, spared: str) -> None:
     proxies = environment(**{name: "http://127.0.0.1:9", spared: "store.example"})
     program = [sys.executable, "-W", "ignore", "-c", CALLS, here]
     done = subprocess.run(program, env=proxies, capture_output=True, text=True, timeout=60, check=False)
