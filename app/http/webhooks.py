@@ -37,7 +37,7 @@ TIMEOUT_S = 10.0
 PREFIX = "whsec_"
 """Of a secret that is base64."""
 
-SEE = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
+SEE = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
 
 AGAIN = frozenset({408, 425, 429})
 """Statuses below 500 that say to try again."""
@@ -86,7 +86,7 @@ class Webhooks:
         self._count: Callable[[Outcome], None] = lambda outcome: None
         try:
             self._client = httpx.Client(timeout=TIMEOUT_S, headers={"user-agent": "revisit"})
-        except (ImportError, OSError, ValueError) as error:
+        except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
             raise SetupError(f"REVISIT_WEBHOOK cannot be called: {error}; {SEE}") from error
 
     @classmethod

@@ -254,8 +254,9 @@ def _client(*, base_url: httpx.URL, transport: httpx.BaseTransport | None, **opt
         if transport is None and _is_of_this_machine(base_url.host):
             transport = httpx.HTTPTransport()
         return httpx.Client(base_url=base_url, transport=transport, **options)
-    except (ImportError, OSError, ValueError) as error:
-        named = [name for name in (*PROXIES, "SSL_CERT_FILE", "SSL_CERT_DIR") if os.environ.get(name)]
+    except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
+        known = (*PROXIES, "NO_PROXY", "no_proxy", "SSL_CERT_FILE", "SSL_CERT_DIR")
+        named = [name for name in known if os.environ.get(name)]
         raise ClientError(f"{', '.join(named) or 'the proxy of this system'} cannot be used: {error}") from error
 
 

@@ -89,9 +89,10 @@ def test_what_the_environment_says_of_proxies_stays(given: dict[str, str], told:
     assert done.stdout.strip() == told
 
 
-def test_a_proxy_that_cannot_be_used_is_told_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("proxy", ["socks4://proxy:1080", "socks5://proxy:1080", "http://proxy:port"])
+def test_a_proxy_that_cannot_be_used_is_told_at_the_start(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that failed on it would tell nobody, and every event would be lost."""
-    monkeypatch.setenv("ALL_PROXY", "socks4://proxy:1080")
+    monkeypatch.setenv("ALL_PROXY", proxy)
     with pytest.raises(SetupError, match=r"REVISIT_WEBHOOK cannot be called: .*ALL_PROXY"):
         Webhooks("https://app.example/", None, ("matched",))
     with pytest.raises(SetupError, match=r"REVISIT_ENCODER_URL cannot be called: .*ALL_PROXY"):

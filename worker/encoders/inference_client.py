@@ -103,8 +103,8 @@ class InferenceClient:
             headers["authorization"] = f"Bearer {key}"
         try:
             self._http = httpx.Client(headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
-        except (ImportError, OSError, ValueError) as error:
-            see = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
+        except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
+            see = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
             raise SetupError(f"REVISIT_ENCODER_URL cannot be called: {error}; {see}") from error
         self._troubles: dict[str, tuple[EncoderAway, float]] = {}  # by model: why, and when it is tried again
 
