@@ -64,4 +64,5 @@ def cors(app: ASGIApp, origins: Sequence[str]) -> CORSMiddleware:
         allow_headers=SENT,
         expose_headers=READ,
         max_age=PREFLIGHT_S,
+        allow_private_network=True,  # where the service mostly is; Chrome asks so before a public page calls there
     )

@@ -144,6 +144,19 @@ def test_a_preflight_needs_no_key(method: str) -> None:
     assert answer.headers["x-request-id"]
 
 
+def test_a_public_page_that_is_named_may_call_into_a_private_network(shared: CheckedClient) -> None:
+    """Chrome sends this with the preflights of such calls (Private Network Access): refused, there is no call."""
+    asks = {**MUSEUM, "access-control-request-method": "PUT", "access-control-request-private-network": "true"}
+    with shared:
+        answer = shared.send(shared.build_request("OPTIONS", "/maps/hall", headers=asks))
+        evil = shared.send(
+            shared.build_request("OPTIONS", "/maps/hall", headers={**asks, "origin": "https://a.example"})
+        )
+
+    assert (answer.status_code, answer.headers["access-control-allow-private-network"]) == (200, "true")
+    assert (evil.status_code, evil.headers.get("access-control-allow-origin")) == (403, None)
+
+
 @pytest.mark.parametrize(
     ("sent", "told"),
     [
