@@ -6,7 +6,7 @@
     ├── BadBody            no-picture, malformed-body; BadSnapshot malformed-body
     ├── BadImage           not-a-picture, undecodable-picture, picture-too-large, picture-too-small
     ├── BodyTooLarge       body-too-large        UnexpectedBody unexpected-body
-    ├── RequestTimeout     request-timeout
+    ├── RequestTimeout     request-timeout       RangeOutside range-not-satisfiable
     ├── InvalidParameters  invalid-parameter (all of them listed at once)
     ├── NothingStatic      nothing-static        PoorImage   poor-picture
     ├── NotFound           not-found             ImageNotKept image-not-kept
@@ -108,6 +108,16 @@ class RequestTimeout(RevisitError):
     """A request that did not arrive in time."""
 
     code = "request-timeout"
+
+
+class RangeOutside(RevisitError):
+    """A part was asked for that begins behind the end of a body of `size` bytes."""
+
+    code = "range-not-satisfiable"
+
+    def __init__(self, size: int) -> None:
+        super().__init__(f"the file has {size:,} bytes, and none of those that `Range` names")
+        self.size = size
 
 
 class InvalidParameters(RevisitError):

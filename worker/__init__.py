@@ -8,3 +8,10 @@ import os
 # torch runs gets its threads by that call all the same.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# A proxy is for other machines: this one's own addresses would be the proxy's there. A shared encoder, a store, a
+# receiver of webhooks and a collector of traces may all be here, and every library that calls them goes by this.
+_spared = os.environ.get("no_proxy", os.environ.get("NO_PROXY", "")).strip()
+if _spared != "*" and any(name.lower() in ("http_proxy", "https_proxy", "all_proxy") for name in os.environ):
+    _names = [name.strip() for name in _spared.split(",") if name.strip()]
+    os.environ["no_proxy"] = ",".join(dict.fromkeys([*_names, "localhost", "127.0.0.1", "::1"]))

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from revisit_client import Revisit
     from revisit_client.wire import Deleted, View
 
+LISTED = 50
+"""Views that are listed without `--limit`."""
+
 
 def add(verbs: Verbs) -> None:
     """Declare the commands."""
@@ -33,7 +36,7 @@ def add(verbs: Verbs) -> None:
     chooses(views)
     views.add_argument("--words", help="labels such as fence,pole+sign: views of --map by how much of them these are")
     views.add_argument("--state", choices=("pending", "ready", "failed"), help="of this state alone")
-    views.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: 50)")
+    views.add_argument("--limit", type=int, metavar="N", help=f"at most so many (default: {LISTED})")
     views.add_argument("--newest", action="store_true", help="newest first")
     views.add_argument(
         "--delete",
@@ -102,11 +105,13 @@ def run_views(arguments: argparse.Namespace) -> int:
     drawn = {kind: getattr(arguments, kind) for kind in ("image", "segmentation", "graph")}
     if arguments.id is None and (arguments.set is not None or any(drawn.values())):
         wrong_use("--set, --image, --segmentation and --graph need the id of a view")
-    if arguments.limit < 1:
+    limit = LISTED if arguments.limit is None else arguments.limit
+    if limit < 1:
         wrong_use("--limit is at least 1")
     filters, changes = chosen(arguments), json_object("--set", arguments.set, '{"place": "hall"}')
-    if arguments.delete and arguments.id is None:
-        _check_what_is_deleted(arguments, filters)
+    _check_what_is_chosen(arguments, filters)
+    if arguments.delete and (changes is not None or any(drawn.values())):
+        wrong_use("--delete cannot be given with --set, --image, --segmentation or --graph: do those before it")
     with Revisit(arguments.url, key=arguments.key) as revisit:
         if arguments.delete and arguments.id is None:
             receipt = revisit.delete_views(arguments.map, **filters)
@@ -125,7 +130,7 @@ def run_views(arguments: argparse.Namespace) -> int:
                 state=arguments.state,
                 newest_first=arguments.newest,
                 words=arguments.words,
-                limit=arguments.limit,
+                limit=limit,
                 **filters,
             )
         )
@@ -133,17 +138,21 @@ def run_views(arguments: argparse.Namespace) -> int:
         show_json([view.model_dump(mode="json") for view in views])
         return DONE
     show(_table(views))
-    if len(views) == arguments.limit:
-        say(f"the first {arguments.limit}; --limit shows more")
+    if len(views) == limit:
+        say(f"the first {limit}; --limit shows more")
     return DONE
 
 
-def _check_what_is_deleted(arguments: argparse.Namespace, filters: Mapping[str, object]) -> None:
-    """End with the right use where options do not say which views of a map are deleted."""
-    if arguments.map is None or not any(filters.values()):
-        wrong_use("--delete needs the id of a view; or --map and filters, of which all that pass are deleted")
-    if arguments.words or arguments.state or arguments.newest:
-        wrong_use("--words, --state and --newest choose no views to delete; give filters")
+def _check_what_is_chosen(arguments: argparse.Namespace, filters: Mapping[str, object]) -> None:
+    """End with the right use where options contradict an id, or do not say which views of a map are deleted."""
+    of_lists = arguments.words or arguments.state or arguments.newest or arguments.limit is not None
+    if arguments.id is not None and (of_lists or arguments.map is not None or any(filters.values())):
+        wrong_use("--map, filters, --words, --state, --newest and --limit are for lists; give them or the id of a view")
+    if arguments.id is None and arguments.delete:
+        if arguments.map is None or not any(filters.values()):
+            wrong_use("--delete needs the id of a view; or --map and filters, of which all that pass are deleted")
+        if of_lists:
+            wrong_use("--words, --state, --newest and --limit choose no views to delete; give filters")
 
 
 def _draw(revisit: "Revisit", view_id: str, files: Mapping[str, Path | None]) -> None:

@@ -197,7 +197,7 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
     for item in work:
         waiting.put(item)
     summary, lock = Summary(), threading.Lock()
-    stop: list[Exception] = []
+    stop: list[BaseException] = []
 
     def send(step: Callable[[str], None]) -> None:
         while not stop:
@@ -219,18 +219,27 @@ def _enrolled(revisit: "Revisit", work: Sequence[tuple[Path, images.Known]], par
                 summary.add(path, answer)
                 step(path.name)
 
-    with progress_bar(len(work), "images") as step:
-        threads = [threading.Thread(target=send, args=(step,), daemon=True) for _ in range(min(parallel, len(work)))]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+    try:
+        with progress_bar(len(work), "images") as step:
+            threads = [
+                threading.Thread(target=send, args=(step,), daemon=True) for _ in range(min(parallel, len(work)))
+            ]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+    except KeyboardInterrupt as interrupt:
+        stop.append(interrupt)
+        say(_come_in(summary, work, ", and those that were being sent may be"))
+        raise
     if stop:
-        raise Failure(
-            f"{stop[0]}\n{summary.done} of {len(work)} images are enrolled; run the same command again to go on"
-        )
+        raise Failure(f"{stop[0]}\n{_come_in(summary, work)}")
     summary.sort([path for path, _ in work])
     return summary
+
+
+def _come_in(summary: Summary, work: "Sequence[Work]", besides: str = "") -> str:
+    return f"{summary.done} of {len(work)} images are enrolled{besides}; run the same command again to go on"
 
 
 def _reason(error: Exception) -> str:

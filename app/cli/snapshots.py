@@ -85,6 +85,8 @@ def _fetched(revisit: "Revisit", name: str, arguments: argparse.Namespace) -> "t
 
 
 def _downloaded(revisit: "Revisit", made: "Snapshot", output: Path | None) -> Path:
+    from revisit_client import Unreachable
+
     path = output or Path()
     if path.is_dir():
         path /= f"{made.map}-{made.created_at:%Y%m%dT%H%M%SZ}.snapshot"
@@ -92,6 +94,8 @@ def _downloaded(revisit: "Revisit", made: "Snapshot", output: Path | None) -> Pa
         return revisit.download_snapshot(made.id, path)
     except OSError as error:
         raise Failure(f"{path}: {error.strerror}; the service keeps the snapshot {made.id}") from error
+    except Unreachable as error:
+        raise Failure(f"{error}\n`revisit snapshot --fetch {made.id}` fetches it once the service is there") from error
 
 
 def _of_kept(arguments: argparse.Namespace) -> int:

@@ -54,7 +54,8 @@ class Addresses:
         if scope["method"] != "HEAD":
             await self._app(scope, receive, send)
             return
-        inner = {**scope, "method": "GET"}
+        # `Range` is of GET alone (RFC 9110, 14.2).
+        inner = {**scope, "method": "GET", "headers": [one for one in scope["headers"] if one[0] != b"range"]}
 
         async def send_head(message: Message) -> None:
             if message["type"] != "http.response.body":

@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from app.http import problems
 from app.http.addresses import Addresses
 from app.http.cors import cors
+from app.http.job_events import Followers
 from app.http.keys import KeyGate
 from app.http.metrics import Metrics
 from app.http.middleware import BodyLimit, Failures, ReadinessGate, RequestContext
@@ -109,6 +110,7 @@ def application(service: Service, tracer_provider: Any = None) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.service = service
+    app.state.followers = Followers()
     app.state.metrics = metrics = Metrics()
     metrics.statistics.settings = service.settings
     for teller in service.tellers:

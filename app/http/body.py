@@ -1,9 +1,11 @@
 """Parses the body of a request: images with their parameters, or JSON."""
 
 import asyncio
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote_to_bytes
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
@@ -27,6 +29,9 @@ MOST_JSON_VALUES = 200_000
 """Of a larger body: what is large in it is one image. So many are parsed in a tenth of a second, and fill 20 MB."""
 
 _QUICK = 1_000_000  # bytes that are parsed within a few milliseconds
+
+_EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*utf-8'[^']*'([^\s;\"]+)", re.IGNORECASE)
+"""Of a part (RFC 8187): .NET sends what is not ASCII so, and beside it as ``filename="=?utf-8?B?...?="``."""
 
 _RAW_TYPES = ("application/octet-stream", "binary/octet-stream")
 
@@ -154,7 +159,8 @@ class _Part:
         kind, options = parse_options_header(self.headers.get("content-disposition"))
         if kind != b"form-data" or b"name" not in options:
             raise BadBody("malformed-body", "a part of the multipart body has no Content-Disposition with a name")
-        file = options.get(b"filename")
+        extended = _EXTENDED_NAME.search(self.headers["content-disposition"])
+        file = unquote_to_bytes(extended[1]) if extended else options.get(b"filename")
         return _utf8(options[b"name"]), None if file is None else _utf8(file)
 
 

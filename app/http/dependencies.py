@@ -7,6 +7,7 @@ from fastapi import Depends, Path, Query, Request
 
 from app.http.body import refuse_body
 from app.http.curate import Curator
+from app.http.job_events import Followers
 from app.http.keys import Accesses
 from app.http.lifecycle import Lifecycle
 from app.http.metrics import Metrics
@@ -33,6 +34,11 @@ async def _lifecycle(request: Request) -> Lifecycle:
     return lifecycle
 
 
+async def _followers(request: Request) -> Followers:
+    followers: Followers = request.app.state.followers
+    return followers
+
+
 async def _metrics(request: Request) -> Metrics:
     metrics: Metrics = request.app.state.metrics
     return metrics
@@ -41,6 +47,7 @@ async def _metrics(request: Request) -> Metrics:
 Recognises = Annotated[Recogniser, Depends(_recogniser)]
 Curates = Annotated[Curator, Depends(_curator)]
 Lifecycles = Annotated[Lifecycle, Depends(_lifecycle)]
+Follows = Annotated[Followers, Depends(_followers)]
 Measures = Annotated[Metrics, Depends(_metrics)]
 
 

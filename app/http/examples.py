@@ -217,6 +217,7 @@ PROBLEM_DETAILS: dict[str, str] = {
     "conflict": "these bytes are in the map already with the place 'hall'; PATCH the view to change its attributes",
     "body-too-large": "the body has 31,457,280 bytes; at most 25,000,000 are taken",
     "not-a-picture": "this seems to be a PDF; send an image as jpeg, png, webp, bmp, tiff or heic",
+    "range-not-satisfiable": "the file has 1,048,576 bytes, and none of those that `Range` names",
     "invalid-parameter": "top: Input should be less than or equal to 100 (got '500')",
     "undecodable-picture": "this jpeg image cannot be decoded: it ends before the image does",
     "picture-too-large": "the image is 12000 x 9000 = 108.0 megapixels; at most 50 are taken",

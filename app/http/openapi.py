@@ -90,6 +90,8 @@ def _add_refusal(by_status: dict[Any, Json], code: str, key: type[int] | type[st
     entry["content"][problems.MEDIA_TYPE]["examples"][code] = {"value": _example(code)}
     if kind.status == 401:
         entry["headers"] = {"WWW-Authenticate": {"schema": {"type": "string"}, "required": True}}
+    if kind.status == 416:
+        entry["headers"] = {"Content-Range": {"schema": {"type": "string"}, "required": True}}
     if kind.status in (429, 503):
         entry["headers"] = {
             "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "required": True}

@@ -21,6 +21,7 @@ from schemas.errors import (
     InvalidParameters,
     NotFound,
     ParameterError,
+    RangeOutside,
     RevisitError,
     SetupError,
     Unauthorized,
@@ -80,6 +81,9 @@ KINDS: Mapping[str, Kind] = {
         415,
         "This is not an image of an accepted type",
         "Send JPEG, PNG, WebP, BMP, TIFF or HEIC with its content type.",
+    ),
+    "range-not-satisfiable": Kind(
+        416, "There are no such bytes", "Ask for bytes of which `Content-Range` names the number, or for all of them."
     ),
     "invalid-parameter": Kind(422, "Parameters cannot be used", "Correct each parameter that `errors` lists."),
     "undecodable-picture": Kind(
@@ -188,6 +192,8 @@ def problem_of(error: RevisitError, request_id: str) -> Response:
     headers = {"Retry-After": str(error.retry_after_s)} if isinstance(error, Busy) else None
     if isinstance(error, Unauthorized):
         headers = {"WWW-Authenticate": 'Bearer realm="revisit"'}  # RFC 9110, 11.6.1
+    if isinstance(error, RangeOutside):
+        headers = {"Content-Range": f"bytes */{error.size}"}  # RFC 9110, 15.5.17
     errors = error.errors if isinstance(error, InvalidParameters) else ()
     return problem(code, error.detail, request_id, errors=errors, headers=headers)
 

@@ -43,7 +43,7 @@ class StatisticsReader:
     def __init__(self, gather: Callable[[], ServiceStatistics]) -> None:
         self._gather = gather
         self._thread = ThreadPoolExecutor(1, "revisit-statistics")
-        self._running: Future[ServiceStatistics] | None = None
+        self._running: Future[ServiceStatistics | None] | None = None
         self._last: ServiceStatistics | None = None
         self._gathered_at = self._due_at = 0.0
 
@@ -55,11 +55,11 @@ class StatisticsReader:
             await asyncio.wait([asyncio.wrap_future(self._running)], timeout=PATIENCE_S)
             if self._running is not None and self._running.done():
                 running, self._running = self._running, None
-                if running.exception() is None:
-                    self._last = running.result()
+                self._last = running.result() or self._last
         return self._last, time.monotonic() - self._gathered_at
 
-    def _timed(self) -> ServiceStatistics:
+    def _timed(self) -> ServiceStatistics | None:
+        """The statistics; None where they could not be gathered, which is logged."""
         began = time.monotonic()
         try:
             statistics = self._gather()
@@ -68,7 +68,7 @@ class StatisticsReader:
         except Exception as error:  # the gauges keep their last values, and their age tells of it
             why = getattr(error, "detail", type(error).__name__)
             logger.warning("the gauges are not gathered: %s", why, extra={"event": "gauges_failed"})
-            raise
+            return None
         finally:
             ended = time.monotonic()
             self._due_at = ended + max(FRESH_S, SHARE * (ended - began))

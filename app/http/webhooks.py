@@ -22,6 +22,7 @@ import httpx
 
 from app.http.deadline import Deadline
 from app.http.query_events import PATIENCE_S, WAITING, Outcome, event, kind_of
+from schemas.errors import SetupError
 from schemas.settings import Settings
 from schemas.wire import QueryAnswer
 
@@ -35,6 +36,8 @@ TIMEOUT_S = 10.0
 
 PREFIX = "whsec_"
 """Of a secret that is base64."""
+
+SEE = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
 
 AGAIN = frozenset({408, 425, 429})
 """Statuses below 500 that say to try again."""
@@ -61,6 +64,11 @@ class Webhooks:
         Of ``matched``, ``no_match`` and ``look-alike``: what is sent.
     delays_s : sequence of float
         Before each further attempt.
+
+    Raises
+    ------
+    SetupError
+        The environment names a proxy or certificates that cannot be used.
     """
 
     name = "webhooks"
@@ -76,6 +84,10 @@ class Webhooks:
         self._thread: threading.Thread | None = None
         self._deadline = Deadline()
         self._count: Callable[[Outcome], None] = lambda outcome: None
+        try:
+            self._client = httpx.Client(timeout=TIMEOUT_S, headers={"user-agent": "revisit"})
+        except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
+            raise SetupError(f"REVISIT_WEBHOOK cannot be called: {error}; {SEE}") from error
 
     @classmethod
     def of(cls, settings: Settings) -> "Webhooks | None":
@@ -128,7 +140,7 @@ class Webhooks:
             self._settle(one, "dropped", "the service stopped")
 
     def _run(self) -> None:
-        with httpx.Client(timeout=TIMEOUT_S, headers={"user-agent": "revisit"}) as client:
+        with self._client as client:
             while (one := self._next()) is not None:
                 said = self._send(client, one)
                 if said is None:

@@ -97,20 +97,43 @@ class Connection:
         except (ValidationError, ValueError) as error:
             raise ClientError(f"{self.url} answered something that is not revisit's: {error}") from error
 
-    def stream(self, path: str, chunk_size: int) -> Iterator[bytes]:
-        """The body of an answer to GET, a chunk at a time; asked for as `send` does, not repeated once it has begun.
+    def stream(self, path: str) -> Iterator[bytes]:
+        """The body of an answer to GET, in pieces, asked for as `send` does.
+
+        Where its connection breaks, the rest of it is asked for, if the service gives parts and says which body it is:
+        until nothing more has come for `patience` seconds.
 
         Raises
         ------
         RevisitProblem, Unreachable
         """
-        answer = self.send("GET", path, stream=True)
-        try:
-            yield from answer.iter_raw(chunk_size)
-        except httpx.TransportError as error:
-            raise Unreachable(self.url, reason(error)) from error
-        finally:
-            answer.close()
+        headers = {"accept-encoding": "identity"}  # parts are those of what is kept, not of what a proxy made of it
+        answer = self.send("GET", path, stream=True, headers=headers)
+        tag = answer.headers.get("etag", "")
+        in_parts = answer.headers.get("accept-ranges") == "bytes" and tag.startswith('"')
+        come, pause = 0, FIRST_PAUSE_S
+        until: float | None = None
+        while True:
+            try:
+                for piece in answer.iter_raw():
+                    yield piece
+                    come, until, pause = come + len(piece), None, FIRST_PAUSE_S
+                return
+            except httpx.TransportError as error:
+                broken = Unreachable(self.url, reason(error))
+                broken.__cause__ = error
+            finally:
+                answer.close()
+            until = self._clock() + self._patience if until is None else until
+            if not in_parts or self._clock() + pause > until:
+                raise broken
+            self._sleep(pause)
+            pause = min(LONGEST_PAUSE_S, pause * 2)
+            part = {"range": f"bytes={come}-", "if-range": tag}
+            answer = self.send("GET", path, stream=True, lost=True, headers=headers | part)
+            if not answer.headers.get("content-range", "").startswith(f"bytes {come}-"):
+                answer.close()
+                raise broken
 
     def events(self, model: type[Answer], path: str, silence: float) -> Iterator[Answer | None]:
         """The data of server-sent events, each validated as `model`, and None for each sign of life between them.
@@ -159,6 +182,7 @@ class Connection:
         accept: int | None = None,
         once: bool = False,
         stream: bool = False,
+        lost: bool = False,
         **request: Any,
     ) -> httpx.Response:
         """Send a request; repeat it within `patience` seconds while that may help.
@@ -173,6 +197,8 @@ class Connection:
             Whether its body can be read once alone, so that it is never repeated.
         stream : bool
             Whether the body of the answer is left to be read, and the answer to be closed, by the caller.
+        lost : bool
+            Whether the service was just there, so that it may be starting again where it refuses the connection.
         **request
             Further arguments of `httpx.Client.build_request`.
 
@@ -180,7 +206,7 @@ class Connection:
         ------
         RevisitProblem, Unreachable
         """
-        deadline, pause, lost = self._clock() + self._patience, FIRST_PAUSE_S, False
+        deadline, pause = self._clock() + self._patience, FIRST_PAUSE_S
         while True:
             trouble: ClientError
             try:
@@ -228,8 +254,9 @@ def _client(*, base_url: httpx.URL, transport: httpx.BaseTransport | None, **opt
         if transport is None and _is_of_this_machine(base_url.host):
             transport = httpx.HTTPTransport()
         return httpx.Client(base_url=base_url, transport=transport, **options)
-    except (ImportError, OSError, ValueError) as error:
-        named = [name for name in (*PROXIES, "SSL_CERT_FILE", "SSL_CERT_DIR") if os.environ.get(name)]
+    except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
+        known = (*PROXIES, "NO_PROXY", "no_proxy", "SSL_CERT_FILE", "SSL_CERT_DIR")
+        named = [name for name in known if os.environ.get(name)]
         raise ClientError(f"{', '.join(named) or 'the proxy of this system'} cannot be used: {error}") from error
 
 

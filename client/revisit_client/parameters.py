@@ -87,7 +87,10 @@ def filters(
     exclude_last: int | str | timedelta | None,
     exclude: Sequence[str] | str,
 ) -> dict[str, Any]:
-    """Filters as parameters by name; None where not given."""
+    """Filters as parameters by name; None where not given. Raises Unsendable for metadata that is to be None."""
+    nothing = [key for key, value in (metadata or {}).items() if value is None]
+    if nothing:  # left out, the filter would let all views pass: to be deleted, say
+        raise Unsendable(f"metadata {nothing[0]!r} is None, which no view has; leave it out, or use where=")
     if isinstance(exclude_last, timedelta):
         exclude_last = f"{exclude_last.total_seconds():.6f}".rstrip("0").rstrip(".") + "s"
     chosen: dict[str, Any] = {

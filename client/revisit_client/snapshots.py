@@ -29,9 +29,12 @@ class SnapshotCalls:
     def download_snapshot(self, snapshot_id: str, path: str | os.PathLike[str]) -> Path:
         """Write the file of a snapshot to `path`, which must not exist; there is all of it or nothing.
 
+        Where the connection breaks it goes on from there, as long as something comes within `patience` seconds.
+
         Raises
         ------
         FileExistsError
+        RevisitProblem, Unreachable
         """
         target = Path(path)
         if target.exists():
@@ -39,7 +42,7 @@ class SnapshotCalls:
         unfinished = target.with_name(f".{target.name}.unfinished")
         try:
             with unfinished.open("wb") as file:
-                for chunk in self._connection.stream(address("snapshots", snapshot_id), CHUNK):
+                for chunk in self._connection.stream(address("snapshots", snapshot_id)):
                     file.write(chunk)
                 file.flush()
                 os.fsync(file.fileno())

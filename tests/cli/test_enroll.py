@@ -2,7 +2,11 @@
 
 import json
 import os
+import signal
+import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image as PilImage
@@ -123,6 +127,24 @@ def test_a_service_that_is_gone_stops_it_and_says_how_to_go_on(folder: Path, cap
     assert main(["enroll", str(folder)]) == 1
 
     assert "run the same command again" in capsys.readouterr().err
+
+
+def test_an_interrupted_one_says_how_many_are_in(service: FakeService, folder: Path, capsys: Out) -> None:
+    """CTRL-C while the second image is sent."""
+    count = iter(range(9))
+
+    def reply(body: bytes) -> tuple[int, Any]:
+        if next(count) == 1:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            time.sleep(0.5)
+        return 201, answers.enrolled()
+
+    service.replies["POST /enroll"] = reply
+    assert main(["enroll", str(folder), "--parallel", "1"]) == 130
+
+    told = capsys.readouterr()
+    assert "1 of 3 images are enrolled, and those that were being sent may be; run the same command again" in told.err
+    assert told.err.endswith("revisit: interrupted\n")
 
 
 def test_photos_of_phones_are_sent_as_they_are(service: FakeService, folder: Path, capsys: Out) -> None:

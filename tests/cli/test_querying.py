@@ -350,7 +350,18 @@ def test_views_that_pass_filters_are_deleted_together(service: FakeService, caps
 
 
 @pytest.mark.parametrize(
-    "wrong", [[], ["--map", "campus"], ["--place", "hall"], ["--map", "campus", "--place", "hall", "--state", "failed"]]
+    "wrong",
+    [
+        [],
+        ["--map", "campus"],
+        ["--place", "hall"],
+        ["--map", "campus", "--place", "hall", "--state", "failed"],
+        ["--map", "campus", "--place", "hall", "--limit", "1"],
+        ["v1", "--map", "depot"],
+        ["v1", "--place", "hall"],
+        ["v1", "--image", "v1.jpg"],
+        ["v1", "--set", "{}"],
+    ],
 )
 def test_a_deletion_that_would_reach_more_than_was_meant_is_refused(service: FakeService, wrong: list[str]) -> None:
     assert main(["views", *wrong, "--delete"]) == 2

@@ -64,6 +64,18 @@ def test_lists_may_be_given_as_the_service_writes_them() -> None:
     assert url.params["dynamic"] == text
 
 
+def test_a_filter_by_nothing_does_not_become_no_filter() -> None:
+    """`metadata={"batch": job.get("batch")}` beside a place would delete all of the place."""
+    nothing: Any = {"floor": 2, "batch": None}
+    for call in (
+        lambda revisit: revisit.delete_views("m", place="hall", metadata=nothing),
+        lambda revisit: list(revisit.views(map="m", metadata=nothing)),
+        lambda revisit: revisit.query(b"x", metadata=nothing),
+    ):
+        with pytest.raises(ValueError, match="metadata 'batch' is None"):
+            sent(call)
+
+
 @pytest.mark.parametrize(
     ("span", "text"),
     [

@@ -105,12 +105,17 @@ def test_no_proxy_gets_what_this_machine_serves(
 
 @pytest.mark.parametrize(
     ("variable", "value"),
-    [("ALL_PROXY", "socks5://proxy:1080"), ("HTTPS_PROXY", "proxy://x"), ("SSL_CERT_FILE", "/no")],
+    [
+        ("ALL_PROXY", "socks5://proxy:1080"),
+        ("HTTPS_PROXY", "proxy://x"),
+        ("HTTPS_PROXY", "http://proxy:port"),
+        ("SSL_CERT_FILE", "/no"),
+    ],
 )
 def test_an_environment_that_cannot_be_used_is_named(
     variable: str, value: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "SSL_CERT_FILE", "SSL_CERT_DIR"):
+    for name in ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY", "NO_PROXY", "SSL_CERT_FILE", "SSL_CERT_DIR"):
         monkeypatch.delenv(name, raising=False)
         monkeypatch.delenv(name.lower(), raising=False)
     monkeypatch.setenv(variable, value)

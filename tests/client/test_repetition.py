@@ -1,5 +1,6 @@
 """What the client does where an answer is lost, late, cut or not the service's."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -21,6 +22,102 @@ def in_turn(*happens: Exception | httpx.Response) -> Handler:
         return now
 
     return handler
+
+
+class Broken(httpx.SyncByteStream):
+    """The beginning of a body, whose connection breaks then."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        self._pieces = pieces
+
+    def __iter__(self) -> Iterator[bytes]:
+        yield from self._pieces
+        raise httpx.ReadError("connection reset")
+
+
+WHOLE, TAG = bytes(range(256)) * 40, '"7c1e"'
+
+
+def parts(*pieces: int, tag: str = TAG) -> tuple[Handler, list[httpx.Request]]:
+    """A service that gives a file by parts, of which so many bytes come before the connection breaks, one a request."""
+    left, seen = list(pieces), list[httpx.Request]()
+
+    def handler(request: httpx.Request) -> httpx.Response:
+        seen.append(request)
+        begin = int(request.headers.get("range", "bytes=0-").removeprefix("bytes=").removesuffix("-"))
+        headers = {"etag": tag, "accept-ranges": "bytes", "content-length": str(len(WHOLE) - begin)}
+        if begin:
+            headers["content-range"] = f"bytes {begin}-{len(WHOLE) - 1}/{len(WHOLE)}"
+        rest = WHOLE[begin:]
+        come = left.pop(0) if left else None
+        body = httpx.ByteStream(rest) if come is None else Broken(rest[:come])
+        return httpx.Response(206 if begin else 200, headers=headers, stream=body)
+
+    return handler, seen
+
+
+def test_a_download_goes_on_where_its_connection_broke(tmp_path: Path) -> None:
+    clock, path = Clock(), tmp_path / "map.snapshot"
+    handler, seen = parts(1000, 0, 0, 3000)
+
+    assert client(handler, clock).download_snapshot("s1", path).read_bytes() == WHOLE
+
+    assert [request.headers.get("range") for request in seen] == [None, *["bytes=1000-"] * 3, "bytes=4000-"]
+    assert {request.headers["if-range"] for request in seen[1:]} == {TAG}
+    assert clock.naps == [0.25, 0.5, 1.0, 0.25]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_download_waits_for_a_service_that_starts_again(tmp_path: Path) -> None:
+    handler, _ = parts(5000)
+    answers_ = iter([handler, lambda _: refused("unavailable", 503), handler])
+    refuses = iter([False, True, False, False])
+
+    def starting(request: httpx.Request) -> httpx.Response:
+        if next(refuses):
+            raise httpx.ConnectError("[Errno 111] Connection refused")
+        return next(answers_)(request)
+
+    assert client(starting).download_snapshot("s1", tmp_path / "map").read_bytes() == WHOLE
+
+
+def test_a_download_is_given_up_when_nothing_more_comes(tmp_path: Path) -> None:
+    clock = Clock()
+    handler, seen = parts(1000, *[0] * 99)
+
+    with pytest.raises(Unreachable, match="connection reset"):
+        client(handler, clock, patience=10).download_snapshot("s1", tmp_path / "map")
+
+    assert (clock.now <= 10, len(seen) > 3, list(tmp_path.iterdir())) == (True, True, [])
+
+
+@pytest.mark.parametrize(
+    ("tag", "more"),
+    [("", {}), (f"W/{TAG}", {}), (TAG, {"accept-ranges": "none"}), (TAG, {"content-range": "bytes 7-9/9"})],
+)
+def test_parts_of_what_may_be_another_file_are_not_put_together(tmp_path: Path, tag: str, more: dict[str, str]) -> None:
+    handler, _ = parts(1000, tag=tag)
+
+    def other(request: httpx.Request) -> httpx.Response:
+        answer = handler(request)
+        answer.headers.update(more)
+        return answer
+
+    with pytest.raises(Unreachable, match="connection reset"):
+        client(other).download_snapshot("s1", tmp_path / "map")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_deleted_while_it_is_fetched_is_told(tmp_path: Path) -> None:
+    handler, _ = parts(1000)
+    turns = iter((True, False))
+
+    def deleted(request: httpx.Request) -> httpx.Response:
+        return handler(request) if next(turns) else refused("not-found", 404)
+
+    with pytest.raises(RevisitProblem) as caught:
+        client(deleted).download_snapshot("s1", tmp_path / "map")
+    assert (caught.value.code, list(tmp_path.iterdir())) == ("not-found", [])
 
 
 def test_a_request_whose_answer_got_lost_is_repeated() -> None:

@@ -144,6 +144,42 @@ def test_a_preflight_needs_no_key(method: str) -> None:
     assert answer.headers["x-request-id"]
 
 
+def test_a_public_page_that_is_named_may_call_into_a_private_network(shared: CheckedClient) -> None:
+    """Chrome sends this with the preflights of such calls (Private Network Access): refused, there is no call."""
+    asks = {**MUSEUM, "access-control-request-method": "PUT", "access-control-request-private-network": "true"}
+    with shared:
+        answer = shared.send(shared.build_request("OPTIONS", "/maps/hall", headers=asks))
+        evil = shared.send(
+            shared.build_request("OPTIONS", "/maps/hall", headers={**asks, "origin": "https://a.example"})
+        )
+
+    assert (answer.status_code, answer.headers["access-control-allow-private-network"]) == (200, "true")
+    assert (evil.status_code, evil.headers.get("access-control-allow-origin")) == (403, None)
+
+
+@pytest.mark.parametrize(
+    ("sent", "told"),
+    [
+        ({"origin": "https://evil.example"}, "REVISIT_CORS does not name the origin https://evil.example"),
+        ({"access-control-request-method": "TRACE"}, "pages may not send TRACE"),
+        ({"access-control-request-headers": "x-api-key, x-other"}, "pages may not send the header x-other"),
+        ({"access-control-request-headers": ""}, "pages may not send this"),
+    ],
+)
+def test_a_preflight_is_refused_by_a_problem(shared: CheckedClient, sent: dict[str, str], told: str) -> None:
+    asks = {**MUSEUM, "access-control-request-method": "PUT", "x-request-id": "asked-first", **sent}
+    with shared:
+        answer = shared.send(shared.build_request("OPTIONS", "/maps/hall", headers=asks))
+
+    assert (answer.status_code, answer.headers["content-type"]) == (403, "application/problem+json")
+    problem = answer.json()
+    assert (problem["type"], problem["detail"]) == ("urn:revisit:problem:other-site", told)
+    assert problem["request_id"] == answer.headers["x-request-id"] == "asked-first"
+    assert int(answer.headers["content-length"]) == len(answer.content)
+    allowed = answer.headers.get("access-control-allow-origin")
+    assert allowed == (None if "origin" in sent else MUSEUM["origin"])
+
+
 @pytest.mark.parametrize(
     "text", ["museum.example", "https://museum.example/", "https://a/b", "https://*.example", "null"]
 )

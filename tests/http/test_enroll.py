@@ -179,6 +179,23 @@ def test_a_multipart_body_that_breaks_off_anywhere_is_malformed(
     assert not recogniser.kept
 
 
+@pytest.mark.parametrize(
+    ("sent", "kept"),
+    [
+        ("filename=\"=?utf-8?B?Z2HDn2UuanBn?=\"; filename*=utf-8''ga%C3%9Fe.jpg", "gaße.jpg"),
+        ("filename=a.jpg; filename*=UTF-8'de'..%2Fb%20c.jpg", "b c.jpg"),
+        ("filename*=utf-8''d.jpg", "d.jpg"),
+        ("filename=e.jpg; filename*=iso-8859-1''%E4.jpg", "e.jpg"),
+        ('filename="it\'s; filename.jpg"', "it's; filename.jpg"),
+        ("filename=f.jpg; filename*=utf-8''%FF.jpg", "\ufffd.jpg"),
+    ],
+)
+def test_a_name_that_is_not_ascii_is_kept_as_net_sends_it(client: CheckedClient, sent: str, kept: str) -> None:
+    head = f'Content-Disposition: form-data; name="image"; {sent}'
+    answer = client.post("/enroll", content=multipart((head, photo())), headers=FORM)
+    assert (answer.status_code, answer.json()["view"]["filename"]) == (201, kept)
+
+
 def test_a_part_without_a_name_is_malformed(client: CheckedClient) -> None:
     answer = client.post("/enroll", content=multipart(("X-Nothing: 1", photo())), headers=FORM)
     assert code(answer) == "malformed-body"

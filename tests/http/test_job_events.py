@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app.http.job_events import KEEP_ALIVE_S, LOOK_S, job_events
+from app.http.job_events import KEEP_ALIVE_S, LOOK_S, MOST_FOLLOWERS, Followers, job_events
 from schemas import wire
 from schemas.errors import NotFound
 from tests import answers
@@ -39,7 +39,7 @@ def events(job: wire.Job, looks: Looks, stopping: Callable[[], bool] = lambda: F
         naps.append(seconds)
 
     async def all_of() -> list[str]:
-        return [part.decode() async for part in job_events(job, looks, stopping, sleep=sleep)]
+        return [part.decode() async for part in job_events(job, looks, stopping, Followers(), sleep=sleep)]
 
     return asyncio.run(all_of()), sum(naps)
 
@@ -92,6 +92,44 @@ def test_events_end_when_the_service_stops() -> None:
     parts, seconds = events(running, Looks(running), lambda: next(stops))
 
     assert (told(parts), seconds) == ([running], 2 * LOOK_S)
+
+
+def test_who_is_one_too_many_is_told_the_present_state_and_to_come_again_later() -> None:
+    """Each follower looks up its job and its key four times a second: hundreds would leave no time for images."""
+    running, done = state(state="running"), state(state="done")
+    followers, ends = Followers(2), asyncio.Event()
+
+    async def sleep(seconds: float) -> None:
+        await ends.wait()
+
+    async def follow(looks: Looks) -> list[str]:
+        return [part.decode() async for part in job_events(running, looks, lambda: False, followers, sleep=sleep)]
+
+    async def three() -> list[list[str]]:
+        patient = [asyncio.create_task(follow(Looks(done))) for _ in range(2)]
+        await asyncio.sleep(0)
+        one_too_many = await follow(Looks(AssertionError("no look")))
+        ends.set()
+        return [one_too_many, *await asyncio.gather(*patient), await follow(Looks(done))]
+
+    crowded, *others = asyncio.run(three())
+
+    assert (told(crowded), "retry: 5000" in crowded[0]) == ([running], True)
+    assert [told(parts) for parts in others] == [[running, done]] * 3
+    assert MOST_FOLLOWERS < 512, "of the connections that are served at once some are left for others"
+
+
+def test_who_goes_away_is_no_follower_any_more(client: CheckedClient, runtime: FakeRuntime) -> None:
+    runtime.recogniser.job_states = ["running"]
+
+    for _ in range(MOST_FOLLOWERS + 5):
+        answer = client.send(client.build_request("HEAD", "/jobs/j9/events"))
+        assert answer.status_code == 200
+    runtime.recogniser.job_states = ["running", "done"]
+    with client.stream("GET", "/jobs/j9/events") as events:
+        events.read()
+
+    assert [job.state for job in told([events.text])] == ["running", "done"]
 
 
 def test_events_over_http(client: CheckedClient, runtime: FakeRuntime) -> None:

@@ -148,6 +148,8 @@ def test_a_snapshot_made_through_one_node_is_downloaded_and_restored_through_ano
         assert answer.headers["content-disposition"].endswith('.snapshot"')
         assert answer.headers["content-type"] == "application/x-tar"
         assert a.get(f"/snapshots/{job['id']}").content == answer.content
+        rest = a.get(f"/snapshots/{job['id']}", headers={"range": "bytes=5000-", "if-range": answer.headers["etag"]})
+        assert (rest.status_code, rest.content == answer.content[5000:]) == (206, True)
         copy = tmp_path / "copy"
         copy.write_bytes(answer.content)
         assert sum(part.name.startswith("images/") for part in SnapshotReader(copy).verified()) == 40

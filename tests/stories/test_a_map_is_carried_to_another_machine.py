@@ -131,3 +131,41 @@ def test_a_snapshot_stays_until_it_is_deleted(home: CheckedClient) -> None:
     assert home.delete(f"/snapshots/{snapshot_id}").status_code == 404
     assert home.get("/snapshots").json() == {"snapshots": []}
     assert home.post("/maps/nowhere/snapshots").status_code == 404
+
+
+def test_a_download_goes_on_where_it_broke_off(home: CheckedClient) -> None:
+    snapshot_id, file = snapshot(home)
+    path, size = f"/snapshots/{snapshot_id}", len(file)
+    whole = home.get(path)
+    tag = whole.headers["etag"]
+    assert whole.headers["accept-ranges"] == "bytes"
+
+    for given, first, last in (
+        ("bytes=0-0", 0, 0),
+        ("bytes=1000-", 1000, size - 1),
+        ("bytes=-1", size - 1, size - 1),
+        (f"Bytes=5-{size + 9}", 5, size - 1),
+        (f"bytes=-{size + 9}", 0, size - 1),
+    ):
+        part = home.get(path, headers={"range": given, "if-range": tag})
+        assert (part.status_code, part.headers["etag"]) == (206, tag)
+        assert part.headers["content-range"] == f"bytes {first}-{last}/{size}"
+        assert int(part.headers["content-length"]) == last - first + 1
+        assert part.content == file[first : last + 1]
+
+    for given in ("bytes=0-1,5-6", "bytes=9-5", "bytes=-", "bytes=a-b", "pages=1-2", "bytes 1-2", "bytes=1-2-3"):
+        all_of_it = home.get(path, headers={"range": given})
+        assert (all_of_it.status_code, all_of_it.content == file) == (200, True), given
+    for named in ('"another"', f"W/{tag}", "Sun, 01 Mar 2026 09:30:00 GMT"):
+        all_of_it = home.get(path, headers={"range": "bytes=1-2", "if-range": named})
+        assert (all_of_it.status_code, all_of_it.content == file) == (200, True), named
+    for given in (f"bytes={size}-", "bytes=-0", f"bytes={10**18}-"):
+        refused = home.get(path, headers={"range": given})
+        assert (refused.status_code, refused.headers["content-range"]) == (416, f"bytes */{size}")
+        assert refused.json()["type"] == "urn:revisit:problem:range-not-satisfiable"
+
+    assert home.get(path, headers={"range": "bytes=1-2", "if-none-match": tag}).status_code == 304
+    head = home.send(home.build_request("HEAD", path, headers={"range": "bytes=1-2"}))
+    assert (head.status_code, head.headers["content-length"], head.headers["etag"]) == (200, str(size), tag)
+    again, _ = snapshot(home)
+    assert home.get(f"/snapshots/{again}").headers["etag"] != tag

@@ -228,6 +228,9 @@ def test_a_snapshot_is_streamed_through(tmp_path: Path) -> None:
             for part in answer.iter_bytes():
                 got.write(part)
         assert len(got.getvalue()) == told["result"]["bytes"] > 4_000_000
+        wanted = {"range": "bytes=4000000-", "if-range": answer.headers["etag"]}
+        rest = client.get(f"/snapshots/{told['result']['snapshot']}", headers=wanted)
+        assert (rest.status_code, rest.content == got.getvalue()[4_000_000:]) == (206, True)
         again = client.post("/restore?as=n", content=got.getvalue(), headers={"content-type": "application/zip"})
         assert again.status_code == 201, again.text
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import httpx
 import pytest
@@ -171,3 +171,21 @@ def test_an_enrolment_whose_wait_breaks_off_is_acknowledged(tmp_path: Path, monk
         kept = client.post("/enroll", content=photo(1), headers=JPEG)
         assert kept.status_code == 202, kept.text
         until(lambda: is_done(client, kept.json()["job"]))
+
+
+def test_an_enrolment_that_was_waited_for_is_acknowledged_whatever_cannot_be_read_of_it_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runtime = build(settings(tmp_path))
+
+    def away(*_: object) -> NoReturn:
+        raise StorageFailed("the database server cannot be asked")
+
+    with CheckedClient(create_app(runtime)) as client:
+        with monkeypatch.context() as failing:
+            failing.setattr(runtime.services.enroll, "_resembles", away)
+            kept = client.post("/enroll", content=photo(1), headers=JPEG)
+            assert (kept.status_code, kept.headers["location"]) == (202, f"/jobs/{kept.json()['job']}"), kept.text
+        until(lambda: is_done(client, kept.json()["job"]))
+        again = client.post("/enroll", content=photo(1), headers=JPEG)
+        assert (again.status_code, again.json()["view"]["id"]) == (200, kept.json()["view"]["id"])

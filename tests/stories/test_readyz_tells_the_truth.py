@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
 from app.http.application import create_app
 from schemas.errors import DiskFull, SetupError
@@ -94,6 +95,18 @@ def test_an_encoder_that_fails_is_found_out_although_nobody_queries(
         broken.setattr(ColorEncoder, "encode", fail)
         assert "RuntimeError" in until(client, False)["checks"]["encoder"]
     until(client, True)
+
+
+def test_it_is_not_ready_while_the_table_of_views_cannot_be_read(runtime: Runtime, client: CheckedClient) -> None:
+    """Its clock and its maps are read each time; without views there is nothing to enrol into or to find."""
+    until(client, True)
+    rename = "ALTER TABLE {} RENAME TO {}"
+    with runtime.store._database.engine.begin() as connection:
+        connection.execute(sa.text(rename.format("views", "views_elsewhere")))
+    assert "views" in until(client, False)["checks"]["database"]
+    with runtime.store._database.engine.begin() as connection:
+        connection.execute(sa.text(rename.format("views_elsewhere", "views")))
+    assert until(client, True)["checks"]["database"] == "ok"
 
 
 def test_it_is_not_ready_while_callers_are_refused_because_descriptions_could_not_be_stored(

@@ -13,7 +13,7 @@ import httpx
 import numpy as np
 
 from schemas.description import Floats
-from schemas.errors import BadBody, EncoderAway
+from schemas.errors import BadBody, EncoderAway, SetupError
 from schemas.image import Bytes2D, PreparedImage
 from schemas.inference import (
     COLUMNS,
@@ -82,6 +82,11 @@ class InferenceClient:
         Seconds in which the server must take a request, begin its answer, and end it, each.
     clock : function
         Monotonic seconds.
+
+    Raises
+    ------
+    SetupError
+        The environment names a proxy or certificates that cannot be used.
     """
 
     def __init__(
@@ -96,7 +101,11 @@ class InferenceClient:
         headers = {"user-agent": "revisit", "content-type": MEDIA_TYPE, "accept-encoding": "identity"}
         if key is not None:
             headers["authorization"] = f"Bearer {key}"
-        self._http = httpx.Client(headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
+        try:
+            self._http = httpx.Client(headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
+        except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
+            see = "see HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE and SSL_CERT_DIR"
+            raise SetupError(f"REVISIT_ENCODER_URL cannot be called: {error}; {see}") from error
         self._troubles: dict[str, tuple[EncoderAway, float]] = {}  # by model: why, and when it is tried again
 
     def close(self) -> None:

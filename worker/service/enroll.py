@@ -253,6 +253,28 @@ class EnrollService:
             if submitted.created:
                 self._removals.delete_view(record.id)
             raise RevisitError(detail)
+        try:
+            return self._told(accepted, view)
+        except StorageFailed:
+            if submitted.job_id is None:  # this call has stored nothing
+                raise
+        # It is durable, whatever cannot be read of it now: as if the caller had not waited.
+        timing_ms = {**accepted.timing_ms, "total": _since(accepted.began)}
+        return Enrolled(
+            view=submitted.view,
+            labels=(),
+            created=submitted.created,
+            revision=submitted.revision,
+            job_id=submitted.job_id,
+            problem=accepted.problem,
+            resembles=(),
+            timing_ms=timing_ms,
+        )
+
+    def _told(self, accepted: Accepted, view: ViewRecord | None) -> Enrolled:
+        """The outcome of an image that was taken; raises StorageFailed where it cannot be read."""
+        submitted = accepted.submitted
+        record = submitted.view if view is None else view
         problem = accepted.problem
         if view is not None and submitted.created:
             problem = problem or self._moves(record)

@@ -35,7 +35,7 @@ from worker.storage.scratch import Scratch
 from worker.storage.snapshot_places import SNAPSHOTS, SnapshotFolder, SnapshotObjects
 from worker.storage.snapshots import Snapshots
 from worker.storage.space import Space
-from worker.storage.tables import CALLS, CLOCK
+from worker.storage.tables import CALLS, CLOCK, VIEWS
 from worker.storage.uploads import IMPORTS, SharedUploads, Uploads
 from worker.storage.vector_hnsw import VectorIndexing
 from worker.storage.vector_search import VectorSearch
@@ -167,6 +167,8 @@ class SqlStore:
             with self._database.reading() as connection:
                 if connection.scalar(sa.select(CLOCK.c.revision)) is None:
                     return "the database has lost its clock; restore a snapshot"
+                # All that is enrolled and answered goes by it; another process may have locked it alone.
+                connection.execute(sa.select(VIEWS.c.seq).order_by(VIEWS.c.seq.desc()).limit(1)).all()
         except RevisitError as error:
             return error.detail
         except sa.exc.SQLAlchemyError as error:

@@ -1,5 +1,6 @@
 """`/compat/compreface/{map}`: the recognition service of CompreFace, for apps that change their base URL alone."""
 
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated, Any
@@ -105,7 +106,7 @@ async def rename_subject(name: MapName, subject: SubjectName, request: Request, 
         updated = True
         return replace(attributes, place=wanted)
 
-    for view in await _views(curator, name, subject):
+    for view in [view async for view in _each(curator, name, subject)]:
         with suppress(NotFound):  # deleted meanwhile; the others are renamed all the same
             await curator.patch_view(view.id, renamed)
     return shapes.Renamed(updated=updated)
@@ -153,15 +154,19 @@ async def add_example(
 @router.get("/faces", responses=refusals("not-found"))
 async def examples(name: MapName, params: Annotated[shapes.Examples, Query()], curator: Curates) -> shapes.ExamplePage:
     """A page of the views of the map, in the order of enrolment."""
-    first = params.page * params.size
-    if params.subject is None:
-        total = sum((await curator.map(name)).views.values())
-        found = await _views(curator, name, None, first + params.size)
-    else:
-        found = await _views(curator, name, params.subject)
-        total = len(found)
+    first, count = params.page * params.size, 0
+    total = None if params.subject is not None else sum((await curator.map(name)).views.values())
+    found: list[View] = []
+    if total is None or first < total:
+        async for view in _each(curator, name, params.subject):  # a large map does not fit into memory
+            if first <= count < first + params.size:
+                found.append(view)
+            count += 1
+            if total is not None and count == first + params.size:
+                break
+    total = count if total is None else total
     return shapes.ExamplePage(
-        faces=[shapes.example(view) for view in found[first : first + params.size]],
+        faces=[shapes.example(view) for view in found],
         page_number=params.page,
         page_size=params.size,
         total_pages=-(-total // params.size),
@@ -264,18 +269,18 @@ async def _places(curator: Curator, name: str) -> list[str]:
             return found
 
 
-async def _views(curator: Curator, name: str, place: str | None, most: int | None = None) -> list[View]:
-    """Views of a map, or of one of its places, in the order of enrolment; not many more than `most`."""
-    found: list[View] = []
+async def _each(curator: Curator, name: str, place: str | None) -> AsyncIterator[View]:
+    """The views of a map, or of one of its places, in the order of enrolment."""
     cursor = None
     while True:
         page = await curator.views(
             name, Filters(place=place), state=None, newest_first=False, cursor=cursor, limit=PAGE
         )
-        found += page.views
+        for view in page.views:
+            yield view
         cursor = page.next
-        if cursor is None or (most is not None and len(found) >= most):
-            return found
+        if cursor is None:
+            return
 
 
 async def _view(curator: Curator, name: str, view_id: str) -> View:

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse
 
-from app.http.dependencies import Curates, JobId, Lifecycles, checked, no_parameters
+from app.http.dependencies import Curates, Follows, JobId, Lifecycles, checked, no_parameters
 from app.http.job_events import job_events
 from app.http.keys import Accesses, ChecksAgain, check_map
 from app.http.openapi import refusals
@@ -68,17 +68,20 @@ async def get_job(job_id: JobId, curator: Curates) -> Job:
         **refusals("not-found"),
     },
 )
-async def follow_job(job_id: JobId, curator: Curates, lifecycle: Lifecycles, check_again: ChecksAgain) -> Response:
+async def follow_job(
+    job_id: JobId, curator: Curates, lifecycle: Lifecycles, followers: Follows, check_again: ChecksAgain
+) -> Response:
     """The job now, then again whenever its state or progress changes; ends when the job has ended.
 
-    The stream also ends when the service stops, or the key no longer does: connect again.
+    The stream also ends when the service stops, or the key no longer does, and at once where many follow jobs: connect
+    again.
     """
 
     async def look() -> Job:
         await check_again()
         return await curator.job(job_id)
 
-    events = job_events(await curator.job(job_id), look, lambda: lifecycle.draining)
+    events = job_events(await curator.job(job_id), look, lambda: lifecycle.draining, followers)
     # Proxies such as nginx would hold events back until they fill a buffer.
     return EventSourceResponse(events, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
 
